@@ -185,12 +185,14 @@ def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> No
     model: Any = SimpleNamespace(at=at, free=np.arange(4), at_lower=held[0], at_upper=held[1], scale=0.5)
     model.gradient = np.full(6, 1e5)  # so steep that the density is exponential, with the slope 1e5
     shares = np.full(4, 0.7), np.full(4, 0.91)
-    found = Certainty.of(model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells)))
+    certainty = Certainty.of(model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells)))
     reach = 0.1959964
     noise = 1.959964 * 0.005
     tail = -np.log(0.05) / 1e5
-    assert_allclose(found.deviation, [[[*[0.1] * 4, 1e-5, np.inf]]])
-    assert_allclose(found.own[..., :4], 0.08)
-    assert_allclose(found.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)
-    assert_allclose(found.above, [[[reach, reach, np.inf, reach, tail, np.inf]]], rtol=1e-6)
-    assert_allclose((found.resolution, found.data_share), np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]]))
+    assert_allclose(certainty.deviation, [[[*[0.1] * 4, 1e-5, np.inf]]])
+    assert_allclose(certainty.own[..., :4], 0.08)
+    assert_allclose(certainty.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)
+    assert_allclose(certainty.above, [[[reach, reach, np.inf, reach, tail, np.inf]]], rtol=1e-6)
+    assert_allclose(
+        (certainty.resolution, certainty.data_share), np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]])
+    )

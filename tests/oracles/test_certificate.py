@@ -46,9 +46,9 @@ KINDS: dict[str, tuple[Readout, Circuit]] = {
 SHORTS: dict[str, object] = {"cell": (2, 3), "two cells": ([0, 3], [1, 4]), "row": 2, "column": COLUMN}
 
 
-def changed(where: object, factor: float | Array) -> Array:
+def changed(place: object, factor: float | Array) -> Array:
     cells = USUAL.copy()
-    cells[where] *= factor
+    cells[place] *= factor
     return cells
 
 
@@ -92,11 +92,11 @@ def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None
     assert np.abs(solution.cell_resistance[0] / cells - 1).max() < 1e-4
 
 
-@pytest.mark.parametrize("where", [(16, 10), 16], ids=["cell", "row"])
-def test_without_noise_a_large_panel_is_verified_by_every_reading(where: object) -> None:
+@pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
+def test_without_noise_a_large_panel_is_verified_by_every_reading(place: object) -> None:
     """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a thousandth."""
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
-    cells[where] *= 1e-9
+    cells[place] *= 1e-9
     scene = Scene(Panel(32, 32))
     recorded = scene.circuit.exact_reading(cells)
     solution = solution_of(scene, recorded, "reduced", Bounds())
@@ -118,12 +118,12 @@ def test_verified_readings_of_shorts_are_met(kind: str, short: str, ohm: float, 
     cells[place] = ohm * np.exp(0.2 * np.random.default_rng(4).standard_normal(cells[place].shape))
     volt, _ = circuit.reading(cells)
     solution = solution_of(Scene(Panel(*cells.shape), readout), volt, formulation)
-    off = np.abs(circuit.reading(solution.cell_resistance[0])[0] / volt - 1).max()
+    misfit = np.abs(circuit.reading(solution.cell_resistance[0])[0] / volt - 1).max()
     if formulation == "nodal" and ohm < 1 and solution.status is not Status.OPTIMUM:
         return  # the digits of node voltages end six decades below the other cells, and the status says so
-    assert solution.solved and (solution.status is not Status.OPTIMUM or off < 1e-6)
+    assert solution.solved and (solution.status is not Status.OPTIMUM or misfit < 1e-6)
     if ohm == 3e-4 and "cell" in short:
-        assert solution.optimum and off < 1e-6 and not solution.at_lower.any()
+        assert solution.optimum and misfit < 1e-6 and not solution.at_lower.any()
 
 
 def evaluation(
@@ -141,9 +141,9 @@ def verified(point: Evaluation) -> Solution:
     return check(point, Outcome(point.cell_resistance, np.zeros(0), Status.OPTIMUM, 1))
 
 
-@pytest.mark.parametrize("off", [1e-1, 1e-3, 1e-4])
+@pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
-def test_small_cells_that_are_off_are_never_verified(number: int, off: float) -> None:
+def test_small_cells_that_are_off_are_never_verified(number: int, relative_error: float) -> None:
     """Cells of the smaller kind scattered by `off`, which only their own small readings show.
 
     Clusters, a checkerboard, a block or stripes, up to nine decades apart.
@@ -155,7 +155,7 @@ def test_small_cells_that_are_off_are_never_verified(number: int, off: float) ->
     patterns = (cut[0] != cut[1], (down + along) % 2 == 1, cut[0] & cut[1], down % 2 == 1)
     usual = 3000 * np.exp(random.choice([0.05, 0.3]) * random.standard_normal(shape))
     cells = np.where(patterns[number % 4], 10 ** random.uniform(3, 9), 1.0) * usual
-    scatter = off * np.random.default_rng(number).standard_normal(cells.shape)
+    scatter = relative_error * np.random.default_rng(number).standard_normal(cells.shape)
     places = np.where(cells < 10 * cells.min(), cells * np.exp(scatter), cells)
     point = evaluation((Misfit(),), places, Scene(Panel(*cells.shape)).circuit.exact_reading(cells))
     assert verified(point).status is not Status.OPTIMUM
@@ -178,9 +178,9 @@ def test_a_factor_may_succeed_on_rounding() -> None:
 def test_a_small_cell_is_not_hidden() -> None:
     """Everything is met but one shorted cell, which is off by a tenth: first-order conditions hold and nobody signs."""
     cells = changed((2, 3), 1e-6)
-    off = cells.copy()
-    off[2, 3] *= 1.1
-    point = evaluation((Misfit(),), off, in_digits(cells))
+    perturbed = cells.copy()
+    perturbed[2, 3] *= 1.1
+    point = evaluation((Misfit(),), perturbed, in_digits(cells))
     assert point.kkt_residual(np.zeros(0)) < 1e-6
     assert not certificate(Hessian(point, NOTHING)).settled
     assert verified(point).status is Status.FAINT and verified(point).solved
@@ -255,5 +255,5 @@ def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, 
     estimator = Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
     estimates = reconstruct(recording, estimator)
     assert [step.solution.status for step in (estimates.baseline, *estimates.steps)] == [Status.OPTIMUM] * 2
-    again = np.asarray(readout.to_recorded(readout.exact_reading(estimates.steps[0].estimate(0)), scene))
-    np.testing.assert_allclose(again, reading, rtol=1e-5)
+    reproduced = np.asarray(readout.to_recorded(readout.exact_reading(estimates.steps[0].estimate(0)), scene))
+    np.testing.assert_allclose(reproduced, reading, rtol=1e-5)

@@ -55,9 +55,9 @@ SMALL_ROD = Rod(centre_mm=(37, 35), diameter_mm=30, mass_g=300)
 SQUARE = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
 
 
-def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, **more: Any) -> Recording:
+def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, **options: Any) -> Recording:
     scene = Scene(panel=panel, readout=TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
-    return simulate(Simulation(schema=1, seed=seed, scene=scene, frames=frames, loads=loads, **more))
+    return simulate(Simulation(schema=1, seed=seed, scene=scene, frames=frames, loads=loads, **options))
 
 
 def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | None = None) -> list[Observation]:
@@ -70,7 +70,7 @@ def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | 
     return [Observation(values[k], readings.sigma[k], baseline, dry, k - 1.0) for k in range(3, len(values))]
 
 
-def seen(frames: list[Any], panel: Panel = PANEL) -> list[Verdict]:
+def verdicts_of(frames: list[Any], panel: Panel = PANEL) -> list[Verdict]:
     detector = Detector(0.6 * panel.pitch_mm)
     return [detector.verdict(frame) for frame in frames]
 
@@ -84,16 +84,16 @@ def disc_of(verdict: Verdict) -> Disc:
 def test_pressure_slopes_are_differences(kind: Candidate) -> None:
     rng = np.random.default_rng(5)
     for _ in range(4):
-        here = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(len(kind.priors(PANEL)))
-        _, slopes = kind.pressure(PANEL, 6.0, here)
-        for slope, step in zip(slopes, 1e-6 * np.eye(len(here)), strict=True):
-            up, down = (kind.pressure(PANEL, 6.0, here + sign * step)[0] for sign in (1, -1))
+        parameters = kind.mean(PANEL) + 0.5 * kind.sd(PANEL) * rng.standard_normal(len(kind.priors(PANEL)))
+        _, slopes = kind.pressure(PANEL, 6.0, parameters)
+        for slope, step in zip(slopes, 1e-6 * np.eye(len(parameters)), strict=True):
+            up, down = (kind.pressure(PANEL, 6.0, parameters + sign * step)[0] for sign in (1, -1))
             size = max(1.0, float(np.abs(slope).max()))
             np.testing.assert_allclose(slope, (up - down) / 2e-6, atol=1e-4 * size)
 
 
-def verdict_on(*loads: Any, panel: Panel = PANEL, **more: Any) -> Verdict:
-    return seen(frames_of(recorded(*loads, panel=panel, **more)), panel)[-1]
+def verdict_on(*loads: Any, panel: Panel = PANEL, **options: Any) -> Verdict:
+    return verdicts_of(frames_of(recorded(*loads, panel=panel, **options)), panel)[-1]
 
 
 def mouth(centre_mm: tuple[float, float], diameter_mm: float, **form: float) -> OralDisc:
@@ -164,12 +164,12 @@ def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: U
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", [0.0, 0.05])
-def test_errors_of_readings_that_stay_are_allowed_for(told: float) -> None:
+@pytest.mark.parametrize("reading_error", [0.0, 0.05])
+def test_errors_of_readings_that_stay_are_allowed_for(reading_error: float) -> None:
     """A panel of which every reading is off by 5 %, the same in all frames: its unloaded cells are off by a half."""
     recording = recorded(MOUTH, unmodelled=Unmodelled(reading_error=0.05), frames=1)
-    verdict = seen(frames_of(recording, errors=ModelErrors(reading_error=told)))[-1]
-    if told:
+    verdict = verdicts_of(frames_of(recording, errors=ModelErrors(reading_error=reading_error)))[-1]
+    if reading_error:
         assert verdict.best.candidate.label == "lamprey or cup" and verdict.goodness < 1.4
         assert verdict.sucks_at(None) > 0.5
         assert disc_of(verdict).diameter_mm == pytest.approx(MOUTH.diameter_mm, abs=3)
@@ -183,7 +183,7 @@ def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
     frame = frames_of(recorded(*blocks))[0]
     wild = frame.measured.copy()
     wild[1, 9] *= 3
-    clean, fooled = (field_fit(one)[0] for one in (frame, replace(frame, measured=wild)))
+    clean, fooled = (field_fit(candidate)[0] for candidate in (frame, replace(frame, measured=wild)))
     assert np.abs(fooled.change - clean.change).max() < 0.3 and fooled.evidence > clean.evidence - 30
 
 
@@ -222,7 +222,7 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
     for last_bits in (0.0, 1e-12):
         measured = recording.readings().value * (1 + last_bits * np.random.default_rng(1).standard_normal(PANEL.shape))
         measured[3, *place] += ohm
-        verdict = seen(frames_of(recording, measured))[-1]
+        verdict = verdicts_of(frames_of(recording, measured))[-1]
         assert verdict.best.candidate.label == "lamprey or cup"
         diameters.append(disc_of(verdict).diameter_mm)
     assert diameters[0] == pytest.approx(34, abs=0.6) and diameters[1] == pytest.approx(diameters[0], abs=0.01)
@@ -233,9 +233,9 @@ def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
     """Cells that suction opens change the readings by little more, but by much where they would close again."""
     scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
     load = OralDisc(centre_mm=(45.2, 51.3), diameter_mm=32.2, rim_width_mm=4.5, pressure_kpa=-20, rim_kpa=60)
-    off = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01, response_spread=0.25, response_loss=0.3)
+    unmodelled = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01, response_spread=0.25, response_loss=0.3)
     times = {"frames": 12, "baseline_frames": 5, "frame_period_s": 0.25, "course": Course(start_s=2.0)}
-    simulate(Simulation(1, 1, scene, loads=(load,), unmodelled=off, **times)).save(tmp_path / "mouth.h5")
+    simulate(Simulation(1, 1, scene, loads=(load,), unmodelled=unmodelled, **times)).save(tmp_path / "mouth.h5")
     (attachment,) = detect_recording(tmp_path / "mouth.h5").attachments
     assert attachment.diameter_mm[1] < 4 and abs(attachment.diameter_mm[0] - 32.2) < 2 * attachment.diameter_mm[1]
 
@@ -279,23 +279,27 @@ def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.
 
 @pytest.mark.parametrize("creep", [0.03, 0.1])
 def test_memory_of_a_lamprey_is_nothing(creep: float) -> None:
-    (one,) = watched([load_that_leaves(Film(0.24, creep, cell_spread=0.2))])
-    assert one.sucks > 0.9 and one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(16, abs=2)
+    (attachment,) = watched([load_that_leaves(Film(0.24, creep, cell_spread=0.2))])
+    assert (
+        attachment.sucks > 0.9
+        and attachment.since_s == pytest.approx(5, abs=2)
+        and attachment.until_s == pytest.approx(16, abs=2)
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("load", [STRONG, SMALL_ROD], ids=["mouth", "rod"])
 @pytest.mark.parametrize("drift", [0.0, 0.02])
 def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: float) -> None:
-    (one,) = watched([load_that_leaves(Film(0.24, 0.03), load)], minutes=5, drift=drift)
-    assert one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(316, abs=5)
-    assert (one.sucks > 0.5) == (load is STRONG)
+    (attachment,) = watched([load_that_leaves(Film(0.24, 0.03), load)], minutes=5, drift=drift)
+    assert attachment.since_s == pytest.approx(5, abs=2) and attachment.until_s == pytest.approx(316, abs=5)
+    assert (attachment.sucks > 0.5) == (load is STRONG)
 
 
 def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
-    again = load_that_leaves(None, replace(STRONG, pressure_kpa=-4, rim_kpa=30))
-    answer = watched([load_that_leaves(None), again])
-    assert len(answer) == 2 and all(one.sucks > 0.9 for one in answer)
+    returning = load_that_leaves(None, replace(STRONG, pressure_kpa=-4, rim_kpa=30))
+    answer = watched([load_that_leaves(None), returning])
+    assert len(answer) == 2 and all(attachment.sucks > 0.9 for attachment in answer)
 
 
 def test_a_lamprey_that_sucks_less_is_still_there() -> None:
@@ -317,13 +321,15 @@ def test_memory_of_another_kind_is_nothing_either(minutes: float) -> None:
     """15 % of what cells have answered stays and fades exponentially, each cell's by a fifth more or less."""
     recording = load_that_leaves(None, frames=60)
     cells = recording.truth_cell_resistance
-    after = np.arange(len(cells)) - 18
+    frames_since = np.arange(len(cells)) - 18
     part = 0.15 * np.exp(0.2 * np.random.default_rng(3).standard_normal(SQUARE.panel.shape))
-    left = part * np.log(cells[12] / cells[0]) * np.exp(-np.maximum(after, 0) / (60 * minutes))[:, None, None]
-    remembered = np.where((after >= 0)[:, None, None], cells * np.exp(left), cells)
+    remaining = (
+        part * np.log(cells[12] / cells[0]) * np.exp(-np.maximum(frames_since, 0) / (60 * minutes))[:, None, None]
+    )
+    remembered = np.where((frames_since >= 0)[:, None, None], cells * np.exp(remaining), cells)
     recorded_ohm, _ = measured(SQUARE, remembered, Unmodelled(), 5)
-    (one,) = watched([replace(recording, recorded=recorded_ohm)])
-    assert one.until_s == pytest.approx(16, abs=2)
+    (attachment,) = watched([replace(recording, recorded=recorded_ohm)])
+    assert attachment.until_s == pytest.approx(16, abs=2)
 
 
 def test_a_step_of_noise_is_no_load(tmp_path: Path) -> None:

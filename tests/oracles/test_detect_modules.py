@@ -36,7 +36,7 @@ def test_loads_over_seams_are_one_event_each(tmp_path: Path) -> None:
     taken.save(tmp_path / "mat.h5")
     answer = detect_recording(tmp_path / "mat.h5")
     assert answer.answer == "sucks" and len(answer.attachments) == 2, answer.why
-    over, pressed = sorted(answer.attachments, key=lambda one: one.place)
+    over, pressed = sorted(answer.attachments, key=lambda attachment: attachment.place)
     assert over.distance((40, 62)) < 3 and over.sucks > 0.9 and abs(over.size - 38) < 6
     assert pressed.distance((180, 25)) < 5 and pressed.sucks < 0.1
     assert answer.change is not None and answer.change.shape == scene.panel.shape
@@ -63,7 +63,9 @@ def test_a_window_is_the_network_of_its_modules() -> None:
     for column, cell in enumerate((3, 100)):
         moved = cells.copy()
         moved.flat[cell] *= np.exp(1e-5)
-        ends = [circuit.network(one, circuit.ties(one), None).reading() for one in (cells, moved)]
+        ends = [
+            circuit.network(resistances, circuit.ties(resistances), None).reading() for resistances in (cells, moved)
+        ]
         np.testing.assert_allclose(slopes[:, column], ((ends[1] - ends[0]) / 1e-5).ravel(), rtol=1e-3, atol=1e-3)
     offsets = ModelErrors().offsets(cells, own.scene) != 0
     lines = offsets[:, : 4 * 13].reshape(*cells.shape, -1)
@@ -152,15 +154,15 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
         error = whitening @ fitting.about(parameters, whitening).residual
         return float(error @ error + np.sum(((parameters - mean) / sd) ** 2)) / 2
 
-    here = start
+    position = start
     cost = cost_at(start)
     for _ in range(STEPS):
-        step = here + root @ rng.standard_normal(len(here)) * rng.choice(SCALES)
-        there = cost_at(step)
-        if np.log(rng.random()) < cost - there:
-            here = step
-            cost = there
-        samples.append(here[2])
+        step = position + root @ rng.standard_normal(len(position)) * rng.choice(SCALES)
+        trial_cost = cost_at(step)
+        if np.log(rng.random()) < cost - trial_cost:
+            position = step
+            cost = trial_cost
+        samples.append(position[2])
     return np.array(samples[STEPS // 5 :])
 
 

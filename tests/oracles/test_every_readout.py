@@ -383,11 +383,11 @@ def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, p
     noisy = recorded + readout.sigma(recorded) * rng.normal(size=(3, *truth.shape))
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
         recording = recording_of(scene, frames, 2)
-        one, other = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
-        assert all(step.solution.solved for step in (*one.steps, *other.steps))
-        assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-6)
+        reduced, nodal = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
+        assert all(step.solution.solved for step in (*reduced.steps, *nodal.steps))
+        assert_allclose(reduced.cell_resistance, nodal.cell_resistance, rtol=1e-6)
         if close is not None:
-            assert_allclose(one.cell_resistance[0], close, rtol=1e-4)
+            assert_allclose(reduced.cell_resistance[0], close, rtol=1e-4)
 
 
 @pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
@@ -417,17 +417,17 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
     rng = np.random.default_rng(8)
     scores = []
     quiet = replace(readout, adc_bits=16, noise_lsb=0.5)
-    told = Scene(Panel(*SHAPE), quiet, systematic=Systematic(0.02, 4.0))
+    specified = Scene(Panel(*SHAPE), quiet, systematic=Systematic(0.02, 4.0))
     if isinstance(readout, TwoPointReadout):
-        told = replace(told, series_resistance_ohm=140.0)
+        specified = replace(specified, series_resistance_ohm=140.0)
     for _ in range(40):
         actual = quiet.off_by(0.02 * rng.uniform(-1, 1))
         channels = 4.0 * rng.normal(size=sum(SHAPE))
-        volt = actual.volt_from_recorded(actual.simulated(cells[None], told, channels[:4], channels[4:]))
+        volt = actual.volt_from_recorded(actual.simulated(cells[None], specified, channels[:4], channels[4:]))
         frames = np.concatenate([quiet.recorded_from_volt(volt)] * 2)
-        done = reconstruct(recording_of(told, frames, 1), Estimator(LSM, "reduced"))
-        bars = done.steps[0].bars
-        scores.append(np.log(done.cell_resistance[0] / cells) / bars.frame.deviation)
+        estimate = reconstruct(recording_of(specified, frames, 1), Estimator(LSM, "reduced"))
+        bars = estimate.steps[0].bars
+        scores.append(np.log(estimate.cell_resistance[0] / cells) / bars.frame.deviation)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
@@ -469,7 +469,7 @@ def test_of_two_panels_that_read_alike_the_probable_one_is_estimated(ohm: Any) -
     cells = level * np.exp(0.2 * np.random.default_rng(3).standard_normal((16, 16)))
     pressed = cells.copy()
     pressed[2:4, 2:4] *= 0.5
-    frames = np.stack([readout.exact_reading(one) for one in (cells, cells, pressed)])
+    frames = np.stack([readout.exact_reading(resistances) for resistances in (cells, cells, pressed)])
     assert_allclose(readout.start(frames[0], np.full(cells.shape, np.inf)), cells, rtol=0.02)
     recording = recording_of(Scene(Panel(16, 16), readout), frames, 2)
     for formulation in ("reduced", "nodal"):

@@ -107,16 +107,16 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     model = stream.estimator.method.solve(stream, data, None).surroundings()
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
     errors = DenseErrors(model)
-    gone = profile_end(errors, cell, side)
+    displacement = profile_end(errors, cell, side)
     lower = data.lower.copy()
     upper = data.upper.copy()
-    lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + gone[cell])
-    start = np.exp(model.at.position + gone.reshape(1, *SHAPE))
-    there = stream.estimator.method.solve(stream, replace(data, lower=lower, upper=upper), start)
-    exact = (np.log(there.cell_resistance) - model.at.position[0]).ravel()
-    beside = np.arange(gone.size) != cell
-    assert np.abs(gone - exact)[beside].max() < 0.1 * np.abs(exact[beside]).max()
-    assert np.abs(tangent(errors, cell) * side - exact)[beside].max() > 0.2 * np.abs(exact[beside]).max()
+    lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + displacement[cell])
+    start = np.exp(model.at.position + displacement.reshape(1, *SHAPE))
+    optimum = stream.estimator.method.solve(stream, replace(data, lower=lower, upper=upper), start)
+    exact = (np.log(optimum.cell_resistance) - model.at.position[0]).ravel()
+    other_cells = np.arange(displacement.size) != cell
+    assert np.abs(displacement - exact)[other_cells].max() < 0.1 * np.abs(exact[other_cells]).max()
+    assert np.abs(tangent(errors, cell) * side - exact)[other_cells].max() > 0.2 * np.abs(exact[other_cells]).max()
 
 
 @pytest.mark.parametrize("term", [lampest.Gradient(), lampest.RelativeChange()])

@@ -29,7 +29,7 @@ def faulty(recording: Health) -> list[str]:
 
 @pytest.mark.parametrize("seeds", CLEAN, ids="{0.start}".format)
 def test_clean_recordings_of_all_circuits_raise_no_alarm(seeds: range) -> None:
-    alarms = {seed: found for seed in seeds if (found := faulty(health(Plan.drawn(seed))))}
+    alarms = {seed: faults for seed in seeds if (faults := faulty(health(Plan.drawn(seed))))}
     assert not alarms
 
 
@@ -77,7 +77,7 @@ def test_faults_of_lines_and_cells_are_named_with_their_line(
 ) -> None:
     """On even films lines that touch read as single ones do where idle lines are driven, so films are uneven here."""
     uneven = [plan for plan in map(Plan.drawn, range(120)) if np.std(np.log(plan.cells)) > 0.1]
-    lines = [(line in [finding.line for finding in found.findings]) for line, found in map(fault, uneven)]
+    lines = [(line in [finding.line for finding in report.findings]) for line, report in map(fault, uneven)]
     assert len(lines) > 20 and np.mean(lines) > share
 
 
@@ -99,8 +99,8 @@ def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
     for plan in map(Plan.drawn, PLANS):
         codes = plan.codes()
         place = plan.unloaded + 3
-        found = faulty(health(plan, np.insert(codes, place, codes[place - 1], axis=0)))
-        assert [f"frames {place} equal the one before" in text for text in found] == [True]
+        texts = faulty(health(plan, np.insert(codes, place, codes[place - 1], axis=0)))
+        assert [f"frames {place} equal the one before" in text for text in texts] == [True]
         time = np.arange(len(codes)) * 0.1
         time[place:] += 1.0
         late = Health.of(recorded(plan.scene, codes, plan.unloaded, time))
@@ -128,5 +128,5 @@ def test_shares_of_missing_readings_and_of_rails_are_told() -> None:
     recording = plan.recording()
     values = recording.recorded.copy()
     values[:, 0, :2] = np.nan
-    found = Health.of(replace(recording, recorded=values))
-    assert found.missing == pytest.approx(2 / values[0].size) and "missing" in dict(found.table)["readings"]
+    report = Health.of(replace(recording, recorded=values))
+    assert report.missing == pytest.approx(2 / values[0].size) and "missing" in dict(report.table)["readings"]

@@ -65,10 +65,10 @@ def test_products_and_factors_agree(name: str, noise: float, request: pytest.Fix
     factored = reconstruct(recorded, estimator)
     request.getfixturevalue("by_products")
     products = reconstruct(recorded, estimator)
-    for one, other in zip(factored.steps, products.steps, strict=True):
-        assert one.solution.solved
-        assert other.solution.solved
-        assert other.solution.objective == pytest.approx(one.solution.objective, rel=1e-6, abs=1e-6)
+    for factored_step, product_step in zip(factored.steps, products.steps, strict=True):
+        assert factored_step.solution.solved
+        assert product_step.solution.solved
+        assert product_step.solution.objective == pytest.approx(factored_step.solution.objective, rel=1e-6, abs=1e-6)
 
 
 def test_stencil_inverts_what_it_stands_for() -> None:

@@ -52,8 +52,10 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tupl
     direction = np.random.default_rng(2).standard_normal((6, 7))
     for size in (1e-2, 1e-3):
         data = recording(resting((6, 7)), resting((6, 7)) * np.exp(size * direction))
-        one, optimum = (found_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED))
-        errors.append(np.max(np.abs(np.log(one / optimum))))
+        linearised, optimum = (
+            found_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED)
+        )
+        errors.append(np.max(np.abs(np.log(linearised / optimum))))
     assert errors[0] < 0.1
     assert errors[1] < errors[0] / 50
 
@@ -84,14 +86,14 @@ def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellRe
     cells = np.stack([2000 * np.exp(0.2 * rng.standard_normal(panel.shape))] * 3)
     cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
     readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))
-    told = recording_of(Scene(panel, TwoPointReadout()), readings, 1)
+    measured = recording_of(Scene(panel, TwoPointReadout()), readings, 1)
     weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
-    left = left_by_solver(method, panel, told.recorded[0], told.recorded[1:], weights)
+    published = left_by_solver(method, panel, measured.recorded[0], measured.recorded[1:], weights)
     formulation = OptimalMethod("reduced", joint=True)
-    estimate = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
-    assert set(left.why) <= {"cost", "step", "gradient"} and left.joint == (method == "LSR-dCR")
-    assert left.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
-    assert left.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
-    assert left.change == pytest.approx(estimate.relative_change, abs=2.0)
-    model = TwoPointReadout().exact_reading(left.cells)
-    assert left.data_error == pytest.approx(100 * np.abs(model / told.recorded[1:] - 1), abs=1e-9)
+    estimate = reconstruct(measured, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
+    assert set(published.why) <= {"cost", "step", "gradient"} and published.joint == (method == "LSR-dCR")
+    assert published.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
+    assert published.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
+    assert published.change == pytest.approx(estimate.relative_change, abs=2.0)
+    model = TwoPointReadout().exact_reading(published.cells)
+    assert published.data_error == pytest.approx(100 * np.abs(model / measured.recorded[1:] - 1), abs=1e-9)

@@ -57,9 +57,9 @@ def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> Non
     recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
     bare = scene.with_series(0.0)
     assert bare.specified_in_series == 0
-    told = scene.specified_in_series
-    assert told in (200.0, 300.0, 3000.0)
-    assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= told
+    series_ohm = scene.specified_in_series
+    assert series_ohm in (200.0, 300.0, 3000.0)
+    assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= series_ohm
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
@@ -71,7 +71,7 @@ def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Rea
         assert test.excess[0] <= 1e-6 / 1e-4
         spoilt = exact.copy()
         spoilt[0, 2, 3] = 3 * exact.max() if circuit.unit == "ohm" else 1.01 * circuit.supply_volt
-        broken = {one.law: one for one in circuit.free_tests(spoilt, sigma)}[test.law]
+        broken = {law_test.law: law_test for law_test in circuit.free_tests(spoilt, sigma)}[test.law]
         assert broken.excess[0] > 10
 
 
@@ -87,10 +87,10 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 4])
 def test_a_wrong_circuit_is_noticed_and_the_right_one_named(seed: int) -> None:
-    for what, recording in wrong(seed, side=10, bits=12):
+    for fault, recording in wrong(seed, side=10, bits=12):
         check = Prepared(recording).check
-        assert check.explains is False, what
-        assert named(what, check), (what, check.sentence)
+        assert check.explains is False, fault
+        assert named(fault, check), (fault, check.sentence)
 
 
 def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
@@ -183,7 +183,7 @@ BLOCKS = ((0, 1, 2, 3), (4, 5, 6, 7))
 WIDE = Panel(8, 8)
 
 
-def wrongly_told(actual: Scene, told: Scene, seed: int, frames: int = 6) -> Recording:
+def wrongly_told(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
     """Codes of one scene, six unloaded frames and six with three pressed cells, described by another scene."""
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))
@@ -191,10 +191,10 @@ def wrongly_told(actual: Scene, told: Scene, seed: int, frames: int = 6) -> Reco
     cells[frames:, 2, 4] /= 3
     cells[frames:, 3, 3] /= 5
     codes = measured(actual, cells, Unmodelled(), seed)[0]
-    recorded = told.circuit.recorded_from_volt(actual.circuit.volt_from_recorded(codes))
+    recorded = specified.circuit.recorded_from_volt(actual.circuit.volt_from_recorded(codes))
     role = (np.arange(2 * frames) >= frames).astype(np.uint8)
-    shape = (2 * frames, *told.panel.shape)
-    return Recording(told, recorded.reshape(shape), np.arange(2.0 * frames), role, name="told")
+    shape = (2 * frames, *specified.panel.shape)
+    return Recording(specified, recorded.reshape(shape), np.arange(2.0 * frames), role, name="told")
 
 
 CONVERTER: dict[str, Any] = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}

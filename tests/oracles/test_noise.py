@@ -49,15 +49,18 @@ def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.esti
 def test_parts_of_noise_are_estimated_with_their_sizes_and_none_in_noise_alone() -> None:
     for frames in (2, 3, 5, 10):
         alone = [parts(np.random.default_rng(100 * frames + number), frames) for number in range(60)]
-        assert np.mean([one.own for one in alone]) == pytest.approx(1, abs=0.02)
-        assert sum(min(one.gain_tail, one.ripple_tail) < SIGNIFICANCE or one.line_ripple.size for one in alone) <= 2
+        assert np.mean([noise.own for noise in alone]) == pytest.approx(1, abs=0.02)
+        assert (
+            sum(min(noise.gain_tail, noise.ripple_tail) < SIGNIFICANCE or noise.line_ripple.size for noise in alone)
+            <= 2
+        )
     rng = np.random.default_rng(1)
     assert np.mean([parts(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(0.002, rel=0.25)
     apart = [parts(rng, 5, offset=3.0) for _ in range(20)]
-    assert np.mean([(one.line_ripple**2).sum() / CHANNELS for one in apart]) == pytest.approx(9, rel=0.2)
-    assert np.mean([one.own for one in apart]) == pytest.approx(1, abs=0.06)
+    assert np.mean([(noise.line_ripple**2).sum() / CHANNELS for noise in apart]) == pytest.approx(9, rel=0.2)
+    assert np.mean([noise.own for noise in apart]) == pytest.approx(1, abs=0.06)
     wave = [parts(rng, 10, wave=3.0) for _ in range(20)]
-    assert np.mean([(one.common_ripple**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
+    assert np.mean([(noise.common_ripple**2).sum() / CHANNELS for noise in wave]) == pytest.approx(4.5, rel=0.5)
 
 
 @pytest.mark.parametrize("samples", [1, 2, 4, 9, 40])
@@ -87,13 +90,13 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing_one(factor: float) -> None:
     """Under the load it would move the cells of its row and column by a tenth and more, whatever its value is."""
-    whole = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
-    frozen = whole.recorded.copy()
-    missing = whole.recorded.copy()
-    frozen[:, 4, 5], missing[:, 4, 5] = factor * whole.recorded[0, 4, 5], np.nan
-    froze, missed = (Prepared(replace(whole, recorded=values, raw_sums=None)) for values in (frozen, missing))
+    recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
+    frozen = recording.recorded.copy()
+    missing = recording.recorded.copy()
+    frozen[:, 4, 5], missing[:, 4, 5] = factor * recording.recorded[0, 4, 5], np.nan
+    froze, missed = (Prepared(replace(recording, recorded=values, raw_sums=None)) for values in (frozen, missing))
     plain = replace(LSM, error_bars=False)
-    np.testing.assert_array_equal(*(reconstruct(one, plain).cell_resistance for one in (froze, missed)))
+    np.testing.assert_array_equal(*(reconstruct(prepared, plain).cell_resistance for prepared in (froze, missed)))
     assert "one value in all frames at row 4, column 5" in froze.frame_noise.sentence
     assert "one value" not in missed.frame_noise.sentence
 
@@ -117,7 +120,7 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
     detected = 0
     missed = 0
     false = 0
-    off = []
+    deviations = []
     place = np.hypot(*(np.indices((9, 9)) - 4.0))
     for _ in range(6):
         breath = 1 + 0.15 * np.sin(2 * np.pi * (0.08 * np.arange(8) + rng.uniform()))
@@ -130,9 +133,9 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
         detected = detected + np.sum(outlying & hit)
         missed = missed + np.sum(hit & ~outlying)
         false += np.sum(outlying & ~hit)
-        off += list((np.abs(instead - exact) / np.hypot(sigma, spread))[outlying & hit])
+        deviations += list((np.abs(instead - exact) / np.hypot(sigma, spread))[outlying & hit])
     assert detected >= 4 * missed and false == 0
-    assert np.mean(np.array(off) < 2) > 0.9
+    assert np.mean(np.array(deviations) < 2) > 0.9
 
 
 def recorded(
@@ -176,15 +179,15 @@ def held(recording: Recording) -> tuple[float, float]:
     return float(in_intervals(estimate).mean()), float(changed.mean())
 
 
-@pytest.mark.parametrize("told", ["estimated", None])
-def test_noise_left_open_is_that_of_the_frames(told: str | None) -> None:
-    own, known = (recorded(1, scene_of(noise), 2.5) for noise in (told, 2.5))
-    said = "readout.noise_lsb: 2." in Prepared(own).noise.sentence
-    assert said == (told == "estimated")
+@pytest.mark.parametrize("setting", ["estimated", None])
+def test_noise_left_open_is_that_of_the_frames(setting: str | None) -> None:
+    own, known = (recorded(1, scene_of(noise), 2.5) for noise in (setting, 2.5))
+    reported = "readout.noise_lsb: 2." in Prepared(own).noise.sentence
+    assert reported == (setting == "estimated")
     ratio = reconstruct(own, LSM).cell_resistance_errors / reconstruct(known, LSM).cell_resistance_errors
     assert np.median(ratio) == pytest.approx(1, abs=0.1)
-    few = Prepared(recorded(1, scene_of(told), frames=6, unloaded=3)).noise
-    assert (few.sigma_factor == 1) == (told is None)
+    noise_of_few = Prepared(recorded(1, scene_of(setting), frames=6, unloaded=3)).noise
+    assert (noise_of_few.sigma_factor == 1) == (setting is None)
 
 
 @pytest.mark.parametrize("unloaded", [5, 0])
@@ -198,9 +201,9 @@ def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured
     assert np.median(noise.readings.sigma / expected.readings.sigma) == pytest.approx(1, abs=0.12)
     size = np.sqrt((true**2 + 1 / 12) / (specified**2 + 1 / 12))
     assert unloaded == 0 or abs(noise.factor - size) < 4 * noise.factor_error < 0.6 * size
-    where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
+    source = "unloaded frames" if unloaded else "readings at rest from frame to frame"
     assert sum("measured in" in line for line in noise.warnings) == 1
-    assert f"LSB, measured in {where}; the scene specifies {specified:g} LSB" in noise.sentence
+    assert f"LSB, measured in {source}; the scene specifies {specified:g} LSB" in noise.sentence
     estimate = reconstruct(wrong, LSM)
     assert in_intervals(estimate).mean() > 0.88
     assert unloaded or not any("unloaded frames scatter" in line for line in estimate.checks)
@@ -312,8 +315,8 @@ def test_static_errors_that_are_asked_for_and_absent_hardly_widen_bars(noise_lsb
 
 @pytest.mark.slow
 def test_a_static_error_by_number_holds_and_none_is_imagined() -> None:
-    told = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static=0.005)
-    assert Prepared(told).noise.reading_error == 0.02
+    recording = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static=0.005)
+    assert Prepared(recording).noise.reading_error == 0.02
     for seed in range(9, 13):
         size, _ = Prepared(recorded(seed, scene_of(0.7, STATIC))).noise.estimated["systematic.reading_error"]
         assert size < 0.002
@@ -330,7 +333,7 @@ def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_fo
     recordings = [simulate(replace(plain, seed=seed)) for seed in (1, 2)]
     assert all(Prepared(recording).noise.estimated["motion"][0] > 0.5 for recording in recordings)
     unnamed = [replace(recording, scene=replace(scene, motion=None)) for recording in recordings]
-    assert all("motion: estimated" in {finding.line for finding in unnamed_effects(Prepared(one))} for one in unnamed)
+    assert all("motion: estimated" in {finding.line for finding in unnamed_effects(Prepared(torn))} for torn in unnamed)
     assert np.mean([in_intervals(reconstruct(recording, LSM)) for recording in recordings]) > 0.7
     named = [replace(recording, scene=replace(scene, motion=1.0)) for recording in recordings]
     assert np.mean([in_intervals(reconstruct(recording, LSM)) for recording in named]) > 0.8

@@ -90,8 +90,8 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
     assert clean.sigma is not None
     assert 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
-    off = np.abs((dirty.readings.value - clean.value) / open_ohm)
-    assert np.quantile(off, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
+    errors = np.abs((dirty.readings.value - clean.value) / open_ohm)
+    assert np.quantile(errors, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
     assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
     assert bool(np.any(dirty.frame.effect_errors[0])) == ("leak_from" not in effect and "contact" not in effect)
 

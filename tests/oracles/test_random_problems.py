@@ -105,8 +105,8 @@ def pressed(noise: float) -> tuple[Array, Array]:
 
 def posed(estimator: Estimator, scene: Scene, measured: Array, sigma: Array) -> Data:
     """What a solve of these readings is given."""
-    nothing = np.zeros(measured.shape)
-    return estimator.data(Readings(measured, sigma, nothing, nothing + 1), Background(scene))
+    zeros = np.zeros(measured.shape)
+    return estimator.data(Readings(measured, sigma, zeros, zeros + 1), Background(scene))
 
 
 def solved(terms: tuple[Term, ...], scene: Scene, measured: Array, sigma: Array) -> tuple[Solution, Data]:

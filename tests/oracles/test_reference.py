@@ -21,7 +21,7 @@ from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
 WEIGHTED = Misfit(weighting="noise")
-SAID = "their noise: an error of the model"
+MODEL_ERROR_NOTE = "their noise: an error of the model"
 PENALTIES = {
     "two": (LogGradient(), CellResistance()),
     "huber": (LogGradient(loss=Huber(corner=0.3)),),
@@ -110,7 +110,7 @@ def frames_under_load(static: float, seed: int, unloaded: int = 0) -> Recording:
 def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
     recording = frames_under_load(0.07, seed)
     estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    assert sum(SAID in line for line in estimate.checks) == 1
+    assert sum(MODEL_ERROR_NOTE in line for line in estimate.checks) == 1
     assert 10 < estimate.noise.model_factor < 60
     assert in_intervals(estimate).mean() > 0.9
     sigma = estimate.reading_sigma
@@ -124,7 +124,7 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
     recording = frames_under_load(0.0, seed, unloaded)
     estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
     assert estimate.noise.model_factor == 1
-    assert not any(SAID in line for line in estimate.checks)
+    assert not any(MODEL_ERROR_NOTE in line for line in estimate.checks)
     assert in_intervals(estimate).mean() > 0.88
 
 
@@ -170,12 +170,12 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     sigma = chosen.steps[0].weight_sigma[1]
     given = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight)])
     assert_allclose(given.cell_resistance, chosen.cell_resistance, rtol=1e-5)
-    one, other = (found.sigma_own for found in (chosen, given))
-    more = np.sqrt(np.maximum(one**2 - other**2, 0))
-    assert np.all(one > 0.999 * other) and more.max() > 0.05 * other.max()
+    chosen_sigma, given_sigma = (estimate.sigma_own for estimate in (chosen, given))
+    added_sigma = np.sqrt(np.maximum(chosen_sigma**2 - given_sigma**2, 0))
+    assert np.all(chosen_sigma > 0.999 * given_sigma) and added_sigma.max() > 0.05 * given_sigma.max()
     moved = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight * np.exp(0.05))])
     slope = np.abs(np.log(moved.cell_resistance / given.cell_resistance)) / 0.05
-    assert_allclose(more.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
+    assert_allclose(added_sigma.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
 
 
 @pytest.mark.parametrize("per", ["recording", "frame"])
@@ -193,8 +193,8 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
     error = rms(log_errors(estimate)[-1])
     for factor in (0.01, 100.0):
         terms = [replace(term, weight=factor * weight) for term, weight in zip(penalties, chosen[1:], strict=True)]
-        other = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
-        assert error < 1.02 * rms(log_errors(other)[-1])
+        alternative = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
+        assert error < 1.02 * rms(log_errors(alternative)[-1])
 
 
 @pytest.mark.parametrize("static", [0.0, 0.07])
@@ -202,5 +202,5 @@ def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -
     """A table in ohm: neither σ nor a converter."""
     recording = frames_under_load(static, 1)
     estimate = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
-    told = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
-    assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(told))
+    specified = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
+    assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(specified))

@@ -45,9 +45,9 @@ def with_change(estimator: str, change: float, below: float, above: float) -> Ca
 
 def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
     """Two normal errors of 3 and 4: the difference has 5. Unequal arms: those that face each other count."""
-    for change, told in ((1.96 * 5 + 0.01, True), (1.96 * 5 - 0.01, False)):
+    for change, expected in ((1.96 * 5 + 0.01, True), (1.96 * 5 - 0.01, False)):
         pair = disagreements([with_change("A", change, 1.96 * 3, 1.96 * 3), with_change("B", 0.0, 1.96 * 4, 1.96 * 4)])
-        assert np.all(np.isfinite(pair[0].significant) == told) and pair[0].share == 100 * told
+        assert np.all(np.isfinite(pair[0].significant) == expected) and pair[0].share == 100 * expected
     facing = [with_change("A", 6.0, 3.0, 1e6), with_change("B", 0.0, 1e6, 4.0)]
     assert disagreements(facing)[0].share == 100 and disagreements(facing[::-1])[0].share == 100
     assert np.all(disagreements(facing[::-1])[0].significant == -6)

@@ -43,17 +43,17 @@ def change(values: Array) -> Array:
 def test_shipped_file_is_what_its_configuration_makes(name: str) -> None:
     ((output, simulation),) = read_simulations(ROOT / "configs" / f"{name}.yaml")
     assert (ROOT / "configs" / output).resolve() == ROOT / "data" / f"{name}.h5"
-    made = simulate(simulation)
-    kept = shipped(name)
-    assert made.simulation == kept.simulation
-    assert made.scene == kept.scene
-    assert list(kept.role) == [0] * 3 + [1] * 21
-    np.testing.assert_array_equal(made.time, kept.time)
+    computed = simulate(simulation)
+    stored = shipped(name)
+    assert computed.simulation == stored.simulation
+    assert computed.scene == stored.scene
+    assert list(stored.role) == [0] * 3 + [1] * 21
+    np.testing.assert_array_equal(computed.time, stored.time)
     # Other processors round exp and the solution of the network otherwise; a code may then tip, but hardly ever does.
-    np.testing.assert_allclose(made.truth_cell_resistance, kept.truth_cell_resistance, rtol=1e-9)
-    np.testing.assert_allclose(made.truth_pressure, kept.truth_pressure, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(made.raw_sums, kept.raw_sums, atol=1)
-    np.testing.assert_allclose(made.resistance, kept.resistance, rtol=1e-3)
+    np.testing.assert_allclose(computed.truth_cell_resistance, stored.truth_cell_resistance, rtol=1e-9)
+    np.testing.assert_allclose(computed.truth_pressure, stored.truth_pressure, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(computed.raw_sums, stored.raw_sums, atol=1)
+    np.testing.assert_allclose(computed.resistance, stored.resistance, rtol=1e-3)
     assert (ROOT / "data" / f"{name}.h5").stat().st_size < 200_000
 
 
@@ -133,13 +133,13 @@ def test_effects_are_as_large_as_they_are_told() -> None:
     assert 0 < abs(ratio[0, 0, 0] - 1) < 0.0102
     scene = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5))
     wired = with_effects(wire_ohm_per_cell=0.5)
-    told = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
-    assert np.allclose(wired.recorded, told.recorded, rtol=1e-9) and wired.scene.lines is None
+    specified = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
+    assert np.allclose(wired.recorded, specified.recorded, rtol=1e-9) and wired.scene.lines is None
     assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), "an absent effect"
     coarse = TwoPointReadout(adc_bits=16, readings=1, noise_lsb=5.0)
     silent = volt(with_effects(replace(coarse, noise_lsb=0.0)))
-    once, thrice = ((volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0))
-    assert (once, thrice) == (pytest.approx(5 * 5 / 2**16, rel=0.1), pytest.approx(3 * once, rel=0.1))
+    single, triple = ((volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0))
+    assert (single, triple) == (pytest.approx(5 * 5 / 2**16, rel=0.1), pytest.approx(3 * single, rel=0.1))
     gain = volt(with_effects(gain_spread=0.01)) / volt(clean)
     assert np.ptp(gain, axis=(1, 2)).max() < 1e-5 and 0.004 < gain[:, 0, 0].std() < 0.02
     ratio = with_effects(reading_error=0.1).recorded / clean.recorded
@@ -154,10 +154,10 @@ def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -
     wet = with_effects(leak_ohm=5e3, begins_s=8.0)
     assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
     np.testing.assert_allclose(wet.recorded[9], two_point_resistances(wet.truth_cell_resistance[9], 5e3), rtol=1e-4)
-    more = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded
-    assert not more[:8].any()
-    (row,) = np.flatnonzero(more[8:].any(axis=(0, 2)))
-    assert more[8:, row] == pytest.approx(200, rel=1e-3)
+    increase = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded
+    assert not increase[:8].any()
+    (row,) = np.flatnonzero(increase[8:].any(axis=(0, 2)))
+    assert increase[8:, row] == pytest.approx(200, rel=1e-3)
 
 
 def test_cohort_is_thirty_different_lampreys() -> None:

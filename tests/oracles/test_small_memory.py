@@ -16,27 +16,27 @@ CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1}
 COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
 
 
-def recording_of(readout: Readout, cells: Array, kept: float, generator: np.random.Generator) -> Recording:
+def recording_of(readout: Readout, cells: Array, memory: float, generator: np.random.Generator) -> Recording:
     """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share of the channel before."""
-    volt = with_memory(readout, kept, readout.exact_reading(cells))
+    volt = with_memory(readout, memory, readout.exact_reading(cells))
     codes = np.round(volt / readout.lsb_volt + generator.standard_normal(volt.shape))
     role = np.repeat([0, 1], FRAMES).astype(np.uint8)
     return Recording(Scene(Panel(8, 8), readout), codes * readout.lsb_volt, np.arange(2.0 * FRAMES), role)
 
 
-def pressed_mat(kept: float) -> Recording:
+def pressed_mat(memory: float) -> Recording:
     generator = np.random.default_rng(7)
     cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)
     cells[FRAMES:, (1, 4, 6), (2, 6, 7)] *= 0.4
-    return recording_of(COLUMNS, cells, kept, generator)
+    return recording_of(COLUMNS, cells, memory, generator)
 
 
-@pytest.mark.parametrize("kept", [0.02, 0.04, 0.08])
-def test_evidence_shows_a_small_memory(kept: float) -> None:
-    recording = pressed_mat(kept)
+@pytest.mark.parametrize("memory", [0.02, 0.04, 0.08])
+def test_evidence_shows_a_small_memory(memory: float) -> None:
+    recording = pressed_mat(memory)
     assert memory_gain(recording) > MIN_EVIDENCE_GAIN
     estimate = estimated_memory(recording)
-    assert not isinstance(estimate, str) and abs(estimate[0] - kept) < 0.005
+    assert not isinstance(estimate, str) and abs(estimate[0] - memory) < 0.005
 
 
 def test_evidence_shows_no_memory_where_there_is_none() -> None:

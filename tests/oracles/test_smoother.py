@@ -76,43 +76,43 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 
     Three frames of squares, with errors that one frame shares, off the end of Φ and far from its anchor.
     """
-    made = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    recording = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     rng = np.random.default_rng(2)
     estimator = Estimator((Misfit(weighting="noise"),), "reduced")
-    readings = made.readings()
-    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(3)]
-    cells = np.log(made.truth_cell_resistance[:3]).reshape(3, -1)
+    readings = recording.readings()
+    data = [estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(3)]
+    cells = np.log(recording.truth_cell_resistance[:3]).reshape(3, -1)
     anchor = cells + 1e4 * rng.standard_normal(cells.shape)
-    begun = Joint.of([estimator.cost(made.scene, 1)] * 3, data, Shared.of(made.scene), cells)
-    sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in data])
+    initial = Joint.of([estimator.cost(recording.scene, 1)] * 3, data, Shared.of(recording.scene), cells)
+    sigma = np.stack([frame_data.given.sigma.reshape(-1, 1) for frame_data in data])
     drawn = sigma * rng.standard_normal((3, 4, chance))
     position = np.hstack([cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))])
     stiffness = rng.uniform(10, 1e4, (2, 4))
-    joint = replace(begun, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
+    joint = replace(initial, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
     joint = replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
     size = joint.position.size
     sharing = joint.shared.shape[2]
 
     def residuals(point: Array) -> Array:
-        there = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
-        strayed = there.log_cells - joint.anchor
-        common = there.shift[sharing:]
-        steps = np.diff(there.log_cells, axis=0) - common[:, None]
-        misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in there.at]
-        parts = *misfit, there.chance, there.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
+        trial = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
+        strayed = trial.log_cells - joint.anchor
+        common = trial.shift[sharing:]
+        steps = np.diff(trial.log_cells, axis=0) - common[:, None]
+        misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in trial.at]
+        parts = *misfit, trial.chance, trial.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
         return np.concatenate([np.ravel(part) for part in parts])
 
-    here = np.concatenate([joint.position.ravel(), joint.shift])
-    assert joint.value == pytest.approx(np.sum(residuals(here) ** 2), rel=1e-12)
-    units = 1e-5 * np.eye(len(here))
-    slopes = np.stack([(residuals(here + unit) - residuals(here - unit)) / 2e-5 for unit in units], axis=1)
-    gradient = slopes.T @ residuals(here)
+    current = np.concatenate([joint.position.ravel(), joint.shift])
+    assert joint.value == pytest.approx(np.sum(residuals(current) ** 2), rel=1e-12)
+    units = 1e-5 * np.eye(len(current))
+    slopes = np.stack([(residuals(current + unit) - residuals(current - unit)) / 2e-5 for unit in units], axis=1)
+    gradient = slopes.T @ residuals(current)
     assert_allclose(joint.gradient.ravel(), gradient[:size], rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
     step = np.concatenate([part.ravel() for part in joint.newton()])
     expected = -np.linalg.solve(slopes.T @ slopes, gradient)
     assert_allclose(step, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
     cells = np.arange(size).reshape(joint.position.shape)[:, :4]
-    change = np.zeros((2, 4, len(here)))
+    change = np.zeros((2, 4, len(current)))
     for frame, cell in np.ndindex(2, 4):
         change[frame, cell, [cells[frame + 1, cell], cells[frame, cell], size + sharing + frame]] = 1, -1, -1
     variance = np.einsum("tci,ij,tcj->tc", change, np.linalg.inv(slopes.T @ slopes), change)
@@ -122,13 +122,13 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 @pytest.mark.slow
 def test_the_end_is_the_least_of_the_stated_cost() -> None:
     """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end and beside it."""
-    made = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    recording = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     estimator = Estimator(ROBUST, "smoother")
-    readings = made.readings()
-    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
-    start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
-    begun = Joint.of([estimator.cost(made.scene, 1)] * len(data), data, Shared.of(made.scene), start)
-    joint, _ = smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))
+    readings = recording.readings()
+    data = [estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(2, 8)]
+    start = np.log(recording.truth_cell_resistance[2:8]).reshape(len(data), -1)
+    initial = Joint.of([estimator.cost(recording.scene, 1)] * len(data), data, Shared.of(recording.scene), start)
+    joint, _ = smoothed(initial, Walk(0.2, 3.0), Settings(tolerance=1e-10))
     shared = joint.shared
     shift = joint.shift
     free = start.size
@@ -140,19 +140,21 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
         common = point[free + sharing :]
         model = np.stack([two_point_resistances(cells).ravel() for cells in np.exp(log_cells).reshape(len(data), 3, 3)])
         measured, sigma = (
-            np.stack([getattr(one.given, name).ravel() for one in data]) for name in ("measured", "sigma")
+            np.stack([getattr(frame_data.given, name).ravel() for frame_data in data]) for name in ("measured", "sigma")
         )
         misfit = CORNER**2 * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
         steps = np.diff(log_cells.reshape(len(data), -1), axis=0) - common[:, None]
         misfit += 1e-4 * np.sum((log_cells - start.ravel()) ** 2)
         return float(misfit + offsets @ offsets + np.sum((common / 0.1) ** 2) + np.sum(joint.stiffness * steps**2))
 
-    here = np.concatenate([joint.position.ravel(), shift])
+    current = np.concatenate([joint.position.ravel(), shift])
     assert not joint.pressed.any() and joint.kkt_residual.max() < 1e-7
-    assert stated(here) == pytest.approx(joint.value, rel=1e-10)
+    assert stated(current) == pytest.approx(joint.value, rel=1e-10)
     rng = np.random.default_rng(0)
     for size in (0.0, 1e-3):
-        least = minimize(stated, here + size * rng.standard_normal(here.size), method="BFGS", options={"maxiter": 400})
+        least = minimize(
+            stated, current + size * rng.standard_normal(current.size), method="BFGS", options={"maxiter": 400}
+        )
         assert least.fun > joint.value - 1e-6 * joint.value
 
 
@@ -195,9 +197,9 @@ def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> Non
 
 
 def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
-    told = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
+    specified = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
     silent = found_of(panel(2, systematic="none"))
-    assert np.median(told.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
+    assert np.median(specified.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
 
 
 def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:

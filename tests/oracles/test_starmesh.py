@@ -30,9 +30,9 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     diagonal = np.arange(min(shape))
     usual = 3000 * np.exp(0.3 * rng.standard_normal(shape))
 
-    def panel(where: object, factor: float) -> Array:
+    def panel(place: object, factor: float) -> Array:
         cells = usual.copy()
-        cells[where] *= factor
+        cells[place] *= factor
         return cells
 
     yield "open cell", panel((row, column), large)
@@ -56,11 +56,11 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     yield "1 milliohm and 1 gigaohm", milliohm
 
 
-def many(count: int, most: float, seed: int) -> Iterator[tuple[str, Array]]:
+def many(count: int, max_lines: float, seed: int) -> Iterator[tuple[str, Array]]:
     """Structured panels of up to `most` lines a side, 0 to 15 decades."""
     rng = np.random.default_rng(seed)
     while count > 0:
-        shape = (int(most ** rng.uniform()), int(most ** rng.uniform()))
+        shape = (int(max_lines ** rng.uniform()), int(max_lines ** rng.uniform()))
         for name, cells in structured(shape, rng, rng.uniform(0, 15)):
             yield f"{name} {shape}", cells
             count -= 1

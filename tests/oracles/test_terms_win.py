@@ -118,9 +118,11 @@ WINS: dict[str, tuple[tuple[Shape, int, float, int], tuple[Term, Array], list[tu
 @pytest.mark.parametrize("claim", WINS)
 def test_a_term_wins_on_its_scene(claim: str) -> None:
     """Against plain least squares and the terms before it, each with its best weight in hindsight."""
-    place, own, others, margin = WINS[claim]
+    place, own, alternatives, margin = WINS[claim]
     recorded = scene(*place)
-    assert best(recorded, *own) < margin * min(error(recorded), *(best(recorded, *other) for other in others))
+    assert best(recorded, *own) < margin * min(
+        error(recorded), *(best(recorded, *alternative) for alternative in alternatives)
+    )
 
 
 @pytest.mark.parametrize("term", NEW, ids=lambda term: f"{term.kind}-{term.loss.kind}")
@@ -157,8 +159,8 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     def moved(step: Array) -> Array:
         """log r from a previous frame and a baseline that are displaced by `step` in their logarithms."""
         previous, baseline = known * np.exp(step.reshape(2, *shape))
-        where = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
-        return np.log(best_solution(solver, where, known[:1]).cell_resistance.ravel())
+        shifted = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
+        return np.log(best_solution(solver, shifted, known[:1]).cell_resistance.ravel())
 
     carried = np.array([moved(step) - moved(-step) for step in 1e-3 * np.eye(2 * cells)]).T / 2e-3
     root = 0.1 * rng.standard_normal((2 * cells, 2 * cells))
@@ -208,14 +210,16 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
 @pytest.mark.parametrize(("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)])
 def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
     """Nothing chosen, against the logarithmic change from the previous frame with its best weight in hindsight."""
-    ours = []
-    theirs = []
+    errors = []
+    best_errors = []
     for seed in range(2):
         recording = arriving(kind, seed)
-        ours.append(error(recording, Arrival(), bars=True))
+        errors.append(error(recording, Arrival(), bars=True))
         squared = LogRatio(loss=Squared(), reference="previous")
-        theirs.append(min(error(recording, replace(squared, weight=float(weight)), bars=True) for weight in WEIGHTS))
-    assert rms(ours) < margin * rms(theirs)
+        best_errors.append(
+            min(error(recording, replace(squared, weight=float(weight)), bars=True) for weight in WEIGHTS)
+        )
+    assert rms(errors) < margin * rms(best_errors)
 
 
 def walk(seed: int, percent: float, frames: int = 12) -> Recording:
@@ -238,8 +242,8 @@ def test_error_bars_say_what_errors_are(
     inside = []
     for seed in range(20):
         estimate = estimated(walk(seed, percent), Arrival())
-        away = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])
-        spread.append(rms(away))
-        inside.append(np.mean(np.abs(away) < 1.96))
+        scores = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])
+        spread.append(rms(scores))
+        inside.append(np.mean(np.abs(scores) < 1.96))
     assert ratio[0] < rms(spread) < ratio[1]
     assert coverage[0] < np.mean(inside) < coverage[1]

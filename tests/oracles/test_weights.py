@@ -197,7 +197,7 @@ def going_over(folder: Path) -> lampest.Recording:
     rng = np.random.default_rng(4)
     x, y = panel.places_mm
     at = np.linspace(10, 40, 6)
-    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
+    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - centre) ** 2 + (y - 24) ** 2) / 400)) for centre in at])
     codes = COARSE.volt_from_recorded(COARSE.exact_reading(cells)) / COARSE.lsb_volt
     codes = np.round(codes + rng.standard_normal(codes.shape))
     recording = recording_of(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt))
@@ -226,10 +226,10 @@ def test_the_table_of_real_recordings_has_a_row_for_every_method(
     assert list(rows) == [*real.OTHERS, *estimators] and all(row.solved == 1 for row in rows.values())
     assert np.isnan(study.recording.recorded[study.held]).all() and study.held.sum() == 6 * 5
     assert rows["interpolation"].ratio == 1
-    ours = rows["`log_gradient`"]
-    assert ours.ratio < 0.5 and ours.covered > 0.8 and ours.weight_sigma < 1
+    chosen = rows["`log_gradient`"]
+    assert chosen.ratio < 0.5 and chosen.covered > 0.8 and chosen.weight_sigma < 1
     assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
-    assert ours.ratio < min(row.ratio for row in rows.values() if row is not ours)
+    assert chosen.ratio < min(row.ratio for row in rows.values() if row is not chosen)
 
 
 def bump() -> Recording:
@@ -250,13 +250,13 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
 
 def test_evidence_is_laplaces_at_each_estimate() -> None:
     """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
-    made = bump()
-    one = subject(Gradient(weight="auto"), made, Bounds("none", "none"))
-    scale = float(np.mean(made.sigma[2] ** 2))
+    recording = bump()
+    problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))
+    scale = float(np.mean(recording.sigma[2] ** 2))
 
     def laplace(weight: float) -> tuple[float, float]:
-        point = solve_at(one, weight, None)
-        stated = LeastCost.of(one.data, Penalty("misfit", 1.0), Penalty("gradient", weight))
+        point = solve_at(problem, weight, None)
+        stated = LeastCost.of(problem.data, Penalty("misfit", 1.0), Penalty("gradient", weight))
         residuals, jacobian = stated.as_squares(np.log(point.cells[0]).ravel(), 0.0)
         curvature = jacobian.T @ jacobian / scale + 1e-4 * np.eye(jacobian.shape[1])
         volume = np.linalg.slogdet(curvature)[1] - (jacobian.shape[1] - 1) * np.log(weight / scale)

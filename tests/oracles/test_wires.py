@@ -44,9 +44,9 @@ CONVERTERS = {
 each_converter = pytest.mark.parametrize("readout", CONVERTERS.values(), ids=CONVERTERS)
 
 
-def simulated(scene: Scene, seed: int = 3, **more: Any) -> Recording:
+def simulated(scene: Scene, seed: int = 3, **options: Any) -> Recording:
     rod = Rod(centre_mm=(30.0, 30.0), diameter_mm=35.0, mass_g=200.0)
-    return simulate(Simulation(1, seed, scene, frames=2, loads=(rod,), **more))
+    return simulate(Simulation(1, seed, scene, frames=2, loads=(rod,), **options))
 
 
 def forgetting(recording: Recording, key: str) -> Recording:
@@ -61,11 +61,11 @@ def solved(recording: Recording, formulation: Any = "reduced", terms: Any = LSM)
 @each_readout
 def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD, systematic="none"))
-    told = solved(recording)
+    estimate = solved(recording)
     ignored = solved(forgetting(recording, "lines"))
-    assert np.median(np.abs(log_errors(told))) < 0.004
-    assert np.median(np.abs(log_errors(ignored))) > 5 * np.median(np.abs(log_errors(told)))
-    assert 0.7 < rms(scores(told)) < 1.3
+    assert np.median(np.abs(log_errors(estimate))) < 0.004
+    assert np.median(np.abs(log_errors(ignored))) > 5 * np.median(np.abs(log_errors(estimate)))
+    assert 0.7 < rms(scores(estimate)) < 1.3
 
 
 @each_readout
@@ -74,8 +74,8 @@ def test_other_formulations_know_wire(readout: Readout, formulation: Any) -> Non
     """As well as without wire: what they leave out is theirs."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
     bare = simulated(Scene(Panel(9, 7), readout))
-    off, off_bare = (np.median(np.abs(log_errors(solved(one, formulation)))) for one in (recording, bare))
-    assert off < 1.5 * off_bare + 0.001
+    error, bare_error = (np.median(np.abs(log_errors(solved(measured, formulation)))) for measured in (recording, bare))
+    assert error < 1.5 * bare_error + 0.001
 
 
 def test_matrix_free_steps_reach_the_same_optimum() -> None:
@@ -120,8 +120,8 @@ def test_responses_to_wire_are_the_derivatives_of_readings(readout: Readout, lin
     known = lines or Lines()
     names = ("row_ohm_per_cell", "column_ohm_per_cell")
     for response, name in zip(wire_responses(network, known), names, strict=True):
-        more: dict[str, Any] = {name: getattr(known, name) + step}
-        longer = readout.exact_reading(cells, Wiring(replace(known, **more)))
+        lengthened: dict[str, Any] = {name: getattr(known, name) + step}
+        longer = readout.exact_reading(cells, Wiring(replace(known, **lengthened)))
         assert_allclose((longer - network.reading()) / step, response, rtol=1e-4, atol=1e-6 * np.abs(response).max())
 
 
@@ -276,12 +276,12 @@ def test_remembers_channel_by_channel(readout: Readout) -> None:
     """A capacitor holds a part of each channel of a frame that is scanned over and over, one after the other."""
     volt = volts(readout, (5, 4))
     expected = np.empty_like(volt)
-    kept = 0.0
+    remembered = 0.0
     by_columns = getattr(readout, "driven", "rows") == "columns"
     for _ in range(3):
         for place, value in np.ndenumerate(volt.T if by_columns else volt):
-            kept += (1 - FRACTION) * (value - kept)
-            expected[place[::-1] if by_columns else place] = kept
+            remembered += (1 - FRACTION) * (value - remembered)
+            expected[place[::-1] if by_columns else place] = remembered
     assert_allclose(with_memory(readout, FRACTION, volt), expected, rtol=1e-12)
     assert_allclose(with_memory(readout, FRACTION, volt[None])[0], expected, rtol=1e-12)
 
@@ -310,10 +310,10 @@ def test_after_a_channel_that_says_nothing_any_voltage_may_be_remembered() -> No
     freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
     known = np.isfinite(freed)
     assert np.argwhere(~known).tolist() == [[1, 2]]
-    off = np.abs(freed - volt)
-    assert 0 < off[1, 3] < 3 * sigma[1, 3] and sigma[1, 3] > 10 * sigma[0, 0]
-    others = known & (np.arange(16).reshape(4, 4) != 7)
-    assert np.all(off[others] < 1e-12)
+    errors = np.abs(freed - volt)
+    assert 0 < errors[1, 3] < 3 * sigma[1, 3] and sigma[1, 3] > 10 * sigma[0, 0]
+    unaffected = known & (np.arange(16).reshape(4, 4) != 7)
+    assert np.all(errors[unaffected] < 1e-12)
 
 
 def test_a_rail_stays_a_bound() -> None:
@@ -329,10 +329,10 @@ def test_a_rail_stays_a_bound() -> None:
 def test_told_of_it_the_cells_are_found(readout: Readout) -> None:
     scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=FRACTION)
     recording = simulate(Simulation(1, 5, scene, frames=3))
-    told = solved(recording)
+    estimate = solved(recording)
     ignored = solved(forgetting(recording, "converter_memory"))
-    assert np.median(np.abs(log_errors(ignored))) > 3 * np.median(np.abs(log_errors(told)))
-    assert 0.75 < rms(scores(told)) < 1.3
+    assert np.median(np.abs(log_errors(ignored))) > 3 * np.median(np.abs(log_errors(estimate)))
+    assert 0.75 < rms(scores(estimate)) < 1.3
 
 
 def test_impossible_memories_are_refused() -> None:
@@ -365,22 +365,22 @@ def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:
 def test_currents_and_voltages_are_badcrossbars(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
     rows, columns = shape
     cells = log_normal_cells(rows, columns)
-    theirs = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
+    reference = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
     ties = np.full(rows + columns, 1e-3)
     network = network_of(cells, Lines(*ohm), ties)
     # The impedances know of grounded terminals as well: Z⁻¹ − diag(t) are the currents into them.
     admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
-    assert_allclose(-admittance[rows:, :rows].T, np.reshape(theirs.currents.output, (rows, columns)), rtol=1e-10)
+    assert_allclose(-admittance[rows:, :rows].T, np.reshape(reference.currents.output, (rows, columns)), rtol=1e-10)
     through = network.potential_differences.T @ np.linalg.inv(network.potentials())[:, :rows]
-    theirs_through = np.reshape(theirs.currents.device, (rows, columns, rows))
-    assert_allclose(through.reshape(rows, columns, rows) / cells[..., None], theirs_through, rtol=1e-10, atol=1e-17)
+    reference_through = np.reshape(reference.currents.device, (rows, columns, rows))
+    assert_allclose(through.reshape(rows, columns, rows) / cells[..., None], reference_through, rtol=1e-10, atol=1e-17)
 
 
 def test_the_other_sides_are_mirror_images() -> None:
     """badcrossbar knows rows that enter at the left and columns that leave at the bottom; the others are turned."""
     cells = log_normal_cells(5, 8)
     ties = np.full(13, 1e-3)
-    theirs = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[::-1, ::-1]
+    reference = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[::-1, ::-1]
     network = network_of(cells, Lines(2.0, 7.0, "right", "top"), ties)
     admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
-    assert_allclose(-admittance[5:, :5].T, theirs, rtol=1e-10)
+    assert_allclose(-admittance[5:, :5].T, reference, rtol=1e-10)
