@@ -49,7 +49,7 @@ def timed(side: int, times: list[float], method: str = "LSM", solver: str = "red
     known |= {"solver": solver, "objective": 1.0, "gap": 0.0, "iterations": 1, "solved": True, "inverse_s": 1e-6}
     known["status"] = "optimum verified"
     kinds = ["first", *["later"] * len(times)]
-    return [BenchFrame(**known, frame=frame, seconds=one, kind=kinds[frame]) for frame, one in enumerate(times)]
+    return [BenchFrame(**known, frame=frame, seconds=seconds, kind=kinds[frame]) for frame, seconds in enumerate(times)]
 
 
 @pytest.mark.slow
@@ -74,10 +74,10 @@ def test_all_solvers_agree_where_they_say_they_solved() -> None:
 
 
 def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_single_one(tmp_path: Path) -> None:
-    few = BenchFile(1, (3,), LSM, frames=1, repeats=1)
-    frames = run_bench(few, quiet).frames
+    file = BenchFile(1, (3,), LSM, frames=1, repeats=1)
+    frames = run_bench(file, quiet).frames
     names = BenchLimits().solvers
-    assert [(one.solver, one.frame) for one in frames] == [(name, frame) for frame in (0, 1) for name in names]
+    assert [(entry.solver, entry.frame) for entry in frames] == [(name, frame) for frame in (0, 1) for name in names]
     for first, second in (frames[:2], frames[2:]):
         assert min(first.gap, second.gap) == 0 and (first.gap < second.gap) == (first.objective < second.objective)
     hasty = BenchFile(1, (3,), frames=1, repeats=1, limits=ALONE, solver=Settings(max_iterations=1))
@@ -91,9 +91,9 @@ def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_si
 
 
 def test_pages_show_tables_that_the_bench_writes() -> None:
-    both = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
-    tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(both)]
-    written = sections(page(STUDY.name, tables, bench_remarks(both)))
+    two_sizes = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
+    tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(two_sizes)]
+    written = sections(page(STUDY.name, tables, bench_remarks(two_sizes)))
     assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in written.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(written)
@@ -112,8 +112,8 @@ def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, jo
     cost = Cost(Panel(3, 4), bench.estimators[method].parts, len(data.measured))
     point = _Point(Trf(cost, Settings(), "exact"), data, 1.0)
     position = np.log(1.3 * data.measured).ravel()
-    here = evaluated(cost, data, np.exp(position).reshape(data.measured.shape))
-    assert np.sum(point.residuals(position) ** 2) == pytest.approx(here.objective, rel=1e-12)
+    evaluation = evaluated(cost, data, np.exp(position).reshape(data.measured.shape))
+    assert np.sum(point.residuals(position) ** 2) == pytest.approx(evaluation.objective, rel=1e-12)
     step = 1e-6 * np.eye(len(position))
     differences = [(point.residuals(position + e) - point.residuals(position - e)) / 2e-6 for e in step]
     jacobian = point.jacobian(position)

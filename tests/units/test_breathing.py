@@ -51,10 +51,10 @@ def window(
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("uneven", [0.0, 0.1, 0.25])
 def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
-    found = window(own=0.08, seed=seed, uneven=uneven)
-    assert found.odds > 3 and found.suction > 0.95
-    assert found.hertz[0] == pytest.approx(1.1, abs=0.05)
-    assert abs(found.depth[0] - 0.08) < 2.5 * found.depth[1] < 0.05
+    shown = window(own=0.08, seed=seed, uneven=uneven)
+    assert shown.odds > 3 and shown.suction > 0.95
+    assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
+    assert abs(shown.depth[0] - 0.08) < 2.5 * shown.depth[1] < 0.05
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -70,34 +70,34 @@ def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneve
     ids=str,
 )
 def test_a_rim_or_a_place_that_swings_is_none(seed: int, moving: dict[str, float]) -> None:
-    found = window(**moving, seed=seed)  # the last one as the square of a movement that is half as fast
-    assert found.odds < 0 or found.suction < 0.1
+    shown = window(**moving, seed=seed)  # the last one as the square of a movement that is half as fast
+    assert shown.odds < 0 or shown.suction < 0.1
 
 
 @pytest.mark.parametrize("uneven", [0.1, 0.25])
 def test_the_depth_is_as_sure_as_it_is_said_to_be(uneven: float) -> None:
     """Also where the rim swings by less than its pattern, as on a film that it saturates."""
-    found = [window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.04) for seed in range(8)]
-    away = np.array([(value - 0.08) / error for value, error in found])
-    assert np.abs(away).max() < 3 and np.mean(np.abs(away) < 1.96) >= 0.85
-    assert np.median([error for _, error in found]) < 0.03
+    depths = [window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.04) for seed in range(8)]
+    scores = np.array([(value - 0.08) / error for value, error in depths])
+    assert np.abs(scores).max() < 3 and np.mean(np.abs(scores) < 1.96) >= 0.85
+    assert np.median([error for _, error in depths]) < 0.03
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_waves_and_noise_are_none_and_hide_none(seed: int) -> None:
     assert window(seed=seed).odds < 0 > window(waves=3.0, seed=seed).odds
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
-        found = window(**hiding, seed=seed)
-        assert found.odds > 3 and found.suction > 0.9
+        shown = window(**hiding, seed=seed)
+        assert shown.odds > 3 and shown.suction > 0.9
 
 
 def test_odds_of_a_window_before_a_pull_stay() -> None:
     """A pull ends the window; without one, the longer window replaces the shorter."""
     shown, hidden = (Breath(odds, 1.0, (1.1, 0.1), (0.08, 0.01)) for odds in (8.0, -3.0))
-    before = Breathing().after(shown, 9.0, full=False)
-    assert before.parted((8.0,)) == before
-    assert before.after(hidden, 12.0, full=False).probability < 0.1
-    pulled = before.parted((8.0, 10.0))
+    unpulled = Breathing().after(shown, 9.0, full=False)
+    assert unpulled.parted((8.0,)) == unpulled
+    assert unpulled.after(hidden, 12.0, full=False).probability < 0.1
+    pulled = unpulled.parted((8.0, 10.0))
     assert pulled.full_s == 9.0 and pulled.after(hidden, 15.0, full=False).probability > 0.9
 
 
@@ -115,16 +115,16 @@ def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
 
 def test_a_breath_is_a_share_of_suction_that_is_pulled() -> None:
     level = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
-    found = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
-    assert found.odds > 3 and found.depth[0] == pytest.approx(0.05, rel=0.2)
+    shown = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
+    assert shown.odds > 3 and shown.depth[0] == pytest.approx(0.05, rel=0.2)
 
 
 def test_a_part_of_a_window_shows_a_breath_alone() -> None:
     """While a mouth pulls, it does not breathe steadily."""
     pull = TIMES > 3.75
     wild = 0.5 * pull * np.random.default_rng(5).standard_normal(len(TIMES))
-    found = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
-    assert found.odds > 3 and found.hertz[0] == pytest.approx(1.1, abs=0.15)
+    shown = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
+    assert shown.odds > 3 and shown.hertz[0] == pytest.approx(1.1, abs=0.15)
 
 
 def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:
@@ -199,5 +199,5 @@ def test_what_was_learned_stays_when_a_mouth_has_moved() -> None:
     track = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for time, value in zip(BLOCKS[:100], pumped(45.0, 0.3), strict=False):
         track = track.after(np.full((3, 1), value), float(time))
-    again = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
-    assert again.odds == pytest.approx(track.odds) and again.odds > np.log(9)
+    restarted = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
+    assert restarted.odds == pytest.approx(track.odds) and restarted.odds > np.log(9)

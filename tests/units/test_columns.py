@@ -34,9 +34,9 @@ def test_texts_and_truth_values_are_columns_too(tmp_path: Path) -> None:
     marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=bool)
     case = invented_case(extra={"word": ("one", "two", "three"), "marked": np.eye(10, dtype=bool)})
     write_results(tmp_path / "r.h5", [case], columns=(words, marks))
-    (found,) = read_results(tmp_path / "r.h5", (words, marks)).cases
-    assert found.extra["word"] == ("one", "two", "three")
-    np.testing.assert_array_equal(found.extra["marked"], np.eye(10, dtype=bool))
+    (stored,) = read_results(tmp_path / "r.h5", (words, marks)).cases
+    assert stored.extra["word"] == ("one", "two", "three")
+    np.testing.assert_array_equal(stored.extra["marked"], np.eye(10, dtype=bool))
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["entry/mouth/LSM/marked"].dtype == np.uint8 and file["entry/mouth/LSM/word"].dtype.kind == "S"
 

@@ -142,13 +142,17 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
 def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
     assert {name for name, command in TOP.items() if command.hidden} == set(OLD) | set(GROUPS)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
-        ended = lampest(old)
-        again = lampest(*new.split())
-        assert (ended.code, ended.out) == (0, again.out) and again.err == ""
-        assert ended.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
+        completed = lampest(old)
+        current = lampest(*new.split())
+        assert (completed.code, completed.out) == (0, current.out) and current.err == ""
+        assert completed.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
     for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
-        ended = lampest(old, "nowhere.x")
-        assert ended.code == 2 and f"lampest {new}" in ended.err and "nowhere.x: no such file" in ended.err.lower()
+        completed = lampest(old, "nowhere.x")
+        assert (
+            completed.code == 2
+            and f"lampest {new}" in completed.err
+            and "nowhere.x: no such file" in completed.err.lower()
+        )
 
 
 def test_version_and_mistyped_commands(lampest: Command) -> None:
@@ -185,23 +189,23 @@ def test_memory_that_ran_out_is_a_sentence(lampest: Command, monkeypatch: pytest
 
 
 def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict[str, Any] = {}
+    requested: dict[str, Any] = {}
     words = ("record", "--port", "p", "--out", "r.h5", "--count", "7", "--baseline", "2", "--period", "0.5")
-    for ended, said in WARNED:
+    for ending, warning in WARNED:
 
-        def record(*places: object, on_progress: Any, keys: Any, made: Any = ended, **options: Any) -> Recorded:
-            asked.update(options, places=places, keys=keys())
+        def record(*places: object, on_progress: Any, keys: Any, fields: Any = ending, **options: Any) -> Recorded:
+            requested.update(options, places=places, keys=keys())
             on_progress(Progress(None, 0, 0, "the board is gone"))
-            return replace(RECORDED, **made)
+            return replace(RECORDED, **fields)
 
         monkeypatch.setattr("lampest.recording.board.record.record", record)
-        done = lampest(*words)
-        assert asked.pop("places") == (["p"], Path("r.h5"))
-        assert asked == {"frames": 7, "seconds": None, "scene": None, "baseline": 2, "period": 0.5, "keys": ""}
-        assert done.out == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
-        warnings = [line for line in done.err.splitlines() if "interrupted" not in line]
-        assert len(warnings) == bool(said) and all(line.startswith(f"lampest: {said}") for line in warnings)
-        assert done.code == (130 if "ended_by" in ended else 0)
+        completed = lampest(*words)
+        assert requested.pop("places") == (["p"], Path("r.h5"))
+        assert requested == {"frames": 7, "seconds": None, "scene": None, "baseline": 2, "period": 0.5, "keys": ""}
+        assert completed.out == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
+        warnings = [line for line in completed.err.splitlines() if "interrupted" not in line]
+        assert len(warnings) == bool(warning) and all(line.startswith(f"lampest: {warning}") for line in warnings)
+        assert completed.code == (130 if "ended_by" in ending else 0)
 
 
 def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
@@ -236,16 +240,18 @@ def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_rec
         return lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1", *words)
 
     assert run().err == ""
-    again = run()
-    assert again.err == "" and len(list(out.glob("*.h5"))) == 1
-    assert again.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
-    before = (out / "results.h5").read_bytes()
-    ended = run("--set", "solver.tolerance=1e-7")
-    assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err
-    assert (out / "results_1.h5").read_bytes() == before != (out / "results.h5").read_bytes()
+    repeated = run()
+    assert repeated.err == "" and len(list(out.glob("*.h5"))) == 1
+    assert repeated.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
+    original = (out / "results.h5").read_bytes()
+    completed = run("--set", "solver.tolerance=1e-7")
+    assert (
+        "existing results of other cases were renamed: " in completed.err and str(out / "results_1.h5") in completed.err
+    )
+    assert (out / "results_1.h5").read_bytes() == original != (out / "results.h5").read_bytes()
     shutil.copy(disk.folder / "small.h5", out / "results.h5")
-    ended = run("--set", "recordings=[out/results.h5]")
-    assert ended.code == 2 and "is an input; give the output another name" in ended.err
+    completed = run("--set", "recordings=[out/results.h5]")
+    assert completed.code == 2 and "is an input; give the output another name" in completed.err
     with pytest.raises(InputError, match="is an input"):
         run_batch(read_run(disk.folder / "run.yaml", ("recordings=[out/results.h5]",)), out, Serial())
     assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
@@ -291,7 +297,7 @@ def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: 
         assert warning in engine.shown.item.model
 
 
-def one_row(found: object) -> list[Row]:
+def one_row(subject: object) -> list[Row]:
     return [Row(value=1.0)]
 
 

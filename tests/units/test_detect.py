@@ -94,13 +94,13 @@ def test_a_press_of_a_third_of_a_second_is_a_contact_of_a_mat_and_is_named_elsew
     course = Course(start_s=0.4, release_at_s=0.7)
     known: dict[str, Any] = {"cells": cells, "course": course, "frame_period_s": 0.05, "frames": 24}
     known |= {"loads": (Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=500),)}
-    mat, other = (answered(recorded(scene=replace(scene, purpose=purpose), **known)) for purpose in ("mat", None))
+    mat, unspecified = (answered(recorded(scene=replace(scene, purpose=purpose), **known)) for purpose in ("mat", None))
     (press,) = mat.attachments
     touched_s = 3 * 0.05 + course.start_s
     released_s = 3 * 0.05 + 0.7
     assert (press.since_s, press.until_s) == pytest.approx((touched_s, released_s), abs=0.11)
     assert press.place == pytest.approx((30, 30), abs=4)
-    assert not other.attachments and "something touched the panel from 0.6 s to 0.9 s" in other.sentence
+    assert not unspecified.attachments and "something touched the panel from 0.6 s to 0.9 s" in unspecified.sentence
 
 
 def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
@@ -124,9 +124,15 @@ def test_one_frame_shows_no_change(tmp_path: Path) -> None:
     scene = Scene(PANEL)
     values = np.full((3, 8, 10), 500.0)
     for frames, known in ((2, False), (3, True)):
-        few = Recording(scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8))
-        found = known_of(Prepared(few))
-        assert isinstance(found, Known) if known else found.why == "the noise is unknown, and too few frames show it"
+        recording = Recording(
+            scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8)
+        )
+        known_or_answer = known_of(Prepared(recording))
+        assert (
+            isinstance(known_or_answer, Known)
+            if known
+            else known_or_answer.why == "the noise is unknown, and too few frames show it"
+        )
 
 
 def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:

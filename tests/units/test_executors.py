@@ -76,12 +76,12 @@ def test_results_are_those_of_serial_even_where_a_worker_dies(
     report = run_batch(run, disk.folder / "two", executor)
     assert (disk.folder / "two" / "died").exists()
     assert (report.done, report.skipped, report.failed) == (6, 0, ())
-    found = [read_results(folder.results).cases for folder in (reference, report)]
-    assert len(found[1]) == 6
-    for ours, theirs in zip(*found, strict=True):
+    case_lists = [read_results(folder.results).cases for folder in (reference, report)]
+    assert len(case_lists[1]) == 6
+    for actual, expected in zip(*case_lists, strict=True):
         for field in dataclasses.fields(CaseResult):
             if field.name not in ("solve_time", "baseline_solve_time", "error_bar_time"):
-                np.testing.assert_equal(getattr(ours, field.name), getattr(theirs, field.name), err_msg=field.name)
+                np.testing.assert_equal(getattr(actual, field.name), getattr(expected, field.name), err_msg=field.name)
     run_batch(run, disk.folder / "two", Serial())
     assert not list((disk.folder / "two" / "cases").glob(".*"))
 
@@ -192,24 +192,24 @@ def hanging(seconds: float) -> float:
 
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """They hold its output, so that whoever reads it would wait forever."""
-    asked = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
-    asked += "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
-    done = subprocess.run([sys.executable, "-c", asked], stdout=subprocess.PIPE, timeout=60)
-    assert done.returncode == -signal.SIGKILL
+    script = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
+    script += "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
+    completed = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, timeout=60)
+    assert completed.returncode == -signal.SIGKILL
 
 
 @pytest.mark.slow
 def test_a_task_that_hangs_is_ended_and_costs_no_other() -> None:
     begin = time.monotonic()
-    found = {seconds: str(outcome) for seconds, outcome in Processes(1).results(hanging, [0.0, 600.0, 0.01])}
+    outcomes = {seconds: str(outcome) for seconds, outcome in Processes(1).results(hanging, [0.0, 600.0, 0.01])}
     assert time.monotonic() - begin < 300
-    assert (found[0.0], found[0.01]) == ("0.0", "0.01")
-    assert found[600.0].startswith("a frame went on far beyond solver.time_limit_s")
+    assert (outcomes[0.0], outcomes[0.01]) == ("0.0", "0.01")
+    assert outcomes[600.0].startswith("a frame went on far beyond solver.time_limit_s")
 
 
 def test_a_process_that_nobody_replaces_is_not_ended() -> None:
-    before = signal.getsignal(signal.SIGALRM)
-    assert hanging(0.5) == 0.5 and signal.getsignal(signal.SIGALRM) == before
+    original = signal.getsignal(signal.SIGALRM)
+    assert hanging(0.5) == 0.5 and signal.getsignal(signal.SIGALRM) == original
 
 
 class Lost(Serial):
@@ -226,8 +226,8 @@ def test_a_scheduler_that_is_gone_costs_nothing_that_is_finished(disk: SimpleNam
     report = run_batch(run, disk.folder / "out", Lost())
     assert (report.done, report.failed, report.not_run, report.lost) == (2, (), 1, "the scheduler is gone")
     assert report.results is not None and len(read_results(report.results).cases) == 2
-    again = run_batch(run, disk.folder / "out", Serial())
-    assert (again.done, again.skipped, again.not_run) == (1, 2, 0)
+    second_report = run_batch(run, disk.folder / "out", Serial())
+    assert (second_report.done, second_report.skipped, second_report.not_run) == (1, 2, 0)
 
 
 def test_calls_that_a_scheduler_no_longer_knows_are_lost_with_it() -> None:
@@ -251,11 +251,15 @@ def test_an_executor_changes_no_case(disk: SimpleNamespace) -> None:
 @pytest.mark.slow
 def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
     run = read_run(disk.folder / "run.yaml")
-    run_batch(run, disk.folder / "out", Serial(), on_frames=lambda *frames: told.append(frames))
+    run_batch(run, disk.folder / "out", Serial(), on_frames=lambda *frames: progress.append(frames))
     frames = sum(case.frames for case in run.cases)
-    assert told[-1] == (frames, frames) and told == sorted(told) and {whole for _, whole in told} == {frames}
+    assert (
+        progress[-1] == (frames, frames)
+        and progress == sorted(progress)
+        and {total for _, total in progress} == {frames}
+    )
     assert not list((disk.folder / "out" / "cases").glob(".*")), "what counts them is removed"
 
 

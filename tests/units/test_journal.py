@@ -45,17 +45,17 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, 
     for reader in (Recording.load, StoredRecording.of):
         with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
             reader(killed)
-    ended = lampest("check", "--repair", killed)
-    assert (ended.code, ended.err) == (0, "")
-    assert ended.out == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost\n"
-    found = Recording.load(killed)
-    left = np.delete(np.arange(FRAMES), 5)
-    np.testing.assert_array_equal(found.recorded, meant.recorded[left])
-    np.testing.assert_array_equal(found.raw_sums, np.asarray(meant.raw_sums)[left])
-    np.testing.assert_array_equal(found.time, meant.time[left])
-    np.testing.assert_array_equal(found.acquisition.sequence, left)
-    np.testing.assert_array_equal(found.acquisition.lost, (left == 6).astype(int))
-    assert found.acquisition.event_label == ("touch", "leave")
+    completed = lampest("check", "--repair", killed)
+    assert (completed.code, completed.err) == (0, "")
+    assert completed.out == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost\n"
+    recording = Recording.load(killed)
+    remaining = np.delete(np.arange(FRAMES), 5)
+    np.testing.assert_array_equal(recording.recorded, meant.recorded[remaining])
+    np.testing.assert_array_equal(recording.raw_sums, np.asarray(meant.raw_sums)[remaining])
+    np.testing.assert_array_equal(recording.time, meant.time[remaining])
+    np.testing.assert_array_equal(recording.acquisition.sequence, remaining)
+    np.testing.assert_array_equal(recording.acquisition.lost, (remaining == 6).astype(int))
+    assert recording.acquisition.event_label == ("touch", "leave")
     assert sorted(file.name for file in killed.parent.iterdir()) == ["growing.h5", "killed.h5"]
 
 
@@ -68,12 +68,12 @@ def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5"):
         Recording.load(killed)
     assert repair(killed) == (FRAMES - 1, 1)
-    found = Recording.load(killed)
-    left = np.delete(np.arange(FRAMES), 5)
-    np.testing.assert_array_equal(found.board_log_change, expected[left])
-    assert joined((found,), left > 7).board_log_change.shape == (4, 3, 4)
+    recording = Recording.load(killed)
+    remaining = np.delete(np.arange(FRAMES), 5)
+    np.testing.assert_array_equal(recording.board_log_change, expected[remaining])
+    assert joined((recording,), remaining > 7).board_log_change.shape == (4, 3, 4)
     with pytest.raises(InputError, match="/entry/board/log_change has another shape than the frames"):
-        replace(found, board_log_change=expected)
+        replace(recording, board_log_change=expected)
 
 
 def test_boards_without_estimates_leave_no_dataset_of_them(killed: Path) -> None:
@@ -100,10 +100,10 @@ def test_a_journal_without_a_salt_is_read_as_before(killed: Path, damaged: int |
     if damaged is not None:
         with pytest.raises(InputError, match=r"1 of 12 frames .* frame 5"):
             Recording.load(old)
-    left = range(FRAMES) if damaged is None else np.delete(np.arange(FRAMES), damaged)
+    remaining = range(FRAMES) if damaged is None else np.delete(np.arange(FRAMES), damaged)
     assert damaged is not None or np.array_equal(Recording.load(old).recorded, meant)
-    assert repair(old) == (len(left), FRAMES - len(left))
-    np.testing.assert_array_equal(Recording.load(old).recorded, meant[list(left)])
+    assert repair(old) == (len(remaining), FRAMES - len(remaining))
+    np.testing.assert_array_equal(Recording.load(old).recorded, meant[list(remaining)])
 
 
 def test_a_damaged_event_is_dropped(killed: Path) -> None:
@@ -111,8 +111,10 @@ def test_a_damaged_event_is_dropped(killed: Path) -> None:
     with pytest.raises(InputError, match=r"killed.h5: an event is damaged; .*check --repair"):
         Recording.load(killed)
     assert repair(killed) == (FRAMES, 0)
-    found = Recording.load(killed).acquisition
-    assert found is not None and found.event_label == ("leave",) and found.event_time.tolist() == [0.5]
+    acquisition = Recording.load(killed).acquisition
+    assert (
+        acquisition is not None and acquisition.event_label == ("leave",) and acquisition.event_time.tolist() == [0.5]
+    )
 
 
 def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
@@ -127,10 +129,10 @@ def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
 def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
     for row in range(FRAMES):
         flip(killed, "raw/sums", row)
-    left = killed.read_bytes()
+    original = killed.read_bytes()
     with pytest.raises(InputError, match="every frame is damaged"):
         repair(killed)
-    assert killed.read_bytes() == left
+    assert killed.read_bytes() == original
 
 
 def test_a_file_that_its_writer_left_open_stays_unless_it_ends_too_early(killed: Path) -> None:

@@ -65,18 +65,18 @@ def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_
 
 def test_without_matplotlib_reports_have_no_picture_and_plots_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = lampest.Recording.load(HOUSE / "tests" / "golden" / "recording.h5")
-    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
     for name in [*sys.modules]:
         if name.startswith("lampest.report.plots"):
             monkeypatch.delitem(sys.modules, name)
         if name.partition(".")[0] == "matplotlib":
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    for plot in (recording.plot, found.plot):
+    for plot in (recording.plot, estimate.plot):
         with pytest.raises(InputError, match=r"pip install 'lampest\[plots\]' brings it"):
             plot()
     monkeypatch.setattr("lampest.report.reconstruction.find_spec", lambda name: None)
-    page = found._repr_html_()
+    page = estimate._repr_html_()
     assert "<pre" in page and "<img" not in page
 
 
@@ -93,9 +93,9 @@ def test_without_matplotlib_detect_writes_everything_but_pictures(
 def loaded(code: str) -> set[str]:
     """The modules that a fresh process holds after some code."""
     command = [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"]
-    told = subprocess.run(command, cwd=HOUSE, capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
-    return set(told.stdout.split())
+    completed = subprocess.run(command, cwd=HOUSE, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
+    return set(completed.stdout.split())
 
 
 @pytest.mark.slow

@@ -80,23 +80,23 @@ def first_view(answer: http.client.HTTPResponse) -> Any:
 def test_the_newest_is_never_missed() -> None:
     """A reader that is slower than the writer skips, but sees numbers grow, and the last thing."""
     newest = Newest(0)
-    seen = []
+    received = []
 
     def read() -> None:
         number = 0
         while (news := newest.after(number)) is not None:
             number = news.number
-            seen.append(news)
+            received.append(news)
             time.sleep(1e-4)
 
     reader = threading.Thread(target=read)
     reader.start()
-    for thing in range(1, 2001):
-        newest.put(thing)
+    for value in range(1, 2001):
+        newest.put(value)
     newest.close()
     reader.join(10)
-    assert all(news.number == news.item for news in seen)
-    assert seen == sorted(seen) and seen[-1].item == 2000
+    assert all(news.number == news.item for news in received)
+    assert received == sorted(received) and received[-1].item == 2000
     assert newest.after(2000, 0.01) is None and newest.closed
 
 
@@ -123,14 +123,14 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
 
 
 def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_ask_for_and_need_the_token() -> None:
-    asked: list[str] = []
+    requested: list[str] = []
 
     def record(name: str) -> None:
         if "." in name:
             raise InputError("that is no name")
-        asked.append(name)
+        requested.append(name)
 
-    actions = PageActions(lambda: asked.append("zero"), lambda: asked.append("seen"))
+    actions = PageActions(lambda: requested.append("zero"), lambda: requested.append("seen"))
     with page_at("127.0.0.1", actions=actions) as page:
         for path, headers, status in (
             ("/zero", {}, 403),
@@ -141,10 +141,10 @@ def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_a
             ("/acknowledge", {"X_Lampest": "zero"}, 403),
             ("/record", {"X_Lampest": "record"}, 404),  # there is nothing to record
         ):
-            assert page.status(path, "POST", **headers) == status and not asked
+            assert page.status(path, "POST", **headers) == status and not requested
         words = ("zero", "acknowledge")
         assert [page.status(f"/{word}", "POST", X_Lampest=word) for word in words] == [200, 200]
-        assert asked == ["zero", "seen"]
+        assert requested == ["zero", "seen"]
     bearer = {"Authorization": f"Bearer {TOKEN}"}
     with page_at("127.0.0.1", TOKEN, PageActions(record=record)) as page:
         for path, headers, status in (
@@ -153,10 +153,10 @@ def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_a
             ("/record?name=x", bearer, 403),  # a foreign page's form has no such header
             ("/record?name=../x", {"X_Lampest": "record", **bearer}, 400),
         ):
-            assert page.status(path, "POST", **headers) == status and len(asked) == 2
+            assert page.status(path, "POST", **headers) == status and len(requested) == 2
         for path in ("/record?name=x", "/record"):
             assert page.status(path, "POST", X_Lampest="record", **bearer) == 200
-        assert asked[2:] == ["x", ""]
+        assert requested[2:] == ["x", ""]
 
 
 def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNamespace) -> None:
@@ -269,8 +269,8 @@ def test_a_browser_needs_the_token_once_and_programs_bring_it_as_they_like(open_
     assert answer.status == 200 and answer.read().startswith(b"<!") and TOKEN not in cookie
     assert cookie.endswith("; HttpOnly; SameSite=Lax; Path=/")
     crumb = cookie.split(";")[0]
-    again = open_page.ask(Cookie=crumb)
-    assert (again.status, again.headers.get("Set-Cookie")) == (200, None)
+    second = open_page.ask(Cookie=crumb)
+    assert (second.status, second.headers.get("Set-Cookie")) == (200, None)
     assert first_view(open_page.ask("/views", Cookie=f"theme=dark; {crumb}"))["state"] == "receiving"
     assert open_page.status("/views", Cookie=crumb[:-1]) == 403
     assert open_page.status(f"/views?token={TOKEN}") == 200

@@ -94,8 +94,8 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
     recording = recording_of(case)
     readings = recording.readings()
     assert np.mean((readings.side != 0) | (readings.seen == 0)) >= case.least
-    found = reconstruct(recording, case.estimator)
-    assert np.all(np.isfinite(found.cell_resistance))
+    estimate = reconstruct(recording, case.estimator)
+    assert np.all(np.isfinite(estimate.cell_resistance))
 
     def board(engine: Engine) -> None:
         for sample in samples_of(recording):
@@ -110,16 +110,16 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
     for resistance in recording.resistance[recording.role != UNLOADED]:
         stream, step = stream.push(Readings.of(scene, resistance))
         cells.append(step.solution.cell_resistance[-1])
-    assert_allclose(cells, found.cell_resistance, rtol=1e-7)
-    assert_allclose(stream.baseline_resistance, found.baseline_resistance, rtol=1e-9)
+    assert_allclose(cells, estimate.cell_resistance, rtol=1e-7)
+    assert_allclose(stream.baseline_resistance, estimate.baseline_resistance, rtol=1e-9)
     replayed = live_pictures(case.estimator, 3, lambda engine: from_recording(engine, recording, 1e9, None))
     boarded = live_pictures(case.estimator, 3, board)
     for pictures in (replayed, boarded):
-        assert [picture.status for picture in pictures] == [step.solution.status.value for step in found.steps]
+        assert [picture.status for picture in pictures] == [step.solution.status.value for step in estimate.steps]
         ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
-        assert_allclose(ratio, found.cell_resistance / found.baseline_resistance, rtol=1e-7)
+        assert_allclose(ratio, estimate.cell_resistance / estimate.baseline_resistance, rtol=1e-7)
         flags = [picture.open_cell for picture in pictures]
-        assert_array_equal(flags, [step.solution.open_cell[-1] for step in found.steps])
+        assert_array_equal(flags, [step.solution.open_cell[-1] for step in estimate.steps])
     assert_array_equal([picture.force for picture in boarded], [picture.force for picture in replayed])
 
 

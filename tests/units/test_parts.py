@@ -91,18 +91,18 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     def run(name: str) -> SimpleNamespace:
         return lampest("run", tmp_path / "run.yaml", "--out", tmp_path / name, "--jobs", "1")
 
-    ended = run("parts")
-    assert (ended.code, ended.err) == (0, "")
+    completed = run("parts")
+    assert (completed.code, completed.err) == (0, "")
     assert [file.suffix for file in (tmp_path / "parts" / "cases").iterdir()] == [".h5"] * 3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stored, "MAX_READINGS", 10**6)
         run("whole")
     parts, whole = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
-    for ours, theirs in zip(parts.cases, whole.cases, strict=True):
-        assert ours.case_id == theirs.case_id and ours.status == theirs.status
-        assert np.array_equal(ours.frame, theirs.frame) and np.array_equal(ours.time, theirs.time)
-        np.testing.assert_allclose(ours.cell_resistance, theirs.cell_resistance, rtol=1e-2)
-        assert ours.cell_resistance_errors is not None or ours.estimator == "scaled"
+    for actual, expected in zip(parts.cases, whole.cases, strict=True):
+        assert actual.case_id == expected.case_id and actual.status == expected.status
+        assert np.array_equal(actual.frame, expected.frame) and np.array_equal(actual.time, expected.time)
+        np.testing.assert_allclose(actual.cell_resistance, expected.cell_resistance, rtol=1e-2)
+        assert actual.cell_resistance_errors is not None or actual.estimator == "scaled"
     assert "0 cases solved, 3 were done before" in run("parts").out
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
 
@@ -136,7 +136,7 @@ def test_an_ended_run_goes_on_behind_its_last_part(
 
     Parts that stand apart are solved in any order, by an executor or by the case itself.
     """
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
 
     class Backwards(Serial):
         def results(self, function: Any, arguments: Sequence[Any]) -> Any:
@@ -149,8 +149,8 @@ def test_an_ended_run_goes_on_behind_its_last_part(
     entry = f"{{formulation: reduced, terms: {{misfit: {{}}, {penalty}: {{weight: 1e-3}}}}}}"
     (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n")
     run = read_run(tmp_path / "run.yaml")
-    assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: told.append(frames)).done == 1
-    assert told[-1] == (48, 48) and told == sorted(told)
+    assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: progress.append(frames)).done == 1
+    assert progress[-1] == (48, 48) and progress == sorted(progress)
     write = batch.write_carried
     written = list[str]()
 
@@ -229,13 +229,13 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     (tmp_path / "run.yaml").write_text(RUN)
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1").code == 0
     whole, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
-    for ours, theirs in zip(part.cases, whole.cases, strict=True):
-        assert np.array_equal(ours.cell_resistance, theirs.cell_resistance[5:9])
-        assert ours.status == theirs.status[5:9]
-        assert np.array_equal(ours.weights["misfit"], theirs.weights["misfit"][5:9])
-    recording, some = (Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9)))
-    assert np.array_equal(some.recorded, recording.recorded[5:9])
-    assert some.number is not None and list(some.number) == [5, 6, 7, 8]
+    for actual, expected in zip(part.cases, whole.cases, strict=True):
+        assert np.array_equal(actual.cell_resistance, expected.cell_resistance[5:9])
+        assert actual.status == expected.status[5:9]
+        assert np.array_equal(actual.weights["misfit"], expected.weights["misfit"][5:9])
+    recording, excerpt = (Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9)))
+    assert np.array_equal(excerpt.recorded, recording.recorded[5:9])
+    assert excerpt.number is not None and list(excerpt.number) == [5, 6, 7, 8]
 
 
 def test_a_long_recording_is_closed_by_parts(tmp_path: Path, request: pytest.FixtureRequest) -> None:

@@ -84,18 +84,18 @@ def test_a_scale_of_its_own_is_refused(tmp_path: Path) -> None:
 def test_the_resting_frame_restores_what_was_not_clipped(tmp_path: Path, scene: Scene) -> None:
     codes = codes_of(scene)
     difference, resting = subtracted(codes)
-    told = replace(scene, baseline="subtracted")
+    by_difference = replace(scene, baseline="subtracted")
     raw = imported(
         tmp_path, lampest.Scene(scene.panel, scene.readout, scene.series_resistance_ohm, baseline="raw"), codes
     )
-    whole = imported(tmp_path, told, difference, resting)
-    loaded = whole.role != UNLOADED
-    np.testing.assert_array_equal(whole.recorded[loaded], raw.recorded[loaded])
-    clipped = imported(tmp_path, told, np.maximum(difference, 0), resting)
-    kept = difference[loaded] > 0
-    np.testing.assert_array_equal(clipped.recorded[loaded][kept], raw.recorded[loaded][kept])
-    assert np.isnan(clipped.recorded[loaded][~kept]).all()
-    assert whole.scene.baseline == "raw"
+    unclipped = imported(tmp_path, by_difference, difference, resting)
+    loaded = unclipped.role != UNLOADED
+    np.testing.assert_array_equal(unclipped.recorded[loaded], raw.recorded[loaded])
+    clipped = imported(tmp_path, by_difference, np.maximum(difference, 0), resting)
+    positive = difference[loaded] > 0
+    np.testing.assert_array_equal(clipped.recorded[loaded][positive], raw.recorded[loaded][positive])
+    assert np.isnan(clipped.recorded[loaded][~positive]).all()
+    assert unclipped.scene.baseline == "raw"
 
 
 def test_a_subtracted_frame_has_to_be_given_and_told(tmp_path: Path) -> None:

@@ -144,9 +144,9 @@ def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
     forces = list[float]()
     for _ in range(200):
         noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
-        one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
-        forces.append(one.values[1, -1])
-    assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
+        pressed = pressed_of(pressing(pressure=noisy, pressure_own=errors))
+        forces.append(pressed.values[1, -1])
+    assert np.std(forces) == pytest.approx(pressed.errors[1, -1], rel=0.2)
 
 
 @pytest.mark.parametrize("sources", [1, 3])

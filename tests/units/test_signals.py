@@ -55,10 +55,10 @@ def test_all_that_was_sent_before_a_signal_is_in_the_file(tmp_path: Path, number
         for _ in range(3):
             process.send_signal(number)
         stdout, stderr = process.communicate(timeout=60)
-    found = Recording.load(out)
+    recording = Recording.load(out)
     assert process.returncode == 130
-    assert len(found.time) >= sent and found.acquisition.sequence.tolist() == list(range(len(found.time)))
-    assert stdout.startswith(f"{len(found.time)} frames, 0 lost, 0 restarts")
+    assert len(recording.time) >= sent and recording.acquisition.sequence.tolist() == list(range(len(recording.time)))
+    assert stdout.startswith(f"{len(recording.time)} frames, 0 lost, 0 restarts")
     assert f"lampest: {number.name} ended the recording; " in stderr and stderr.endswith("is kept\n")
     assert {path.name for path in tmp_path.iterdir()} == {"r.h5"}
 

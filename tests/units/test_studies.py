@@ -133,9 +133,9 @@ def test_shipped_file_can_be_tuned() -> None:
 
 def test_a_page_names_the_commit_of_its_last_run_once() -> None:
     text = "# A page\n\n    lampest run a.yaml   # first\n    python -m docs.studies.mats [--seed 1] --kinds 'a b'\n"
-    once = with_commit(text, "abc", "1 May 2026")
-    assert once.startswith(text) and once.endswith("ran at commit abc, 1 May 2026.\n")
-    assert with_commit(once, "def", "2 May 2026") == once.replace("abc", "def").replace("1 May", "2 May")
+    marked = with_commit(text, "abc", "1 May 2026")
+    assert marked.startswith(text) and marked.endswith("ran at commit abc, 1 May 2026.\n")
+    assert with_commit(marked, "def", "2 May 2026") == marked.replace("abc", "def").replace("1 May", "2 May")
     page = PAGE.with_name("bench.md")
     assert commands(page)[0] == "python -m docs.studies.bench configs/bench.yaml"
 
@@ -152,9 +152,9 @@ def test_a_row_for_each_effect_and_a_column_for_each_estimator(tmp_path: Path) -
 
 def test_table_one_is_the_same_in_the_shipped_run() -> None:
     """The run's file says it for `lampest compare`, the data file for `lampest study paper`."""
-    beside = read_run(CONFIGS / "table1.yaml").published
+    published = read_run(CONFIGS / "table1.yaml").published
     for row in read_published(FILE).errors:
-        figures = getattr(beside[row.method], row.steps)
+        figures = getattr(published[row.method], row.steps)
         assert (figures.time_s, figures.time_sd_s) == (row.time_s, row.time_sd_s)
         assert (figures.error_percent, figures.error_sd_percent) == (row.error_percent, row.error_sd_percent)
 
@@ -205,12 +205,12 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, breaks)
-            found = best_solution(solver, data, None)
+            solution = best_solution(solver, data, None)
         if place.endswith("convex_start"):
-            assert found.solved
+            assert solution.solved
         else:
-            assert found.status is Status.BREAKDOWN
-            assert np.all(np.isnan(found.cell_resistance))
+            assert solution.status is Status.BREAKDOWN
+            assert np.all(np.isnan(solution.cell_resistance))
 
 
 def test_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:

@@ -56,15 +56,15 @@ def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
         monkeypatch.setattr(batch, "reconstruct", sometimes)
         return lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
 
-    nothing = run(lambda estimator: True)
-    assert (nothing.code, (out / "results.h5").exists()) == (3, False)
-    assert nothing.out.strip() == "0 cases solved, 0 were done before, 3 failed: no results"
+    all_failed = run(lambda estimator: True)
+    assert (all_failed.code, (out / "results.h5").exists()) == (3, False)
+    assert all_failed.out.strip() == "0 cases solved, 0 were done before, 3 failed: no results"
     plain = run(lambda estimator: len(estimator.terms) == 1)
     assert (plain.code, plain.err) == (3, "lampest: small × LSM failed: out of luck\n")
     assert "2 cases solved, 0 were done before, 1 failed" in plain.out
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSR-CR", "LSR-dCR"]
-    whole = run(lambda estimator: False)
-    assert (whole.code, whole.err) == (0, "") and "1 case solved, 2 were done before" in whole.out
+    all_solved = run(lambda estimator: False)
+    assert (all_solved.code, all_solved.err) == (0, "") and "1 case solved, 2 were done before" in all_solved.out
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 
@@ -109,7 +109,7 @@ def test_memory_of_a_control_group_is_what_it_allows_less_what_it_uses(
 
 
 def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
-    before = signal.getsignal(signal.SIGALRM)
+    original = signal.getsignal(signal.SIGALRM)
     token = process.EXPENDABLE.set(True)
     try:
         with process.ended_where_hung(1.0):
@@ -117,7 +117,7 @@ def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
         assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
     finally:
         process.EXPENDABLE.reset(token)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, original)
 
 
 def recorded(frames: int = 4) -> Any:
@@ -140,11 +140,11 @@ def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -
 
 
 def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    truly = newton_module.trust_region_step
+    original = newton_module.trust_region_step
 
     def slowly(*arguments: Any) -> Any:
         time.sleep(0.05)
-        return truly(*arguments)
+        return original(*arguments)
 
     monkeypatch.setattr(newton_module, "trust_region_step", slowly)
     estimator = Estimator(FORMULATIONS["reduced"], "reduced", solver=Settings(time_limit_s=0.08), error_bars=False)

@@ -59,8 +59,8 @@ def test_a_mutant_meets_the_golden_rows_that_call_its_function_and_then_the_shor
         "tests/b.py::medium": {"seconds": 1.5, "functions": ["panel.py:Panel.area", "panel.py:g"]},
         "tests/c.py::of_something_else": {"seconds": 0.1, "functions": ["panel.py:g"]},
     }
-    rows, others = guards_of(area, tests)
-    assert rows == [f"{GOLDEN}row]"] and others == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
+    rows, other_tests = guards_of(area, tests)
+    assert rows == [f"{GOLDEN}row]"] and other_tests == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
 
 
 @pytest.fixture

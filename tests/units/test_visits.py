@@ -89,12 +89,12 @@ def test_a_reason_is_of_its_time() -> None:
 @pytest.mark.slow
 def test_a_folder_of_recordings_is_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     """Two recordings of one name, with clocks and in folders of their own; their visits are exported from the file."""
-    whole, *_ = attached("ring", 1.0, 5, 6, 6.0)
+    recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"
     out = tmp_path / "out"
     for day in (1, 2):
         (season / str(day)).mkdir(parents=True)
-        replace(whole, start_time=f"2026-05-0{day}T12:00:00+00:00").save(season / str(day) / "pond.h5")
+        replace(recording, start_time=f"2026-05-0{day}T12:00:00+00:00").save(season / str(day) / "pond.h5")
     assert lampest("detect", season, "--out", out).code == 0
     with (out / "visits.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -116,35 +116,35 @@ def test_a_folder_without_a_recording_is_refused(tmp_path: Path, lampest: Callab
 
 def test_a_look_that_fails_is_one_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """The load is recognised by the next one, and the recording is told to its end."""
-    whole, *_ = attached("rod", 4.0, 3, 6, 8.0)
-    known = known_of(Prepared(whole))
+    recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known)
-    looks = list[bool]()
+    attempts = list[bool]()
     verdict = Detector.verdict
 
     def failing(*frame: object) -> object:
-        looks.append(True)
-        if len(looks) == 1:
+        attempts.append(True)
+        if len(attempts) == 1:
             raise np.linalg.LinAlgError("Singular matrix")
         return verdict(*frame)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Detector, "verdict", failing)
-    found = known.answer(measured_frames(whole, known, np.ones(len(whole.time), dtype=bool)))
-    assert len(looks) > 1 and found.answer == PRESSES and found.attachments[0].until_s is not None
+    answer = known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
+    assert len(attempts) > 1 and answer.answer == PRESSES and answer.attachments[0].until_s is not None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
 def test_a_ring_that_trembles_is_no_lamprey_in_any_frame(number: int) -> None:
     """By 3 % at a breathing rate; no cell has risen."""
-    whole, *_ = attached("trembling ring", 4.0, 8100 + number)
-    known = known_of(Prepared(whole))
+    recording, *_ = attached("trembling ring", 4.0, 8100 + number)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     watch = known.watch()
     sucking = 0.0
-    for frame in measured_frames(whole, known, np.ones(len(whole.time), dtype=bool)):
+    for frame in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
         watch = watch.push(*frame)
-        sucking = max([sucking, *(one.sucks for one in watch.attachments)])
+        sucking = max([sucking, *(attachment.sucks for attachment in watch.attachments)])
     assert sucking < 0.5
 
 
@@ -152,25 +152,25 @@ def test_a_ring_that_trembles_is_no_lamprey_in_any_frame(number: int) -> None:
 @pytest.mark.parametrize("kind", ["wavy mouth", "mouth and body", "pulled mouth", "mouth in current"])
 def test_uneven_mouths_beside_bodies_in_currents_and_pulled_suck_and_live(kind: str) -> None:
     answers = [seen(kind, 4.0, 8200 + number) for number in range(3)]
-    assert all(one.sucks > 0.9 for one in answers)
+    assert all(attachment.sucks > 0.9 for attachment in answers)
     # a body whose tail beats at the rate of breath may hide it
-    assert kind == "mouth and body" or sum(np.isfinite(one.lamprey) for one in answers) >= 2
+    assert kind == "mouth and body" or sum(np.isfinite(attachment.lamprey) for attachment in answers) >= 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bubbles", "rock", "hand", "fin"])
 def test_nothing_stood_on_the_panel_where_something_comes(kind: str) -> None:
     for number in range(3):
-        whole, *_ = attached(kind, 4.0, 8300 + number)
-        found = answered(whole)
-        assert not any("in its unloaded frames" in note for note in (*found.notes, found.why))
+        recording, *_ = attached(kind, 4.0, 8300 + number)
+        answer = answered(recording)
+        assert not any("in its unloaded frames" in note for note in (*answer.notes, answer.why))
 
 
 @pytest.mark.slow
 def test_few_cells_that_become_even_are_no_load_that_left() -> None:
     """A fin presses on few cells, which happen to be more even under it."""
-    found = answered(attached("fin", 4.0, 977000)[0])
-    assert found.answer == PRESSES and not any("in its unloaded frames" in note for note in found.notes)
+    answer = answered(attached("fin", 4.0, 977000)[0])
+    assert answer.answer == PRESSES and not any("in its unloaded frames" in note for note in answer.notes)
 
 
 def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
@@ -183,5 +183,5 @@ def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
     patterns = Patterns.of(np.eye(40), rise, slopes[None], 0.2 * np.abs(slopes), moves, supply)
     noise = np.random.default_rng(4).standard_normal((len(times), 40))
     changes = np.outer(0.08 * np.sin(2 * np.pi * 2.0 * times + 0.3), slopes) + noise
-    found = breath(SteadyFrames.of(times, changes), changes, patterns)
-    assert found is not None and found.depth[0] < 0.3 and found.hertz[0] < 2.0
+    wave = breath(SteadyFrames.of(times, changes), changes, patterns)
+    assert wave is not None and wave.depth[0] < 0.3 and wave.hertz[0] < 2.0

@@ -138,14 +138,14 @@ def frame(number: int, device_ms: int) -> Frame:
 def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
     """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
     run = Scanning(replace(IDLE, period_us=10_000), OWN, 0, None)
-    found = list[Sample]()
+    samples = list[Sample]()
     for number, device_ms in frames:
-        found += run.take(frame(number, device_ms))
-    return run, found
+        samples += run.take(frame(number, device_ms))
+    return run, samples
 
 
-def places(found: list[Sample]) -> list[tuple[int, int, int]]:
-    return [(sample.frame.sequence, sample.lost, sample.session) for sample in found]
+def places(samples: list[Sample]) -> list[tuple[int, int, int]]:
+    return [(sample.frame.sequence, sample.lost, sample.session) for sample in samples]
 
 
 def whole(count: int, session: int = 0) -> list[tuple[int, int, int]]:
@@ -234,39 +234,41 @@ def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:
     """The first one; and none that its clock puts days ahead."""
     assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]
     assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == whole(3)
-    _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
-    assert found[2].session == 1 and found[2].lost < 10_000 and found[2].time < 100
+    _, samples = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
+    assert samples[2].session == 1 and samples[2].lost < 10_000 and samples[2].time < 100
 
 
 def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once() -> None:
-    _, found = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
-    assert places(found) == whole(101) and np.all(np.diff([sample.time for sample in found]) >= 0.01 - 1e-9)
-    assert [(number, sample.events) for number, sample in enumerate(found) if sample.events] == [(6, (CLOCK_STOPPED,))]
+    _, samples = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
+    assert places(samples) == whole(101) and np.all(np.diff([sample.time for sample in samples]) >= 0.01 - 1e-9)
+    assert [(number, sample.events) for number, sample in enumerate(samples) if sample.events] == [
+        (6, (CLOCK_STOPPED,))
+    ]
 
 
 def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
     random = np.random.default_rng(4343)
     sent = []
     ahead = 100_000
-    came = []
+    delivered = []
     for number in range(3000):
         if random.random() < 0.05:
             ahead += int(random.integers(-10_000, 10_000))
         if number in (0, 1, 2, 2998, 2999) or random.random() > 0.1:
             sent.append((number, ahead + int(10 * (number + random.uniform(0, 0.9)))))
-            came.append(number)
-    _, found = run_of(*sent)
-    numbers = [sample.frame.sequence for sample in found]
-    assert len(found) > 0.99 * len(came), "whole frames are kept"
-    assert sum(sample.lost for sample in found) == numbers[-1] + 1 - len(found)
-    assert not any(sample.session for sample in found)
-    assert found[-1].time == pytest.approx(29.99, rel=0.01)
+            delivered.append(number)
+    _, samples = run_of(*sent)
+    numbers = [sample.frame.sequence for sample in samples]
+    assert len(samples) > 0.99 * len(delivered), "whole frames are kept"
+    assert sum(sample.lost for sample in samples) == numbers[-1] + 1 - len(samples)
+    assert not any(sample.session for sample in samples)
+    assert samples[-1].time == pytest.approx(29.99, rel=0.01)
 
 
 def test_a_plug_that_is_out_loses_no_frames_and_missed_ticks_are_no_jump() -> None:
     run, (*_, last) = run_of((0, 500), (1, 510))
-    again = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
-    (sample,) = again.take(frame(3, 540))
+    resumed = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
+    (sample,) = resumed.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
     (sample,) = run.take(replace(frame(2, 5520), missed=500))
     assert sample.time == pytest.approx(5.02) and not sample.events
@@ -284,12 +286,12 @@ def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
 
 def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_path: Path) -> None:
     wrong = [(field, value) for field, values in ABSURD.items() for value in values]
-    said = [replace(IDLE, **{field: value}) for field, value in wrong]
-    for hello, (field, value) in zip(said, wrong, strict=True):
+    greetings = [replace(IDLE, **{field: value}) for field, value in wrong]
+    for hello, (field, value) in zip(greetings, wrong, strict=True):
         assert re.fullmatch(rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault)
     assert IDLE.fault == ""
     with (
-        wild_board(hundred_a_second, said[0]) as board,
+        wild_board(hundred_a_second, greetings[0]) as board,
         pytest.raises(InputError, match=r"rows is 0; .* possible \(firmware pins\.h\)"),
     ):
         record(board.port, tmp_path / "r.h5", frames=3)
@@ -323,7 +325,7 @@ def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkey
 
 def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a_program() -> None:
     """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
+    handlers = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
     try:
         with process.ending_signals(lambda: True) as ended_by:
             signal.raise_signal(signal.SIGHUP)
@@ -331,7 +333,7 @@ def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a
             signal.raise_signal(signal.SIGINT)
             assert ended_by() == "SIGINT"
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
@@ -370,22 +372,22 @@ def sent(number: int, at: float, arrived: float | None = None) -> Sample:
     return Sample(frame, AT, OWN, at + 100, at if arrived is None else arrived, 0, 0)
 
 
-def shown(here: Alignment, now: float) -> list[tuple[int | None, ...]]:
+def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
     frames = []
-    while (parts := here.frame(now)) is not None:
-        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(here.boards)))
+    while (parts := alignment.frame(moment)) is not None:
+        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(alignment.boards)))
     return frames
 
 
 def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
     """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board −1 sends none."""
     image = Alignment(2)
-    seen = list[tuple[int | None, ...]]()
+    complete = list[tuple[int | None, ...]]()
     for board, number, at, arrival in arrivals:
         if board >= 0:
             image.take(board, sent(number, at, arrival))
-        seen += shown(image, arrival)
-    return seen
+        complete += shown(image, arrival)
+    return complete
 
 
 def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -> None:
@@ -395,57 +397,57 @@ def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -
         for board in (range(2) if not 5 <= number < 12 else (1,))
     ]
     late = 9 * PERIOD + 2.5 * PERIOD + LATE_SECONDS
-    seen = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
-    whole = [(number, number) for number in (*range(5), *range(12, 20))]
-    assert [image for image in seen if None not in image] == whole
-    assert [image for image in seen if None in image] == [(None, number) for number in range(5, 12)]
+    delivered = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
+    complete = [(number, number) for number in (*range(5), *range(12, 20))]
+    assert [image for image in delivered if None not in image] == complete
+    assert [image for image in delivered if None in image] == [(None, number) for number in range(5, 12)]
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
     """A part that began 0.4 periods before belongs to the frame; the second board leads once the first is late."""
-    here = Alignment(2)
+    alignment = Alignment(2)
     late = 1.5 * PERIOD + LATE_SECONDS
     for board, at in enumerate((0.0, -0.4 * PERIOD)):
-        here.take(board, sent(0, at))
-    assert shown(here, 0.0) == [(0, 0)] and here.moment == 0.0 and LATE_SECONDS == 0.3
-    alone = copy.deepcopy(here)
-    other = here
+        alignment.take(board, sent(0, at))
+    assert shown(alignment, 0.0) == [(0, 0)] and alignment.moment == 0.0 and LATE_SECONDS == 0.3
+    alone = copy.deepcopy(alignment)
+    waiting = alignment
     alone.take(0, sent(1, PERIOD))
     assert alone.frame(PERIOD + late - 1e-3) is None
     assert shown(alone, PERIOD + late + 1e-3) == [(1, None)] and alone.missing == (1,)
-    other.take(1, sent(1, 0.9 * PERIOD))
-    assert other.frame(late + PERIOD - 1e-3) is None
-    assert shown(other, late + PERIOD + 1e-3) == [(None, 1)]
-    assert (other.moment, other.began) == (pytest.approx(0.9 * PERIOD), 0.0)
+    waiting.take(1, sent(1, 0.9 * PERIOD))
+    assert waiting.frame(late + PERIOD - 1e-3) is None
+    assert shown(waiting, late + PERIOD + 1e-3) == [(None, 1)]
+    assert (waiting.moment, waiting.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
 def test_a_board_that_returns_is_shown_whatever_its_phase() -> None:
     """Its frames arrive after those of the leading board, which must wait for them again."""
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
-        seen = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
-        assert seen[6:26] == [(number, None) for number in range(6, 26)]
-        assert seen[26:] == [(number, number) for number in range(26, 40)]
+        delivered = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
+        assert delivered[6:26] == [(number, None) for number in range(6, 26)]
+        assert delivered[26:] == [(number, number) for number in range(26, 40)]
 
 
 def test_the_image_begins_where_every_board_has_come() -> None:
-    here = Alignment(2)
+    alignment = Alignment(2)
     for number in range(-1, 3):
-        here.take(0, sent(number + 1, number * PERIOD))
-    assert here.frame(1e9) is None
-    here.take(1, sent(7, 0.4 * PERIOD))
-    assert shown(here, 0.1 * PERIOD) == [(1, 7)]
+        alignment.take(0, sent(number + 1, number * PERIOD))
+    assert alignment.frame(1e9) is None
+    alignment.take(1, sent(7, 0.4 * PERIOD))
+    assert shown(alignment, 0.1 * PERIOD) == [(1, 7)]
 
 
 def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
-    here = Alignment(1)
+    alignment = Alignment(1)
     for number in range(60):
-        here.take(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
-    assert len(here.delays[0]) == 50
-    late = [here.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)]
+        alignment.take(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
+    assert len(alignment.delays[0]) == 50
+    late = [alignment.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)]
     assert late == pytest.approx([0.02, 0.01, 0.01])
-    here.take(0, replace(sent(60, 9.0, 9.5), session=1))
-    assert [*here.delays[0]] == pytest.approx([-99.5])
+    alignment.take(0, replace(sent(60, 9.0, 9.5), session=1))
+    assert [*alignment.delays[0]] == pytest.approx([-99.5])
 
 
 def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
@@ -454,13 +456,13 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> t
     silent = set[str]()
     waiting = {port: iter(samples) for port, samples in boards.items()}
 
-    def samples(port: str, *rest: Any) -> Samples:
+    def samples(port: str, *arguments: Any) -> Samples:
         for sample in waiting[port]:
             if isinstance(sample, InputError):
                 raise sample
             yield (sample,)
         silent.add(port)
-        while not rest[-1]():
+        while not arguments[-1]():
             time.sleep(1e-3)
 
     monkeypatch.setattr(several, "board_samples", samples)
@@ -509,9 +511,9 @@ def test_frames_that_all_boards_lost_are_lost_and_a_board_that_never_answers_end
 
 
 def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
-    said: list[tuple[str, bool]] = []
+    messages: list[tuple[str, bool]] = []
     path = tmp_path / "one.h5"
-    recorder = Recorder(tmp_path, 2, lambda sentence, runs: said.append((sentence, runs)))
+    recorder = Recorder(tmp_path, 2, lambda sentence, runs: messages.append((sentence, runs)))
     with pytest.raises(InputError, match="up to 64 letters"):
         recorder.ask("a/b")
     for name in ("earlier", "one"):  # the last request counts
@@ -524,22 +526,24 @@ def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
     recorder.take(sent(8, 0.8))
     recorder.close()
     growing = [(f"recording {path}: {count} frames", True) for count in (2, 3, 4, 5, 6, 7, 8)]
-    assert said == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
-    found = Recording.load(path)
-    assert found.acquisition is not None and found.raw_sums is not None
-    assert found.acquisition.sequence.tolist() == [*range(8)]
-    assert found.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
-    assert found.acquisition.event_label == ("zero",) and found.acquisition.event_time[0] == pytest.approx(100.4)
-    del said[:]
+    assert messages == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
+    recording = Recording.load(path)
+    assert recording.acquisition is not None and recording.raw_sums is not None
+    assert recording.acquisition.sequence.tolist() == [*range(8)]
+    assert recording.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
+    assert recording.acquisition.event_label == ("zero",) and recording.acquisition.event_time[0] == pytest.approx(
+        100.4
+    )
+    del messages[:]
     for name in ("one", "two"):
         recorder.ask(name)
         for number in range(9, 11):
             recorder.take(sent(number, 0.1 * number))
     recorder.close()
-    again = Recording.load(tmp_path / "two.h5")
-    assert again.acquisition is not None and again.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
-    assert again.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
-    assert said[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
+    second = Recording.load(tmp_path / "two.h5")
+    assert second.acquisition is not None and second.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
+    assert second.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
+    assert messages[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
 
 
 def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -547,10 +551,10 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
     changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"events": (CLOCK_JUMPED,)}, {"events": (CLOCK_STOPPED,)})
     for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
         samples[number] = replace(samples[number], **change)
-    asked: list[Any] = []
+    calls: list[Any] = []
 
     def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int) -> Samples:
-        asked.append((urls, scene, period, ending(), baseline))
+        calls.append((urls, scene, period, ending(), baseline))
         yield tuple(samples[:2])
         on_state("the board does not answer")
         on_state("the board is gone")
@@ -563,17 +567,17 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
     for name, ports, limits in (("a", "p", {"seconds": 2.0}), ("b", ["p", "q"], {"frames": 5}), ("c", None, {})):
         del steps[:]
         limits |= {"period": 0.1, "on_progress": lambda at: steps.append((at.frames, at.lost, at.state))}
-        done = record(ports, tmp_path / name, **limits)
+        summary = record(ports, tmp_path / name, **limits)
         counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
-        assert {key: getattr(done, key) for key in counts} == counts and done.clock_stopped
-        assert (done.path, done.ended_by, done.noise_lsb) == (tmp_path / name, "", None)
-        assert done.silent == (1.55 if name == "a" else 0.0)
+        assert {key: getattr(summary, key) for key in counts} == counts and summary.clock_stopped
+        assert (summary.path, summary.ended_by, summary.noise_lsb) == (tmp_path / name, "", None)
+        assert summary.silent == (1.55 if name == "a" else 0.0)
         assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
-        found = Recording.load(done.path)
-        assert found.role.tolist() == [MEASURED] * 5 and found.acquisition is not None
-        assert found.acquisition.event_label == ("clock jump", "clock stopped")
-        np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 3]])
-    assert asked == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
+        recording = Recording.load(summary.path)
+        assert recording.role.tolist() == [MEASURED] * 5 and recording.acquisition is not None
+        assert recording.acquisition.event_label == ("clock jump", "clock stopped")
+        np.testing.assert_allclose(recording.acquisition.event_time, recording.time[[2, 3]])
+    assert calls == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
 
 
 def batches_of(*sizes: int) -> Samples:
@@ -584,11 +588,11 @@ def batches_of(*sizes: int) -> Samples:
 def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     line = stream._Line("url", None, None, lambda: False)
     idle = replace(IDLE, running=True)
-    fit, other = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
-    unfit = (Garbage(3), other, other, Garbage(1), Garbage(2), idle, idle, idle, idle)
+    fit, misshapen = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
+    unfit = (Garbage(3), misshapen, misshapen, Garbage(1), Garbage(2), idle, idle, idle, idle)
     for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
-        samples, ended = line._taken(Scanning(idle, OWN, 0, None), messages)
-        assert (samples, ended) == ((), over)
+        samples, finished = line._taken(Scanning(idle, OWN, 0, None), messages)
+        assert (samples, finished) == ((), over)
     counts = {"pieces that are no message": 6, "frames of another size": 4, "answers": 9}
     assert line._unfit == counts
     line._since -= stream.UNFIT_SECONDS + 3.1
@@ -597,8 +601,8 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     with pytest.raises(InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"):
         line.check(1.0)
     run = Scanning(idle, OWN, 0, None)
-    samples, ended = line._taken(run, (fit, fit))
-    assert len(samples) == 1 and not ended and line._unfit == {"frames out of order": 1}
+    samples, finished = line._taken(run, (fit, fit))
+    assert len(samples) == 1 and not finished and line._unfit == {"frames out of order": 1}
     assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
 
 
@@ -630,21 +634,21 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
     for arrived, answers, ending, sizes, since in ENDED_RUNS:
         messages = iter(arrived)
-        asked = iter(answers)
-        ended = iter(ending)
+        identities = iter(answers)
+        ends = iter(ending)
 
-        def identify(asked: Iterator[Hello | None] = asked) -> Hello:
-            if (answer := next(asked)) is None:
+        def identify(identities: Iterator[Hello | None] = identities) -> Hello:
+            if (answer := next(identities)) is None:
                 raise NoBoardError("silent")
             return answer
 
         board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
         board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
-        line = stream._Line("url", None, None, ended.__next__)
+        line = stream._Line("url", None, None, ends.__next__)
         batches = line._run(board, RUNNING, OWN)
-        found = [*itertools.islice(batches, len(sizes))]
-        assert [len(batch) for batch in found] == sizes
-        assert all(sample.session == 0 for batch in found for sample in batch)
+        taken = [*itertools.islice(batches, len(sizes))]
+        assert [len(batch) for batch in taken] == sizes
+        assert all(sample.session == 0 for batch in taken for sample in batch)
         with pytest.raises(NoBoardError if None in answers else StopIteration):
             next(batches)
         assert line._unfit["answers"] == since
@@ -674,8 +678,8 @@ def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> No
     differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
     numbers = np.arange(frames)
     session = (numbers >= 30).astype(np.uint16)
-    nothing = np.zeros(frames, np.uint16)
-    counters = numbers * 1.0, numbers, numbers, nothing, nothing, session
+    zeros = np.zeros(frames, np.uint16)
+    counters = numbers * 1.0, numbers, numbers, zeros, zeros, session
 
     def first(count: int) -> Recording:
         return Recording(
