@@ -60,7 +60,7 @@ def _script(rng: Rng) -> Script:
 
 
 @attack(3, 100)
-def test_a_line_that_floods_or_lies_ends_in_time_with_counted_losses(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Recording ends in time, with a sentence or with frames whose losses are counted."""
     for number in range(count):
         out, begin, lost = folder / f"{number}.h5", time.monotonic(), False
@@ -78,7 +78,7 @@ def test_a_line_that_floods_or_lies_ends_in_time_with_counted_losses(rng: Rng, f
 
 
 @attack(1, 100)
-def test_a_recorder_killed_at_any_moment_leaves_every_counted_frame(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_killed_recorder_leaves_every_counted_frame(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Every frame that it counted is read, in order, before and after repair."""
     for number in range(count):
         out = folder / f"{number}.h5"
@@ -104,7 +104,7 @@ def test_a_recorder_killed_at_any_moment_leaves_every_counted_frame(rng: Rng, fo
 
 
 @attack(1, 10)
-def test_a_broker_that_pauses_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A broker pauses for one to three seconds: messages of that time are lost, but for the first 0.2 s."""
     port, ages, ear = free_port(), list[float](), Client(CallbackAPIVersion.VERSION2)
     ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])

@@ -92,7 +92,7 @@ test_damage_of_results_is_noticed = attack(70, 2900)(_damaged(read_results, good
 
 
 @attack()
-def test_a_flipped_bit_in_any_dataset_is_named(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_names_the_dataset_with_a_flipped_bit(rng: Rng, folder: Path, count: int) -> Outcomes:
     made, places = small_folder(folder / "work"), dict[str, int]()
     with h5py.File(made / "small.h5") as file:
         file.visititems(
@@ -134,7 +134,7 @@ def _results(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
 
 
 @attack(8, 100)
-def test_zeroed_exchanged_and_foreign_chunks_are_named(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_names_zeroed_exchanged_and_foreign_chunks(rng: Rng, folder: Path, count: int) -> Outcomes:
     """HDF5's own checksums pass them: a Fletcher sum of zeros is zero, and it knows no position."""
     for number in range(count):
         make, load = ((_long_recording, Recording.load), (_results, read_results))[number % 2]
@@ -178,7 +178,7 @@ def _harmed_chunk(rng: Rng, file: h5py.File, foreign: h5py.File) -> str:
 
 
 @attack(4, 40)
-def test_exchanged_and_foreign_datasets_are_noticed(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_notices_exchanged_and_foreign_datasets(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Each is as it was written, but not all of them together."""
     for _ in range(count):
         path, foreign_path = (_long_recording(folder / name, rng, (20, 3, 4)) for name in ("a.h5", "b.h5"))
@@ -194,7 +194,7 @@ def test_exchanged_and_foreign_datasets_are_noticed(rng: Rng, folder: Path, coun
         yield called("check", path).refused("datasets were added, removed or exchanged")
 
 
-def test_what_cannot_be_verified_is_named(tmp_path: Path) -> None:
+def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:
     """Files of older versions are read; `check` says what their checksums do not notice."""
     path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
     with h5py.File(path, "r+") as file:
@@ -212,7 +212,7 @@ def test_what_cannot_be_verified_is_named(tmp_path: Path) -> None:
 
 
 @attack(20, 400)
-def test_a_damaged_unclosed_recording_is_refused_or_read_as_it_was(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
     path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
     whole, meant = path.read_bytes(), Recording.load(path)
@@ -223,7 +223,7 @@ def test_a_damaged_unclosed_recording_is_refused_or_read_as_it_was(rng: Rng, fol
 
 
 @attack(6, 200)
-def test_frames_of_another_recording_are_not_repaired_into_a_journal(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_repair_takes_no_frames_of_another_recording(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The end of a journal is that of another one of the same scene, as old blocks of a disk may be."""
     scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
     for number in range(count):

@@ -13,7 +13,7 @@ MAX_GROWTH = 25e6  # bytes
 
 
 @pytest.mark.slow
-def test_a_day_that_is_replayed_takes_no_more_memory_than_an_hour(tmp_path: Path) -> None:
+def test_a_replayed_day_takes_no_more_memory_than_an_hour(tmp_path: Path) -> None:
     scene = Scene(Panel(4, 4), TwoPointReadout(noise_lsb=0.7, readings=20))
     rng = np.random.default_rng(1)
     peaks = []

@@ -16,7 +16,7 @@ FROZEN_S = 2.0
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds had the same end."""
     append: Callable[..., None] = Journal.append
     calls = list[int]()

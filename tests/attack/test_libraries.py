@@ -32,9 +32,7 @@ pytestmark = pytest.mark.slow
 
 
 @attack(2, len(NEEDED))
-def test_commands_name_a_missing_library_that_they_need_and_work_without_all_others(
-    rng: Rng, folder: Path, count: int
-) -> Outcomes:
+def test_commands_name_a_missing_library_and_work_without_unneeded_ones(rng: Rng, folder: Path, count: int) -> Outcomes:
     made, book = small_folder(folder / "work"), Workbook()
     for values in np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2).tolist():
         book.active.append(values)

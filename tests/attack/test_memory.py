@@ -24,7 +24,7 @@ TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 
 
 @attack()
-def test_one_long_text_repeated_in_a_file_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_file_that_repeats_a_long_text_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     path = folder / "small.h5"
     path.write_bytes(good_recordings(folder)[0])
     with h5py.File(path, "a") as file:
@@ -70,7 +70,7 @@ IMPORTED = {
 
 
 @attack(len(IMPORTED), len(IMPORTED))
-def test_small_files_that_unfold_are_not_imported(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_small_files_that_expand_are_not_imported(rng: Rng, folder: Path, count: int) -> Outcomes:
     for name, write in IMPORTED.items():
         write(folder / name)
         yield _bounded(command("import", name, *TABLE, folder=folder, seconds=SECONDS), name)
@@ -102,7 +102,7 @@ def _bounded(ended: Ended, *words: str) -> str:
 
 
 @attack(2, 40)
-def test_a_tight_limit_of_addresses_is_one_sentence_and_never_a_wait(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_tight_address_limit_gives_one_sentence_without_waiting(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they are not loaded."""
     work_folder = small_folder(folder / "work")
     commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))
@@ -114,7 +114,7 @@ def test_a_tight_limit_of_addresses_is_one_sentence_and_never_a_wait(rng: Rng, f
 
 
 @attack(len(ULIMITS), len(ULIMITS))
-def test_a_run_under_a_limit_of_addresses_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_run_under_an_address_limit_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     with (made / "run.yaml").open("a") as run:
         run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")  # two cases, so that there are two processes
@@ -148,7 +148,7 @@ print(reconstruct(recording, [Misfit()], formulation="nodal").status[0])
 """
 
 
-def test_ipopt_needs_no_further_buffer_where_data_took_the_addresses() -> None:
+def test_ipopt_needs_no_further_buffer_when_data_filled_the_addresses() -> None:
     """OpenBLAS asks for ever for the 128 MiB that it is refused."""
     done = subprocess.run([sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "optimum verified\n", "")

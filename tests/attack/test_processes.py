@@ -33,7 +33,7 @@ main()
 
 
 @pytest.mark.slow
-def test_commands_without_a_further_thread_are_refused_or_do_without(
+def test_run_needs_no_second_thread_and_live_is_refused_without_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*arguments: object) -> int:
@@ -48,7 +48,7 @@ def test_commands_without_a_further_thread_are_refused_or_do_without(
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0 or SETPRIV is None, reason="only root becomes another user")
 @attack(6, 40)
-def test_a_limit_of_processes_of_a_user_is_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     made = small_folder(folder / "work")
     folder.chmod(0o755)
     for path in (made, *made.rglob("*")):
@@ -115,7 +115,7 @@ def _content(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 @attack(3, 20)
-def test_a_folder_with_a_sketch_is_whole_whenever_its_export_was_killed(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_killed_export_leaves_a_whole_sketch_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The sketch goes first and comes last, so that none is built of files of two estimators."""
     work_folder = folder / "work"
     _solved(work_folder)
@@ -157,9 +157,7 @@ estimators:
 
 @pytest.mark.slow
 @attack(1, 20)
-def test_a_run_that_was_killed_while_it_verified_ends_as_if_it_had_not_been(
-    rng: Rng, folder: Path, count: int
-) -> Outcomes:
+def test_a_run_killed_during_verification_resumes_to_the_same_results(rng: Rng, folder: Path, count: int) -> Outcomes:
     work_folder = small_folder(folder / "work")
     (work_folder / "run.yaml").write_text(VERIFIED)
     begin = time.monotonic()

@@ -91,7 +91,7 @@ def _refused(make: Any, call: str, given: dict[str, Any], must: bool = False) ->
 
 
 @pytest.mark.slow
-def test_readings_of_extended_precision_are_taken_for_what_they_say(tmp_path: Path) -> None:
+def test_readings_of_extended_precision_are_stored_as_doubles(tmp_path: Path) -> None:
     recording = lampest.datasets.load("rod")
     wide = recording.recorded.astype(np.longdouble)
     extended = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)

@@ -61,7 +61,7 @@ def _tried(description: str, place: Path, commands: Commands) -> Iterator[str]:
 
 
 @attack(4, 60)
-def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_scenes_with_impossible_numbers_give_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     tries = [(old, new, value) for old, several in ENTRIES.items() for new in several for value in EXTREME]
     for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
@@ -76,7 +76,7 @@ def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path
 
 
 @attack(1, 6)
-def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     everywhere = [[row, column] for row in range(6) for column in range(7)]
     faults = {
         "one cell": {"open": everywhere[:-1]},

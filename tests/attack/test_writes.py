@@ -98,7 +98,7 @@ def _inputs(made: Path) -> Path:
 
 @pytest.mark.slow
 @attack()
-def test_links_and_pipes_in_place_of_outputs_are_refused_and_files_of_others_kept(
+def test_outputs_replaced_by_links_or_pipes_are_refused_and_foreign_files_survive(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
     run = ("run", "run.yaml", "--jobs", "1", "--out", "out")
@@ -152,9 +152,7 @@ def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
     return f"{' '.join(arguments)}: {fault}" if fault else HELD
 
 
-def test_the_folder_of_a_new_file_is_on_the_disk_after_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_folder_of_a_new_file_is_synced_after_renaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files and journals: what a power failure leaves of a folder is what was synced."""
     synced, sync = list[bool](), os.fsync
 

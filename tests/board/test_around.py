@@ -25,7 +25,7 @@ ROWS_OF_TABLE = [
 ]
 
 
-def test_missing_packages_are_named_in_one_sentence(tmp_path: Path) -> None:
+def test_one_sentence_names_missing_packages(tmp_path: Path) -> None:
     words = ["make", "-s", "-C", str(FIRMWARE), "ARDUINO=/nowhere", f"BUILD={tmp_path / 'build'}"]
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode
@@ -77,7 +77,7 @@ def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pyte
     os.close(master)
 
 
-def test_flash_and_memory_are_those_of_the_readme() -> None:
+def test_flash_and_memory_match_the_readme() -> None:
     assert len(ROWS_OF_TABLE) >= 8
     built()
     words = ["make", "-s", "-C", str(FIRMWARE), "size"]
@@ -91,7 +91,7 @@ def test_flash_and_memory_are_those_of_the_readme() -> None:
 
 
 @pytest.mark.parametrize(("rows", "columns", "readings", "period_ms", "rate"), ROWS_OF_TABLE)
-def test_the_shortest_period_of_the_table_is_kept(
+def test_a_board_keeps_the_shortest_period_of_the_table(
     tmp_path: Path, rows: int, columns: int, readings: int, period_ms: float, rate: float
 ) -> None:
     """At the shortest period that the board accepts no tick is missed and no frame lost; it is the table's."""

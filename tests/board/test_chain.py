@@ -29,7 +29,7 @@ def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -
     assert recording.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
 
 
-def test_a_line_that_settles_slowly_carries_the_cell_before_into_the_reading(tmp_path: Path) -> None:
+def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_path: Path) -> None:
     """The simulated line has a time constant: 100 us leave e^-0.5 of a step at the first sample, 2 us leave nothing."""
     cells = np.full((1, 2, 2), 1000.0)
     cells[0, 0, 0] = 10.0
@@ -61,7 +61,7 @@ def test_a_file_names_clocks_numbers_and_events_of_its_frames(tmp_path: Path) ->
         assert file["entry/acquisition/lost"].attrs["units"] == b"1"
 
 
-def test_lines_of_the_example_are_the_panel(tmp_path: Path) -> None:
+def test_the_lines_of_the_example_match_the_panel(tmp_path: Path) -> None:
     cells = np.full((10, 10), 3000.0)
     cells[2, 7] = 300.0
     with bench(tmp_path, cells[None], sketch="print_table") as board, serial.Serial(board.port, timeout=30) as port:
@@ -75,7 +75,7 @@ def test_lines_of_the_example_are_the_panel(tmp_path: Path) -> None:
     assert np.unravel_index(np.argmin(recording.recorded[-1]), (10, 10)) == (2, 7)
 
 
-def test_the_library_says_what_it_includes() -> None:
+def test_the_library_lists_its_headers() -> None:
     folder = Path(__file__).parents[2] / "firmware" / "lampest_board"
     lines = (folder / "library.properties").read_text(encoding="utf-8").splitlines()
     properties = dict(line.split("=", 1) for line in lines)
@@ -89,7 +89,7 @@ WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}
 
 
 @pytest.mark.parametrize("wiring", [pytest.param("two_point", marks=pytest.mark.slow), "loaded_columns"])
-def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
+def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> None:
     """One unloaded frame: without repeats the file's σ is the readout's, as it is for live. One has a dead row."""
     truth = np.repeat(some_cells(np.random.default_rng(8), 1, 8, 7), 4, axis=0)
     truth[1:, 5:7, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
@@ -112,7 +112,7 @@ def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
 
 
 @pytest.mark.parametrize("wiring", WIRINGS)
-def test_without_a_scene_the_board_is_believed(tmp_path: Path, wiring: str) -> None:
+def test_a_recording_without_a_scene_takes_that_of_the_board(tmp_path: Path, wiring: str) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(2), 1), wiring=wiring) as board:
         summary = record(board.port, tmp_path / "r.h5", seconds=2)
     recording = Recording.load(tmp_path / "r.h5")
@@ -138,7 +138,7 @@ def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
         *(("loaded_columns", *sizes) for sizes in ((1, 1, 1), (3, 8, 64), (16, 16, 4), (5, 11, 20))),
     ],
 )
-def test_other_sizes_without_noise_are_exact_to_the_converter(
+def test_noise_free_readings_of_any_size_are_exact_to_the_converter(
     tmp_path: Path, wiring: str, rows: int, columns: int, readings: int
 ) -> None:
     """Sums are readings · ⌊1024·V/5⌋: every channel, input (A8 to A15 too), switch and byte is where it belongs."""

@@ -16,7 +16,7 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wiring", ["two_point", "loaded_columns"])
-def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
+def test_recorded_board_frames_give_the_cells(tmp_path: Path, wiring: str) -> None:
     """The shipped lamprey: record → a file in ohm or volt → run → the truth."""
     shipped = Recording.load(LAMPREY)
     truth = shipped.truth_cell_resistance
@@ -46,7 +46,7 @@ def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
 
 
 @pytest.mark.slow
-def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> None:
+def test_shorted_lines_calibrate_the_next_recording(tmp_path: Path) -> None:
     shorted = tmp_path / "shorted.h5"
     scene = tmp_path / "scene.yaml"
     with bench(tmp_path, np.full((1, 10, 10), 1e-3)) as board:
@@ -64,7 +64,7 @@ def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> 
     assert Recording.load(tmp_path / "r.h5").scene == calibrated
 
 
-def test_ports_are_listed_or_said_to_be_none() -> None:
+def test_record_lists_ports_or_says_that_there_are_none() -> None:
     output, complained = lampest("record", "--list")
     assert bool(output) != ("there is no serial port" in complained)
     assert os.linesep not in complained.rstrip()

@@ -47,7 +47,7 @@ def assert_same_optimum(scene, terms, tolerance=0.01):
 
 
 @pytest.mark.parametrize("circuit", mostly_slow("grounded_one", *(name for name in CIRCUITS if name != "grounded_one")))
-def test_every_circuit_has_the_optimum_of_lampest(circuit):
+def test_every_circuit_reaches_the_optimum_of_lampest(circuit):
     assert_same_optimum(scene_of(circuit), [NOISY, lampest.LogGradient()])
 
 
@@ -68,7 +68,7 @@ def test_every_circuit_has_the_optimum_of_lampest(circuit):
     ),
     ids=lambda terms: " + ".join(f"{term.kind}-{term.loss.kind}" for term in terms),
 )
-def test_every_term_and_loss_has_the_optimum_of_lampest(terms):
+def test_every_term_and_loss_reaches_the_optimum_of_lampest(terms):
     assert_same_optimum(scene_of("two_point"), terms)
 
 
@@ -86,7 +86,7 @@ def test_every_term_and_loss_has_the_optimum_of_lampest(terms):
     ),
     ids=["wide oval", "wide with channels", "wide", "wide grounded", "row", "column", "oval", "oval grounded"],
 )
-def test_every_shape_has_the_optimum_of_lampest(scene):
+def test_every_panel_shape_reaches_the_optimum_of_lampest(scene):
     assert_same_optimum(scene, [NOISY, lampest.LogGradient(weight=1.0)])
 
 
@@ -111,7 +111,7 @@ def emulated(folder, build):
 
 
 @pytest.mark.slow
-def test_a_lamprey_is_estimated_within_a_twentieth_of_its_error_by_one_and_a_half_million_instructions(
+def test_a_lamprey_takes_one_and_a_half_million_instructions_and_deviates_by_a_twentieth_of_its_error(
     lamprey, tmp_path
 ):
     path, case = lamprey
@@ -185,7 +185,7 @@ def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
     assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < 24_000
 
 
-def test_standard_deviations_are_those_of_the_linear_system():
+def test_standard_deviations_match_the_linear_system():
     sums, case = solved_case(scene_of("two_point"), [NOISY, lampest.LogGradient(weight=1.0)])
     constants = Constants.of(case)
     with compiled(constants) as host:
@@ -218,7 +218,7 @@ def test_a_baseline_follows_a_drift_and_refuses_a_load():
         np.testing.assert_allclose(host.frame(sums[4])[0], previous, atol=0.02)
 
 
-def test_bad_frames_have_a_status_and_leave_the_estimate():
+def test_bad_frames_get_a_status_and_keep_the_estimate():
     scene = scene_of("loaded_columns")
     sums, case = solved_case(scene, [NOISY, lampest.LogGradient(weight=1.0)])
     full = 4 * 4095
@@ -239,7 +239,7 @@ def test_bad_frames_have_a_status_and_leave_the_estimate():
         assert (status[0], status[5]) == (FINE, 1) and np.isfinite(change).all()
 
 
-def test_missing_readings_and_bounds_have_the_optimum_of_lampest():
+def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
     scene = scene_of("two_point")
     sums = sums_of(scene, pressed_cells(scene))
     sums[4, 2, 2] = 4 * 4095
@@ -254,7 +254,7 @@ def test_missing_readings_and_bounds_have_the_optimum_of_lampest():
 @pytest.mark.parametrize(
     "field", ["reference_ohm", "sigma_volt[1]", "weight", "baseline[30]", "largest_ohm", "supply_volt"]
 )
-def test_constants_that_are_no_numbers_are_refused(field, tmp_path):
+def test_constants_that_are_not_numbers_are_refused(field, tmp_path):
     _, case = solved_case(scene_of("two_point"), [NOISY, lampest.LogGradient(weight=1.0)])
     text = header(Constants.of(case), "panel", ())
     if field == "weight":
@@ -392,7 +392,7 @@ int main(void) {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
-def test_constants_that_are_wrong_never_give_nan_overruns_or_more_work(circuit, tmp_path):
+def test_wrong_constants_never_give_nan_overruns_or_more_work(circuit, tmp_path):
     loss = lampest.Student(corner=5.0)
     _, case = solved_case(scene_of(circuit), [NOISY, lampest.LogRatio(loss=loss, weight=1e-3)], error_bars=False)
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
@@ -420,7 +420,7 @@ def chord_of(rng, shape):
 @pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
 @pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
-def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
+def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_path):
     rng = np.random.default_rng(count)
     shape = (8, 26)
     scene = scene_of(circuit, *shape)
@@ -450,7 +450,7 @@ def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
             assert {tuple(map(int, key)) for key in np.argwhere(pressed)} == expected
 
 
-def test_the_command_writes_a_sketch_and_prints_what_budgets_buy(lamprey, tmp_path):
+def test_the_command_writes_a_sketch_and_prints_its_accuracy(lamprey, tmp_path):
     folder = tmp_path / "mat"
     words = ["export", str(lamprey[0]), "--to", "c", "--out", str(folder), "--milliseconds", "10"]
     done = CliRunner().invoke(app, [*words, "--processor", "cortex-m4f"])
@@ -469,7 +469,7 @@ def test_the_command_writes_a_sketch_and_prints_what_budgets_buy(lamprey, tmp_pa
         (["--estimator", "nobody"], "there are smooth"),
     ],
 )
-def test_wishes_that_cannot_be_met_get_a_sentence_and_write_nothing(lamprey, tmp_path, options, sentence):
+def test_impossible_requests_get_a_sentence_and_write_nothing(lamprey, tmp_path, options, sentence):
     words = ["export", str(lamprey[0]), "--to", "c", "--out", str(tmp_path / "mat"), *options]
     with pytest.raises(lampest.InputError, match=sentence):
         CliRunner().invoke(app, words, standalone_mode=False, catch_exceptions=False)
@@ -484,18 +484,18 @@ def test_wishes_that_cannot_be_met_get_a_sentence_and_write_nothing(lamprey, tmp
         (scene_of("loaded_columns", diode=lampest.Diode()), [NOISY, lampest.LogGradient(weight=1.0)], "no diodes"),
     ],
 )
-def test_what_c_does_not_have_is_refused(scene, terms, sentence):
+def test_methods_without_a_c_version_are_refused(scene, terms, sentence):
     _, case = solved_case(scene, terms)
     with pytest.raises(lampest.InputError, match=sentence):
         Constants.of(case)
 
 
-def test_lines_that_are_held_while_idle_and_driven_through_a_resistor_are_refused():
+def test_idle_lines_held_behind_a_drive_resistor_are_refused():
     with pytest.raises(lampest.InputError, match="hold at ground while they are idle"):
         CircuitLines.of(lampest.DrivenReadout(idle_ohm=0.0), (4, 4))
 
 
-def test_a_budget_is_the_smallest_that_fits(lamprey):
+def test_the_smallest_sufficient_budget_is_chosen(lamprey):
     _, case = lamprey
     constants = Constants.of(case)
     with compiled(constants) as host:

@@ -53,7 +53,7 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: P
     assert 20 <= len(undamaged) <= len(accepted)
 
 
-def test_unplugging_marks_a_gap_and_goes_on_in_the_same_file(tmp_path: Path) -> None:
+def test_unplugging_marks_a_gap_in_the_same_file(tmp_path: Path) -> None:
     cells = some_cells(np.random.default_rng(9), 1)
     states: list[Progress] = []
     with bench(tmp_path, cells, "--unplug", "3:5", "--no-reset-on-open") as board:
@@ -69,7 +69,7 @@ def test_unplugging_marks_a_gap_and_goes_on_in_the_same_file(tmp_path: Path) -> 
     assert np.all(np.abs(recording.resistance / recording.resistance[0] - 1) < 0.02)
 
 
-def test_a_board_that_resets_is_set_and_started_again(tmp_path: Path) -> None:
+def test_a_reset_board_is_configured_and_started_again(tmp_path: Path) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1, 5, 5), "--reset", "5", "--no-reset-on-open") as board:
         summary = record(board.port, tmp_path / "r.h5", frames=40, scene=scene(5, 5), period=0.25)
     recording = Recording.load(tmp_path / "r.h5")
@@ -77,7 +77,7 @@ def test_a_board_that_resets_is_set_and_started_again(tmp_path: Path) -> None:
     assert recording.resistance.shape == (40, 5, 5)
 
 
-def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> None:
+def test_a_running_recording_can_be_read_but_not_repaired(tmp_path: Path) -> None:
     frame_counts: list[int] = []
     out = tmp_path / "r.h5"
 

@@ -90,7 +90,7 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
         os.close(end)
 
 
-def test_the_lines_of_the_page_find_the_pressed_cells(page: Any, board: tuple[str, threading.Event]) -> None:
+def test_the_code_of_the_page_locates_the_pressed_cells(page: Any, board: tuple[str, threading.Event]) -> None:
     port, press = board
     with flexitac.FlexiTacSensor(port, baseline=0.0) as sensor:
         frames = page.cells(sensor, UNLOADED)
@@ -111,7 +111,7 @@ def test_the_lines_of_the_page_find_the_pressed_cells(page: Any, board: tuple[st
     assert np.median(np.abs(divider / PRESSED_OHM - 1)) > 1.0
 
 
-def test_readings_of_an_open_skin_are_not_called_wrong(page: Any) -> None:
+def test_readings_of_an_open_skin_raise_no_doubt(page: Any) -> None:
     """Most of an unloaded skin conducts hardly, so that its median reading is near a rail."""
     scene = replace(page.scene, panel=lampest.Panel(6, 8, 2.0))
     cells = np.full((8, 6, 8), 60_000.0)

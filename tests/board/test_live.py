@@ -98,7 +98,7 @@ def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
 
 
 @pytest.mark.slow
-def test_a_user_sees_the_ring(tmp_path: Path) -> None:
+def test_the_page_shows_the_ring(tmp_path: Path) -> None:
     """A ring of 27 to 35 mm: 11.5 N under eight cells around four that carry nothing."""
     cells, unloaded = truth_of(RING)
     pressure = Recording.load(RING).truth_pressure
@@ -121,7 +121,7 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_map_of_a_board_that_estimates_is_beside_the_others(tmp_path: Path) -> None:
+def test_the_page_shows_the_map_of_an_estimating_board(tmp_path: Path) -> None:
     """Frames without an estimate leave it empty; a board without one has no third map."""
     ring = Recording.load(RING)
     change = np.log(ring.truth_cell_resistance / ring.truth_cell_resistance[0])
@@ -157,7 +157,7 @@ def inside(ring: Any) -> Any:
 
 
 @pytest.mark.slow
-def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
+def test_unsolved_frames_are_not_drawn(tmp_path: Path) -> None:
     run = tmp_path / "run.yaml"
     run.write_text(
         "schema: 1\nrecordings: [none.h5]\nestimators: {hasty: {terms: {misfit: {}, total_variation: {weight: 1}}}}\n"
@@ -236,7 +236,7 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
 
 
 @pytest.mark.slow
-def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
+def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
     """The board is there before lampest, its mouth comes after TOUCH_S and breathes by 8 % at 1.1 Hz."""
     watched = "return document.getElementById('sentence').innerText"
     rng = np.random.default_rng(5)
@@ -257,7 +257,7 @@ def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
+def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
     """With the unloaded frames first, into the folder where lampest was begun; a second one is another file."""
     cells, _ = truth_of(LAMPREY)
     script = "return document.getElementById('recorded').innerText"
@@ -290,7 +290,7 @@ def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
 )
-def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int) -> None:
+def test_the_open_page_shows_thirty_frames_a_second(tmp_path: Path, seconds: int) -> None:
     """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once; none is lost."""
     cells, _ = truth_of(LAMPREY)
     with (

@@ -75,7 +75,7 @@ def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threadin
     listener.close()
 
 
-def test_the_lines_of_the_page_find_the_pressed_cells(
+def test_the_code_of_the_page_locates_the_pressed_cells(
     scene: lampest.Scene, server: tuple[str, threading.Event]
 ) -> None:
     address, press = server

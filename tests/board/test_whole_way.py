@@ -53,7 +53,7 @@ def recorded(exported, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "r.h5"
 
 
-def test_the_recording_holds_sums_and_what_the_library_estimates_from_them(exported, recorded: Path) -> None:
+def test_the_recording_holds_sums_and_the_estimates_of_the_library(exported, recorded: Path) -> None:
     """The board takes its baseline from the unloaded frames; the numbers are those of this computer's C, to the bit."""
     _, budget, case = exported
     recording = Recording.load(recorded)
@@ -87,7 +87,7 @@ def test_info_does_not_compare_without_unloaded_frames(recorded: Path, tmp_path:
     assert "estimated 8 of 8 measured frames; they are compared where unloaded frames precede them" in output
 
 
-def test_live_has_the_boards_map_beside_its_own(exported, tmp_path: Path) -> None:
+def test_live_shows_the_map_of_the_board_next_to_its_own(exported, tmp_path: Path) -> None:
     with portable_bench(tmp_path, exported[0], CELLS) as board:
         source = LiveBoard((board.port,), SCENE, UNLOADED_FRAMES, out=tmp_path / "r.h5")
         method = Estimator((Misfit(weighting="noise"), LogGradient()), "reduced")
@@ -129,7 +129,7 @@ def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None
     assert np.isfinite(recording.recorded).all()
 
 
-def test_boards_without_an_estimate_go_on_as_before(exported, tmp_path: Path) -> None:
+def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) -> None:
     """The Mega does not know the command; constants of another size leave the estimating board a plain one."""
     (tmp_path / "mega").mkdir()
     with bench(tmp_path / "mega", CELLS[:1]) as board:
@@ -187,7 +187,7 @@ def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(t
     assert all(strength == "0.00" for _, group in heard[1::2] for *_, strength in group)
 
 
-def test_the_largest_difference_has_its_frame_and_without_error_bars_its_percent(exported) -> None:
+def test_the_largest_difference_names_its_frame_and_its_percent_without_error_bars(exported) -> None:
     case = exported[2]
     own = np.log(case.cell_resistance / case.baseline_resistance)
     altered = own.copy()

@@ -134,7 +134,7 @@ def apply(folder: Path, fence: Fence) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
+def test_examples_print_the_output_of_their_page(name: str, copy: Path) -> None:
     checker = doctest.OutputChecker()
     options = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for fence in EXAMPLES[name]:
@@ -196,7 +196,7 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_links_lead_somewhere_and_paths_that_are_named_exist(page: Path) -> None:
+def test_links_and_named_paths_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         path, _, anchor = target.partition("#")
@@ -244,7 +244,7 @@ def test_architecture_names_every_module_once_in_its_room() -> None:
         assert sorted(rows) == sorted(modules), room.name
 
 
-def test_glossary_says_truly_where_things_are_defined() -> None:
+def test_the_glossary_names_where_things_are_defined() -> None:
     glossary = (DOCS / "theory" / "glossary.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\|.*\| `(lampest/[\w./]+)`(?:: (.+?))? \|$", glossary, re.MULTILINE)
     assert len(rows) > 40
@@ -254,7 +254,7 @@ def test_glossary_says_truly_where_things_are_defined() -> None:
             assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
 
 
-def test_the_readouts_page_has_every_kind_scenes_that_are_read_and_its_drawings(tmp_path: Path) -> None:
+def test_the_readouts_page_shows_every_kind_with_a_valid_scene_and_a_drawing(tmp_path: Path) -> None:
     page = READOUTS.read_text(encoding="utf-8")
     blocks = fences(READOUTS)
     kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
@@ -297,7 +297,7 @@ def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS]
 
 
-def test_comments_of_configurations_messages_and_docstrings_are_plain() -> None:
+def test_comments_messages_and_docstrings_are_plain() -> None:
     comments = (
         (path, comment)
         for path in (REPOSITORY / "configs").glob("*.yaml")
@@ -327,11 +327,11 @@ OF_MATS = ("tutorial/mats.md", "tutorial/own_panel.md", *(f"howto/{name}.md" for
 
 
 @pytest.mark.parametrize("page", [README, *(DOCS / name for name in OF_MATS)], ids=lambda page: page.name)
-def test_the_way_of_mats_speaks_of_mats_alone(page: Path) -> None:
+def test_the_path_for_mats_mentions_mats_alone(page: Path) -> None:
     assert not re.search("lamprey", page.read_text(encoding="utf-8"), re.IGNORECASE)
 
 
-def test_the_page_of_mats_links_pages_of_mats_and_names_columns_that_exist() -> None:
+def test_the_page_for_mats_links_such_pages_and_names_existing_columns() -> None:
     page = DOCS / "tutorial" / "mats.md"
     text = page.read_text(encoding="utf-8")
     linked = {(page.parent / target).resolve() for target in re.findall(r"[^!]\[[^]]*\]\(([^)#]+\.md)", text)}
@@ -344,7 +344,7 @@ def test_the_page_of_mats_links_pages_of_mats_and_names_columns_that_exist() -> 
     assert names - {"reading_model"} <= set(estimate.to_dataframe().columns)
 
 
-def test_the_code_beside_ros_makes_an_image_of_a_message(tmp_path: Path) -> None:
+def test_the_ros_example_turns_a_message_into_an_image(tmp_path: Path) -> None:
     (code,) = (block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python")
     names: dict[str, Any] = {}
     exec(compile(code, "cells.py", "exec"), names)

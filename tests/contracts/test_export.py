@@ -83,7 +83,7 @@ def check_table(table: Any, results: Path) -> None:
             assert_array_equal(lines.saturated.astype(float), shown(case, "saturated").ravel())
 
 
-def test_csv_is_what_pandas_reads(lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pandas_reads_the_csv_export(lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
     path = exported(lampest, results, "csv")
@@ -95,7 +95,7 @@ def test_csv_is_what_pandas_reads(lampest: Run, results: Path, monkeypatch: pyte
     assert export_results(results, "csv")[0].read_bytes() == written, "nor is pandas needed to write it"
 
 
-def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tmp_path: Path) -> None:
+def test_csv_quotes_names_that_spreadsheets_would_compute(lampest: Run, tmp_path: Path) -> None:
     names = {"=cmd|'C calc'!A0": "+1", "-2+3": "@SUM(A1)"}
     cases = [invented_case(estimator, recording, (2, 3, 4)) for recording, estimator in names.items()]
     write_results(tmp_path / "r.h5", cases)
@@ -109,7 +109,7 @@ def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tm
         assert not [field for line in csv.reader(lines) for field in line if field.startswith(("=", "+", "@"))]
 
 
-def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tmp_path: Path) -> None:
+def test_pyarrow_and_pandas_read_the_parquet_export(lampest: Run, results: Path, tmp_path: Path) -> None:
     import pandas
     from pyarrow import parquet
 
@@ -128,7 +128,7 @@ def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tm
     assert_array_equal(table[table.recording == "volts"].measured_volt, volt.measured.ravel())
 
 
-def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
+def test_scipy_reads_the_mat_export(lampest: Run, results: Path) -> None:
     from scipy.io import loadmat
 
     path = exported(lampest, results, "mat")
@@ -153,7 +153,7 @@ def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
     assert held[0]["start_time"] == START
 
 
-def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
+def test_xarray_reads_the_zarr_export(lampest: Run, results: Path) -> None:
     import xarray
     from zarr.storage import ZipStore
 
@@ -173,16 +173,14 @@ def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
 @pytest.mark.parametrize(
     ("library", "to"), [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")]
 )
-def test_a_library_that_is_missing_is_named(
-    results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
-) -> None:
+def test_export_names_a_missing_library(results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$"):
         export_results(results, to, recording="mouth")
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None:
+def test_a_failed_export_leaves_no_file(results: Path) -> None:
     class Broken(Export):
         kind = "broken"
         suffix = ".txt"
@@ -197,7 +195,7 @@ def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-def test_nwb_is_what_pynwb_reads_with_who_was_measured_and_a_start_that_is_given(lampest: Run, tmp_path: Path) -> None:
+def test_pynwb_reads_the_nwb_export_with_subject_and_start(lampest: Run, tmp_path: Path) -> None:
     from pynwb import read_nwb, validate
 
     case = invented_case("LSM", "mouth", (2, 3, 4))

@@ -145,7 +145,7 @@ def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path:
     assert file.name == "histogram_ellipse.png"
 
 
-def test_a_package_brings_all_of_them_to_yaml(
+def test_an_installed_package_adds_its_names_to_yaml(
     tmp_path: Path, package: Callable[..., None], lampest: Callable[..., SimpleNamespace]
 ) -> None:
     package(EXTENSIONS, **{group: f"addon:{name}" for group, name in GROUPS.items()})
@@ -175,7 +175,7 @@ def test_a_package_brings_all_of_them_to_yaml(
 
 
 @pytest.mark.parametrize(("group", "name", "sentence"), WRONG)
-def test_what_a_package_names_wrongly_is_one_sentence(
+def test_a_wrong_entry_point_gives_one_sentence(
     tmp_path: Path,
     package: Callable[..., None],
     lampest: Callable[..., SimpleNamespace],

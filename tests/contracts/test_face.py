@@ -56,7 +56,7 @@ def estimate(lamprey: Recording) -> Reconstruction:
     return lampest.reconstruct(lamprey, [Misfit(), Gradient(weight=np.float64(1e-3))], formulation="reduced")
 
 
-def test_every_name_is_there_and_listed() -> None:
+def test_every_public_name_exists_and_is_listed() -> None:
     assert set(lampest.__all__) <= set(dir(lampest))
     assert len(set(lampest.__all__)) == len(lampest.__all__)
     for name in (*lampest.__all__, "__version__"):
@@ -112,7 +112,7 @@ MISTAKES = (
 
 
 @pytest.mark.slow
-def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
+def test_a_strict_type_checker_infers_the_types_of_a_script(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     wrong = tmp_path / "wrong.py"
     script.write_text(SCRIPT)
@@ -131,13 +131,13 @@ def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("given", "sentence"), WRONG)
-def test_wrong_use_is_one_sentence(lamprey: Recording, given: dict[str, Any], sentence: str) -> None:
+def test_wrong_use_gives_one_sentence(lamprey: Recording, given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError) as raised:
         lampest.reconstruct(**{"recording": lamprey, "terms": MISFIT} | given)
     assert isinstance(raised.value, ValueError) and str(raised.value).startswith(sentence)
 
 
-def test_wrong_frames_weights_and_files_are_one_sentence(lamprey: Recording) -> None:
+def test_wrong_frames_weights_and_files_give_one_sentence(lamprey: Recording) -> None:
     estimator = lampest.Estimator((Misfit(),), "reduced")
     readings = lamprey.readings()
     stream = lampest.Stream.begin(estimator, lamprey.scene, 1.0, readings[:3].mean())
@@ -158,7 +158,7 @@ def test_wrong_frames_weights_and_files_are_one_sentence(lamprey: Recording) -> 
         replace(lamprey, recorded=lamprey.recorded / 1000)
 
 
-def test_a_recording_and_a_reconstruction_are_one_line_each(lamprey: Recording, estimate: Reconstruction) -> None:
+def test_a_recording_and_a_reconstruction_print_one_line_each(lamprey: Recording, estimate: Reconstruction) -> None:
     assert len(repr(lamprey).splitlines()) == len(repr(estimate).splitlines()) == 1
     assert estimate.weights.keys() == {"gradient"} and np.all(estimate.weights["gradient"] == 1e-3)
     shown = estimate._repr_html_()
@@ -167,7 +167,7 @@ def test_a_recording_and_a_reconstruction_are_one_line_each(lamprey: Recording, 
     assert not {"of", "asked", "tared"} & set(dir(estimate)) and {"cell_resistance", "fit_report"} <= set(dir(estimate))
 
 
-def test_what_is_saved_is_what_the_arrays_hold(estimate: Reconstruction, tmp_path: Path) -> None:
+def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path) -> None:
     estimate.save(tmp_path / "r.h5", name="mine")
     (case,) = lampest.read_results(tmp_path / "r.h5").cases
     assert (case.recording, case.estimator) == ("lamprey_35mm", "mine")
@@ -183,7 +183,7 @@ def test_what_is_saved_is_what_the_arrays_hold(estimate: Reconstruction, tmp_pat
     assert (restored.case_id, restored.case_yaml) == (case.case_id, case.case_yaml)
 
 
-def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
+def test_estimates_without_noise_have_no_error_bars(lamprey: Recording) -> None:
     silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
     bare = lampest.reconstruct(silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none"))
     for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
@@ -197,7 +197,7 @@ def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
         bare.plot("pressure")
 
 
-def test_labelled_arrays_say_what_results_files_say(estimate: Reconstruction, tmp_path: Path) -> None:
+def test_labelled_arrays_agree_with_results_files(estimate: Reconstruction, tmp_path: Path) -> None:
     estimate.save(tmp_path / "r.h5")
     dataset = estimate.to_xarray()
     assert dict(dataset.sizes) == {"time": 4, "row": 10, "column": 10}
@@ -225,7 +225,7 @@ def test_labelled_arrays_say_what_results_files_say(estimate: Reconstruction, tm
     assert float(dataset.sel(time=5.0, row=3, column=4).cell_resistance) == estimate.cell_resistance[2, 3, 4]
 
 
-def test_what_a_file_is_and_what_is_not_installed_is_said(
+def test_errors_name_the_kind_of_a_file_and_a_missing_library(
     estimate: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     estimate.save(tmp_path / "r.h5")
@@ -263,7 +263,7 @@ def test_examples_in_docstrings_run(
         assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
 
 
-def test_progress_counts_the_frames_of_all(known: dict[str, object]) -> None:
+def test_progress_counts_all_frames(known: dict[str, object]) -> None:
     progress: list[tuple[int, int]] = []
     estimate = lampest.reconstruct(known["recording"], [Misfit()], progress=lambda *frames: progress.append(frames))
     assert progress == [(1, 2), (2, 2)] and estimate.solved.all()
@@ -279,7 +279,7 @@ def few() -> Recording:
     return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
 
 
-def test_it_serves_better_than_the_papers_weight(few: Recording) -> None:
+def test_the_automatic_weight_is_better_than_the_papers_weight(few: Recording) -> None:
     errors = {}
     for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):
         estimate = lampest.reconstruct(few, [Misfit(), penalty])

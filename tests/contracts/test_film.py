@@ -59,7 +59,7 @@ def recording(tmp_path: Path, lampest: Command) -> Path:
 
 
 @pytest.mark.slow
-def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lampest: Command) -> None:
+def test_a_run_estimates_the_film_and_prints_its_numbers(recording: Path, lampest: Command) -> None:
     config = recording.parent / "run.yaml"
     out = recording.parent / "out"
     config.write_text(RUN, encoding="utf-8")
@@ -80,7 +80,7 @@ def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lamp
     assert "film       hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
 
 
-def test_tare_changes_the_unloaded_frames_alone_and_doubts_those_with_a_load(recording: Path, lampest: Command) -> None:
+def test_tare_changes_only_the_unloaded_frames_and_warns_of_a_load(recording: Path, lampest: Command) -> None:
     out = recording.parent / "zeroed.h5"
     completed = lampest("tare", recording, "--frames", "55:60", "--out", out)
     assert (completed.code, completed.out, completed.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
@@ -100,7 +100,7 @@ def rods(tmp_path: Path, lampest: Command) -> list[Path]:
     return sorted((tmp_path / "rods").glob("rod_*.h5"))
 
 
-def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
+def test_yaml_and_csv_give_the_same_scene_and_it_is_printed_without_out(
     rods: list[Path], tmp_path: Path, lampest: Command
 ) -> None:
     path = tmp_path / "loads.yaml"
@@ -115,7 +115,7 @@ def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
     assert public.read_scene(path.with_name("scene.yaml")).response is not None
 
 
-def test_loads_that_cannot_be_are_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
+def test_impossible_loads_give_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
     path = tmp_path / "loads.csv"
     out = tmp_path / "scene.yaml"
     for text, words in WRONG.items():

@@ -44,7 +44,7 @@ def recorded(path: Path, values: np.ndarray) -> Path:
     return path
 
 
-def test_a_batch_loses_a_file_that_is_cut_off_and_no_more(tmp_path: Path, lampest: Command) -> None:
+def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command) -> None:
     values = healthy(2)
     values[2, 0, 1], values[2, 2, 2], values[3, 3], values[4] = np.nan, np.inf, np.nan, np.nan
     recorded(tmp_path / "holes.h5", values)
@@ -66,7 +66,7 @@ def test_a_batch_loses_a_file_that_is_cut_off_and_no_more(tmp_path: Path, lampes
 
 
 @pytest.mark.slow
-def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: Command) -> None:
+def test_errors_and_coverage_count_intact_cells(tmp_path: Path, lampest: Command) -> None:
     """Of a panel with a hole, an open and a shorted cell and a dead row; the report compares two estimators on it."""
     places = tuple((*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0))
     broken = Faults(open=((1, 1),), shorted=((2, 3),), dead_rows=(5,))
@@ -83,7 +83,7 @@ def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: 
     assert float(re.findall(r"truth within its interval \[%\]\s+([\d.]+)", text)[0]) > 80
 
 
-def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:
+def test_info_names_a_row_without_readings(tmp_path: Path, lampest: Command) -> None:
     values = healthy(4)
     values[:, 2] = np.nan
     output = lampest("info", recorded(tmp_path / "row.h5", values)).out
@@ -91,7 +91,7 @@ def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> 
 
 
 @pytest.mark.parametrize("terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))])
-def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tuple[object, ...]) -> None:
+def test_the_first_readable_frame_replaces_missing_unloaded_frames(terms: tuple[object, ...]) -> None:
     values = healthy(5)
     values[:3] = np.nan
     estimate = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
@@ -99,7 +99,7 @@ def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tup
     assert np.nanmax(np.abs(estimate.relative_change)) < 5.0
 
 
-def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
+def test_a_frame_with_mostly_missing_readings_is_not_solved() -> None:
     """156 of 256: what is left would determine lines, but not cells."""
     truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
     values = lampest.two_point_resistance(truth)
@@ -125,7 +125,7 @@ def solved(recording: lampest.Recording, formulation: str, weight: float | None 
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
-def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
+def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
     """Without noise a millionth counts, above and below; a bound that holds nothing back changes no word."""
     unloaded = cells()
     loaded = cells()
@@ -136,7 +136,7 @@ def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
     assert solved(recording, formulation, upper=9100.0, lower=299.0) == [VERIFIED] * 2
 
 
-def test_what_noise_explains_is_not_told() -> None:
+def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
     """A cell beyond what the converter resolves takes less than σ from its reading; many such cells take more."""
     unloaded = cells()
     open_cell = cells()

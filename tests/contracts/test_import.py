@@ -498,12 +498,10 @@ refused("another word for missing", lines(FRAMES), SENTENCE, missing="drop", abs
 
 
 @pytest.mark.parametrize("file", TABLES.values(), ids=TABLES)
-def test_a_table_gives_its_frames_times_and_sentences(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_table_is_imported_with_its_frames_times_and_notes(file: SimpleNamespace, tmp_path: Path) -> None:
     imports.check_taken(file, tmp_path)
 
 
 @pytest.mark.parametrize("file", REFUSED.values(), ids=REFUSED)
-def test_a_table_that_cannot_be_read_is_refused_with_the_place_of_its_fault(
-    file: SimpleNamespace, tmp_path: Path
-) -> None:
+def test_an_unreadable_table_is_refused_with_the_place_of_its_fault(file: SimpleNamespace, tmp_path: Path) -> None:
     imports.check_refused(file, tmp_path)

@@ -380,12 +380,12 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("file", FILES.values(), ids=FILES)
-def test_an_array_or_a_sheet_gives_its_frames_times_and_sentences(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_an_array_or_a_sheet_is_imported_with_its_frames_times_and_notes(file: SimpleNamespace, tmp_path: Path) -> None:
     check_taken(file, tmp_path)
 
 
 @pytest.mark.parametrize("file", REFUSED, ids=lambda file: f"{file.name}: {file.notes[0]}")
-def test_a_fault_in_a_file_is_one_sentence(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_fault_in_a_file_gives_one_sentence(file: SimpleNamespace, tmp_path: Path) -> None:
     check_refused(file, tmp_path)
 
 
@@ -408,7 +408,7 @@ def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
         read_scene(path)
 
 
-def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Callable[..., Any]) -> None:
+def test_the_import_sets_entries_of_a_scene(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     scene = tmp_path / "scene.yaml"
     made = tmp_path / "m.h5"
     scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
@@ -428,7 +428,7 @@ def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Calla
     assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err
 
 
-def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_own(tmp_path: Path) -> None:
+def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path: Path) -> None:
     truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
     volts = OWN_VOLTAGES.circuit.exact_reading(truth)
     (tmp_path / "v.csv").write_text("\n".join(lines(volts)))
@@ -448,7 +448,7 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
 # The command.
 
 
-def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
+def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "howto" / "import.md").read_text(encoding="utf-8")
     typed = re.split(r"^\$ ", page.partition("```console\n")[2].partition("```")[0], flags=re.MULTILINE)[1:]
     answers = {line: answer for line, _, answer in (part.partition("\n") for part in typed)}
@@ -460,13 +460,13 @@ def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stderr, ended.stdout) == (0, "", answers[call])
 
 
-def test_info_says_when_a_recording_began(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
+def test_info_prints_the_start_of_a_recording(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
     recording = Recording.from_array(FRAMES)
     replace(recording, start_time="2025-01-31T12:00:00+01:00").save(tmp_path / "m.h5")
     assert "start      2025-01-31T12:00:00+01:00 at 0 s" in lampest("info", tmp_path / "m.h5").out.splitlines()
 
 
-def test_a_signalling_nan_of_an_array_becomes_a_quiet_one(tmp_path: Path) -> None:
+def test_an_imported_signalling_nan_becomes_quiet(tmp_path: Path) -> None:
     """NumPy warns of it in later arithmetic."""
     values = FRAMES.copy()
     values.view(np.uint64)[1, 0, 0] = 0x7FF0000000000001

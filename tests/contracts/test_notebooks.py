@@ -65,7 +65,7 @@ def long_table() -> pandas.DataFrame:
     return pandas.DataFrame({"t": TIMES[frame], "row": row, "col": column, "ohm": VALUES.ravel()})
 
 
-def test_a_table_is_a_recording_whatever_its_layout() -> None:
+def test_a_table_of_any_layout_becomes_a_recording() -> None:
     wide = pandas.DataFrame(dict(zip(NAMES, VALUES.reshape(4, -1).T, strict=True)))
     dated = wide.set_index(pandas.date_range("2025-01-31T12:00:00", periods=4, freq="500ms"))
     shuffled = wide[NAMES[::-1]].assign(t=TIMES)
@@ -79,7 +79,7 @@ def test_a_table_is_a_recording_whatever_its_layout() -> None:
     assert Recording.from_dataframe(wide, unit="ohm", scene=scene).scene == scene
 
 
-def test_the_table_of_an_estimate_is_its_recording_again(estimate: Reconstruction) -> None:
+def test_the_table_of_an_estimate_gives_its_recording_back(estimate: Reconstruction) -> None:
     table = estimate.to_dataframe()
     recording = Recording.from_dataframe(
         table, unit="ohm", rows=int(table.row.max() + 1), columns=int(table.column.max() + 1)
@@ -88,7 +88,7 @@ def test_the_table_of_an_estimate_is_its_recording_again(estimate: Reconstructio
     np.testing.assert_allclose(recording.time, table.time.unique())
 
 
-def test_a_table_that_does_not_fit_is_refused_with_its_place() -> None:
+def test_an_inconsistent_table_is_refused_with_its_place() -> None:
     table = long_table()
     with pytest.raises(InputError, match="table: line 10, column 'row': row 2 is beyond the panel's 0 to 1"):
         Recording.from_dataframe(table, rows=2, columns=5)
@@ -102,7 +102,7 @@ def test_a_table_that_does_not_fit_is_refused_with_its_place() -> None:
         )
 
 
-def test_a_labelled_array_is_a_recording_in_any_order_of_its_dimensions() -> None:
+def test_a_labelled_array_becomes_a_recording_in_any_order_of_dimensions() -> None:
     dates = np.datetime64("2025-01-31T12:00:00") + (1000 * TIMES).astype("m8[ms]")
     for dims, times in ((("time", "row", "column"), TIMES), (("t", "y", "x"), dates), (("frame", "row", "col"), None)):
         coordinates = {} if times is None else {dims[0]: times}
@@ -121,7 +121,7 @@ def test_a_labelled_array_is_a_recording_in_any_order_of_its_dimensions() -> Non
 
 
 @pytest.mark.slow
-def test_readings_and_times_of_an_estimate_are_those_of_its_file(estimate: Reconstruction) -> None:
+def test_readings_and_times_of_an_estimate_equal_those_of_its_file(estimate: Reconstruction) -> None:
     case = estimate.result()
     np.testing.assert_array_equal(estimate.reading_model, case.reading_model)
     np.testing.assert_array_equal(estimate.solve_time, case.solve_time)
@@ -141,7 +141,7 @@ def test_a_picture_fits_into_given_axes_with_given_ends(kind: str, estimate: Rec
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_new_picture_has_a_given_size_and_notebooks_show_it(kind: str, estimate: Reconstruction) -> None:
+def test_a_new_picture_has_the_given_size_and_is_shown_in_notebooks(kind: str, estimate: Reconstruction) -> None:
     figure = estimate.plot(kind, figsize=(5.0, 4.0))
     assert tuple(figure.get_size_inches()) == (5.0, 4.0)
     assert figure._repr_png_().startswith(b"\x89PNG")
@@ -171,7 +171,7 @@ def test_wrong_options_of_a_picture_are_refused(estimate: Reconstruction, axes: 
 
 
 @pytest.mark.slow
-def test_the_map_of_a_wrong_circuit_says_so(recording: Recording, estimate: Reconstruction, axes: Any) -> None:
+def test_the_map_of_a_wrong_circuit_has_a_warning(recording: Recording, estimate: Reconstruction, axes: Any) -> None:
     words = "wrong circuit: it does not explain the readings"
     wrong = Scene(recording.scene.panel, TwoPointReadout(reference_ohm=10_000.0, readings=1, noise_lsb=1.0))
     readout = recording.scene.readout
@@ -197,7 +197,7 @@ def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, estimate: Reco
 
 
 @pytest.mark.slow
-def test_titles_break_between_words_alone(recording: Recording, tmp_path: Path) -> None:
+def test_titles_break_only_between_words(recording: Recording, tmp_path: Path) -> None:
     name = "LSR-gradient_of_log.weight 0.0001 and more"
     estimate = reconstruct(recording, [Misfit(weighting="noise")])
     lampest.write_results(tmp_path / "r.h5", [estimate.result(name), estimate.result("b"), estimate.result("c")])
@@ -213,7 +213,7 @@ def test_titles_break_between_words_alone(recording: Recording, tmp_path: Path) 
 # Lines of objects.
 
 
-def test_objects_are_one_short_line(recording: Recording, estimate: Reconstruction, tmp_path: Path) -> None:
+def test_objects_print_one_short_line(recording: Recording, estimate: Reconstruction, tmp_path: Path) -> None:
     estimate.save(tmp_path / "r.h5")
     stream = lampest.Stream.begin(estimate.estimator, recording.scene, 1.0, recording.readings()[0])
     for item in (
@@ -228,7 +228,7 @@ def test_objects_are_one_short_line(recording: Recording, estimate: Reconstructi
 
 
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda path: path.stem)
-def test_the_last_line_of_an_example_shows_its_picture(script: Path) -> None:
+def test_the_last_line_of_an_example_shows_a_picture(script: Path) -> None:
     last = ast.parse(script.read_text(encoding="utf-8")).body[-1]
     drawn = "pyplot" in script.read_text(encoding="utf-8")
     assert drawn or "figure" not in script.read_text(encoding="utf-8") or (
@@ -237,7 +237,7 @@ def test_the_last_line_of_an_example_shows_its_picture(script: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_notebook_of_the_first_example_shows_its_picture(tmp_path: Path) -> None:
+def test_a_notebook_of_the_first_example_shows_a_picture(tmp_path: Path) -> None:
     import nbformat
     from nbclient import NotebookClient
 

@@ -134,7 +134,7 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @needs_broker
-def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path: Path) -> None:
+def test_live_reports_a_lost_broker_and_reconnects(lampest: Run, tmp_path: Path) -> None:
     port = free_port()
     received = list[dict[str, Any]]()
     first = ExitStack()
@@ -155,7 +155,7 @@ def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path
 
 
 @needs_broker
-def test_a_broker_that_refuses_is_one_sentence(lampest: Run, tmp_path: Path) -> None:
+def test_a_refusing_broker_gives_one_sentence(lampest: Run, tmp_path: Path) -> None:
     port = free_port()
     with broker(tmp_path, port, "allow_anonymous false"):
         completed = replayed(lampest, f"mqtt://mouse:secret@127.0.0.1:{port}/panel/one")
@@ -168,7 +168,7 @@ def test_a_broker_that_refuses_is_one_sentence(lampest: Run, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_websocket_carries_the_message_to_who_has_the_token(lampest: Run) -> None:
+def test_websocket_carries_the_message_to_clients_with_the_token(lampest: Run) -> None:
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
@@ -189,7 +189,7 @@ def test_websocket_carries_the_message_to_who_has_the_token(lampest: Run) -> Non
 
 
 @pytest.mark.slow
-def test_lsl_is_a_described_stream(lampest: Run) -> None:
+def test_lsl_outlet_describes_its_stream(lampest: Run) -> None:
     import pylsl
 
     received: dict[str, Any] = {}
@@ -220,7 +220,7 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_or_not_there_is_one_sentence_and_live_ends_after_so_many_frames(lampest: Run) -> None:
+def test_an_unavailable_port_gives_one_sentence_and_live_ends_after_its_frames(lampest: Run) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -45,7 +45,7 @@ def written(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("shape", [(3, 10, 10), (1, 1, 1), (2, 1, 8), (70, 5, 12)])
-def test_what_goes_in_comes_out(tmp_path: Path, shape: tuple[int, int, int]) -> None:
+def test_written_results_are_read_unchanged(tmp_path: Path, shape: tuple[int, int, int]) -> None:
     """Names out of alphabetical order: the order of the configuration must survive."""
     known = {"z": {"truth": True, "start_time": "2026-05-04T09:30:00+02:00"}, "b": {"truth": False}}
     cases = [invented_case(name, stem, shape, **known[stem]) for stem in known for name in reversed(METHODS)]
@@ -58,7 +58,7 @@ def test_what_goes_in_comes_out(tmp_path: Path, shape: tuple[int, int, int]) -> 
             np.testing.assert_equal(getattr(stored, item.name), getattr(expected, item.name), err_msg=item.name)
 
 
-def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
+def test_a_failed_frame_holds_nan_and_a_sentence(written: Path) -> None:
     case = read_results(written).cases[0]
     assert np.isnan(case.cell_resistance[1]).all()
     assert case.status[1] == "stopped: too many iterations"
@@ -120,7 +120,7 @@ def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) ->
     assert len(names) > 20 and all(part.isidentifier() for name in names for part in name.replace("-", "_").split("/"))
 
 
-def test_a_full_disk_leaves_nothing_behind_and_an_older_file_as_it_is(
+def test_a_full_disk_leaves_no_fragment_and_keeps_the_older_file(
     tmp_path: Path, written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original = written.read_bytes()
@@ -135,7 +135,7 @@ def test_a_full_disk_leaves_nothing_behind_and_an_older_file_as_it_is(
 @pytest.mark.parametrize(
     "name", ["", ".", "..", "../x", "a/b", "/etc", " a", "a ", "x\n", "λ", "tab\t", "a\0b", "\x1b[31m", "x" * 201]
 )
-def test_names_that_cannot_be_groups(name: str) -> None:
+def test_names_that_cannot_be_groups_are_refused(name: str) -> None:
     for place in ("estimator", "recording"):
         with pytest.raises(InputError, match="cannot name") as refused:
             invented_case(**{place: name})
@@ -144,7 +144,7 @@ def test_names_that_cannot_be_groups(name: str) -> None:
         invented_case("recording")
 
 
-def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
+def test_inconsistent_cases_are_refused(tmp_path: Path) -> None:
     case = invented_case()
     with pytest.raises(InputError, match="two cases are called mouth × LSM"):
         write_results(tmp_path / "r.h5", [case, case])
@@ -159,7 +159,7 @@ def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
+def test_results_hold_the_whole_scene(tmp_path: Path) -> None:
     faults = Faults(open=((0, 1),), dead_rows=(3,))
     water = Water(70.0)
     further = (faults, water, Temperature(-0.003, 20.0, 12.0), Systematic(0.01, 3.0))
@@ -177,7 +177,7 @@ def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
         invented_case(scene=Scene(Panel(4, 5)))
 
 
-def test_no_file_no_hdf5_and_a_cut_file(written: Path) -> None:
+def test_missing_foreign_and_truncated_files_are_refused(written: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_results(written.with_name("none.h5"))
     data = written.read_bytes()
@@ -187,7 +187,7 @@ def test_no_file_no_hdf5_and_a_cut_file(written: Path) -> None:
             read_results(written)
 
 
-def test_damaged_values_and_long_texts_are_found(tmp_path: Path) -> None:
+def test_damaged_values_and_long_texts_are_detected(tmp_path: Path) -> None:
     """HDF5 keeps attributes of more than 4 kB where it has no checksum."""
     path = tmp_path / "r.h5"
     write_results(path, [invented_case(case_yaml="k" * 8000)])

@@ -25,7 +25,7 @@ def cases(folder: Path) -> tuple[CaseResult, ...]:
     return read_results(folder / "results.h5").cases
 
 
-def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_run_writes_its_estimates(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
     completed = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
     assert (completed.code, completed.err) == (0, "")
@@ -48,7 +48,7 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
     assert [set(case.costs) for case in written] == [{"misfit", *penalty} for penalty in penalties]
 
 
-def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_second_run_solves_nothing_unless_fresh(disk: SimpleNamespace, lampest: Command) -> None:
     run = disk.folder / "run.yaml"
     out = disk.folder / "out"
     lampest("run", run, "--out", out, "--jobs", "1")
@@ -62,7 +62,7 @@ def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, l
 
 
 @pytest.mark.slow
-def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
+def test_changed_cases_are_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
     """Another weight: one case. Another recording of that name: all. A damaged result, or another case's: that one."""
     out = disk.folder / "out"
     lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
@@ -77,7 +77,7 @@ def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -
         assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
 
 
-def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_failed_frame_holds_nan_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
     terms = "verify: {frames: none}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}"
     limited = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
@@ -91,7 +91,7 @@ def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, 
         assert np.all(np.isnan(values))
 
 
-def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
     out.mkdir()
     with (out / ".lock").open("w") as lock:
@@ -109,7 +109,7 @@ def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampes
     assert "formulation: per_pixel" in second.case_yaml and "weight: 3" in first.case_yaml
 
 
-def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_along(
+def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figures(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And the results where the command is called, in results/<name of the file>."""
@@ -125,14 +125,14 @@ def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_
     assert given.initial.time_s == 58.63 and given.following is None
 
 
-def test_the_schema_is_the_shipped_one_and_knows_every_term(lampest: Command) -> None:
+def test_the_schema_equals_the_shipped_one_and_has_every_term(lampest: Command) -> None:
     shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
     assert lampest("show", "schema").out == shipped, "lampest show schema > configs/lampest.schema.json"
     assert all(f'"{word}"' in shipped for word in (*term_types(), "huber", "per_pixel", "sweep", "published"))
 
 
 @pytest.mark.parametrize("name", ["table1", "all_scenes"])
-def test_shipped_runs_are_in_order(name: str) -> None:
+def test_shipped_runs_are_valid(name: str) -> None:
     path = ROOT / "configs" / f"{name}.yaml"
     run = read_run(path)
     recordings = {case.recording for case in run.cases}
@@ -151,7 +151,7 @@ def test_shipped_runs_are_in_order(name: str) -> None:
     }
 
 
-def test_missing_library_is_one_sentence(
+def test_a_missing_library_gives_one_sentence(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
@@ -183,7 +183,7 @@ def large(disk: SimpleNamespace, frames: int) -> None:
     "executor",
     ["serial", *(pytest.param(f"{kind}, workers: 2", marks=pytest.mark.slow) for kind in ("processes", "dask"))],
 )
-def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) -> None:
+def test_an_interrupt_keeps_finished_cases(executor: str, disk: SimpleNamespace) -> None:
     large(disk, 9)
     weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 300)]
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
@@ -198,7 +198,7 @@ def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
-def test_a_case_that_is_broken_off_keeps_its_finished_frames(executor: str, disk: SimpleNamespace) -> None:
+def test_an_interrupted_case_keeps_its_finished_frames(executor: str, disk: SimpleNamespace) -> None:
     large(disk, 1502)
     text = disk.text[: disk.text.index("  LSR-CR")] + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
     out = disk.folder / "out"

@@ -57,21 +57,21 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
         ("readout=5", "readout: must be a mapping with a 'kind', not 5"),
     ],
 )
-def test_a_wrong_value_is_named_with_what_to_write(
+def test_the_error_of_a_wrong_value_names_valid_ones(
     assigned: str, sentence: str, codes: Path, scene: Path, lampest: Command
 ) -> None:
     ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
     assert ended.code == 2 and sentence in ended.err and "Input should" not in ended.err
 
 
-def test_a_file_in_place_of_which_another_appears_is_named(codes: Path, scene: Path, lampest: Command) -> None:
+def test_import_says_that_it_replaced_a_file(codes: Path, scene: Path, lampest: Command) -> None:
     made = codes.with_suffix(".h5")
     first, second = (lampest("import", codes, "--scene", scene, "--out", made) for _ in range(2))
     assert first.out.splitlines()[-1] == str(made)
     assert second.out.splitlines()[-1] == f"{made} (in place of the file that had this name)"
 
 
-def test_only_what_frames_cannot_tell_is_called_assumed(codes: Path, scene: Path, lampest: Command) -> None:
+def test_import_calls_only_undetermined_entries_assumed(codes: Path, scene: Path, lampest: Command) -> None:
     output = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
     assert "polarity" not in output
     scene.write_text(f"{PANEL}readout: {LOADED.replace('adc_bits: 12, ', '')}\n")
@@ -81,13 +81,13 @@ def test_only_what_frames_cannot_tell_is_called_assumed(codes: Path, scene: Path
     )
 
 
-def test_infinite_resistances_without_a_readout_are_at_no_rail(tmp_path: Path) -> None:
+def test_infinite_resistances_without_a_readout_are_not_at_a_rail(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", np.where(CODES.max() == CODES, np.inf, CODES))
     _, notes = lampest.import_file(tmp_path / "m.npy", 3, 5, unit="ohm")
     assert any("zero or infinite: kept as bounds" in note for note in notes) and not any("rail" in n for n in notes)
 
 
-def test_a_setting_of_an_unknown_estimator_is_refused_by_its_name(starter: Path, lampest: Command) -> None:
+def test_the_error_names_an_unknown_estimator_of_a_setting(starter: Path, lampest: Command) -> None:
     ended = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
     assert ended.code == 2
     assert "there is no estimator 'smoth'; did you mean smooth?" in ended.err
@@ -115,7 +115,7 @@ def lampest_cases(run: Path) -> Any:
 @pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_mux", "pull_ups", "grounded", "amplifiers"])
 @pytest.mark.parametrize("unloaded", [True, False])
-def test_the_starter_recording_has_no_line_that_seems_to_touch(
+def test_info_of_the_starter_recording_reports_no_touching_lines(
     circuit: str, unloaded: bool, tmp_path: Path, lampest: Command
 ) -> None:
     assert lampest("init", tmp_path / "mine", "--readout", circuit).code == 0
@@ -138,7 +138,7 @@ def test_the_starter_recording_has_no_line_that_seems_to_touch(
 
 
 @pytest.mark.slow
-def test_changes_without_unloaded_frames_are_not_against_the_unloaded_panel(tmp_path: Path, lampest: Command) -> None:
+def test_info_names_the_reference_of_the_changes(tmp_path: Path, lampest: Command) -> None:
     from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct
 
     values = np.random.default_rng(2).uniform(500, 600, (3, 4, 4))
@@ -150,7 +150,7 @@ def test_changes_without_unloaded_frames_are_not_against_the_unloaded_panel(tmp_
 
 
 @pytest.mark.slow
-def test_noise_that_agrees_with_the_scene_is_no_news(tmp_path: Path, lampest: Command) -> None:
+def test_noise_that_agrees_with_the_scene_is_not_reported(tmp_path: Path, lampest: Command) -> None:
     from lampest import LoadedColumnsReadout, Panel, Recording, Scene
 
     readout = LoadedColumnsReadout(load_ohm=3300.0, readings=1, noise_lsb=0.0)
@@ -178,7 +178,7 @@ def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
         ("cut.h5", "it is cut off, 5000 of "),
     ],
 )
-def test_a_file_of_another_kind_is_named_with_the_command_that_reads_it(
+def test_the_error_names_the_command_for_a_file_of_another_kind(
     starter: Path, lampest: Command, name: str, kind: str
 ) -> None:
     example = (starter / "example.h5").read_bytes()
@@ -190,7 +190,7 @@ def test_a_file_of_another_kind_is_named_with_the_command_that_reads_it(
         assert ended.code == 2 and kind in ended.err and "synchronously" not in ended.err, ended.err
 
 
-def test_recordings_and_results_are_not_confused(starter: Path, lampest: Command) -> None:
+def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Command) -> None:
     assert "a recording, lampest run computes results of it" in lampest("plot", starter / "example.h5").err
     assert "HDF5, a recording or results; lampest info describes it" in lampest("run", starter / "example.h5").err
     assert "a folder; name a file in it" in lampest("info", starter).err

@@ -126,14 +126,14 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
         pytest.param("baseline_frames: 5", "baseline_frames: 1", "audit.yaml", marks=pytest.mark.slow),
     ],
 )
-def test_a_mistake_in_the_file_of_a_script_is_one_sentence(
+def test_a_mistake_in_the_file_of_a_script_gives_one_sentence(
     disk: SimpleNamespace, lampest: Command, old: str, new: str, place: str
 ) -> None:
     done, out = studied(lampest, disk, "audit", AUDIT.replace(old, new))
     assert done.code == 2 and place in done.err and len(done.err.strip().splitlines()) == 1 and not out.exists()
 
 
-def test_weights_without_noise_and_truth_are_chosen_by_risk_alone(disk: SimpleNamespace, lampest: Command) -> None:
+def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespace, lampest: Command) -> None:
     path = disk.recording(disk.folder / "small.h5", scene=UNKNOWN_NOISE)
     with h5py.File(path, "a") as file:
         del file["entry/truth"]
@@ -158,7 +158,7 @@ def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamesp
 
 
 @pytest.mark.slow
-def test_the_papers_page_needs_nothing_else_and_its_scenes_give_most_of_its_numbers(tmp_path: Path) -> None:
+def test_the_papers_page_is_self_contained_and_its_scenes_give_its_numbers(tmp_path: Path) -> None:
     main = ("-c", "from lampest.cli import main; main()")
     folder = tmp_path / "out"
     completed = started(tmp_path, *main, "study", "paper", "--out", "out", "--jobs", "1")

@@ -78,7 +78,7 @@ def good(folder: Path) -> Corpus:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
+def test_good_files_are_accepted(good: Corpus, folder: Path, kind: str) -> None:
     for content in good.files[kind]:
         assert receive(Mutant(kind, content), folder) == FINE
 
@@ -87,7 +87,7 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
     "count", [pytest.param(40, marks=pytest.mark.slow), pytest.param(2500, marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("kind", KINDS)
-def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
+def test_mutated_files_are_accepted_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
     """The number of an input stands for the same one in every process."""
     second_corpus = corpus(folder)
     cleared(folder)
@@ -106,7 +106,7 @@ def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: 
     st.sampled_from(["mark", "skip-frame", "refuse"]),
 )
 @QUICK
-def test_any_table_is_taken_or_refused_with_one_sentence(
+def test_any_table_is_accepted_or_refused_with_one_sentence(
     tmp_path_factory: pytest.TempPathFactory,
     scene: Scene | None,
     rows: list[list[str]],
@@ -129,7 +129,7 @@ def test_any_table_is_taken_or_refused_with_one_sentence(
 
 @given(st.text(max_size=40))
 @QUICK
-def test_any_name_is_a_part_of_a_path_or_refused(name: str) -> None:
+def test_any_name_is_usable_in_a_path_or_refused(name: str) -> None:
     """A name that is accepted is one part of a path and leads nowhere else."""
     try:
         check_name(name, "recording")
@@ -155,7 +155,9 @@ def test_an_endless_file_as_a_run_is_refused() -> None:
 
 @pytest.mark.parametrize("frames", [10**9, 10**15])
 @pytest.mark.parametrize("names", [("resistance", "time", "role", "sigma"), ("time",), ("role",)])
-def test_recording_that_claims_many_frames(good: Corpus, folder: Path, names: tuple[str, ...], frames: int) -> None:
+def test_a_recording_that_claims_many_frames_is_refused(
+    good: Corpus, folder: Path, names: tuple[str, ...], frames: int
+) -> None:
     """It is refused, and nothing of that size is touched."""
     stream = io.BytesIO(good.files["recording"][0])
     with h5py.File(stream, "a") as file:
@@ -181,7 +183,7 @@ OUTSIDE = {
 
 @pytest.mark.parametrize("link", OUTSIDE.values(), ids=OUTSIDE)
 @pytest.mark.parametrize("name", ["/entry/two_point/resistance", "/entry/scene", "/entry/acquisition"])
-def test_nothing_outside_the_file_is_read(good: Corpus, tmp_path: Path, link: Any, name: str) -> None:
+def test_readers_read_nothing_outside_the_file(good: Corpus, tmp_path: Path, link: Any, name: str) -> None:
     path = tmp_path / "linked.h5"
     path.write_bytes(good.files["recording"][0])
     (tmp_path / "other.h5").write_bytes(good.files["recording"][0])

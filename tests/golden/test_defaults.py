@@ -14,5 +14,5 @@ def test_public_classes_have_their_stored_defaults(name: str) -> None:
     assert defaults()[name] == STORED[name], INTENDED
 
 
-def test_numbers_of_modules_stay() -> None:
+def test_numbers_of_modules_have_their_stored_values() -> None:
     assert constants() == json.loads(CONSTANTS.read_text()), INTENDED
