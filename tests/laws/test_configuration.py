@@ -57,14 +57,14 @@ def test_examples_differ_in_every_field(kind: type) -> None:
 
 
 @EVERY
-def test_object_to_text_to_object_is_the_same(kind: type) -> None:
+def test_a_configuration_survives_its_text(kind: type) -> None:
     for example, document in documents(kind):
         assert document.content == plain_content(example)
         assert validated(document, kind) == example, document.content
 
 
 @EVERY
-def test_unknown_key_is_refused_and_named_wherever_it_stands(kind: type) -> None:
+def test_an_unknown_key_is_refused_and_named_at_any_depth(kind: type) -> None:
     every = ((path, document) for example, document in documents(kind) for path in places(example, ()))
     shallow = {path: document for path, document in every if len(path) <= DEEPEST}
     for path, document in shallow.items():
@@ -83,7 +83,7 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 
 @EVERY
-def test_numbers_that_measure_nothing_are_refused_wherever_they_stand(kind: type) -> None:
+def test_numbers_beyond_any_measurement_are_refused_at_any_depth(kind: type) -> None:
     """Every number of every example: a sentence with line, column and key, before anything computes with it."""
     every = ((path, document) for _, document in documents(kind) for path in numbers(document.content, ()))
     shallow = {path: document for path, document in every if len(path) <= 1 + DEEPEST}
@@ -111,7 +111,7 @@ def replaced(content: Any, path: tuple[Any, ...], value: float) -> Any:
 
 
 @EVERY
-def test_missing_key_is_refused_and_named(kind: type) -> None:
+def test_a_missing_key_is_refused_and_named(kind: type) -> None:
     content = plain_content(examples(kind)[0])
     for field in dataclasses.fields(kind):
         if field.default is field.default_factory:
@@ -121,7 +121,7 @@ def test_missing_key_is_refused_and_named(kind: type) -> None:
 
 
 @EVERY
-def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
+def test_a_configuration_is_frozen_and_contains_only_configurations(kind: type) -> None:
     assert kind.__dataclass_params__.frozen
     assert kind.__pydantic_config__ == {"extra": "forbid"}
     inside = {part for hint in hints(kind).values() for part in parts(hint) if dataclasses.is_dataclass(part)}
@@ -129,7 +129,7 @@ def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
 
 
 @pytest.mark.parametrize(("members", "member", "word"), MEMBERS)
-def test_a_union_is_told_apart_by_its_kind(members: tuple[type, ...], member: type, word: str) -> None:
+def test_the_kind_distinguishes_the_members_of_a_union(members: tuple[type, ...], member: type, word: str) -> None:
     """In every place that takes the union: the member loads by its word, and no other word of the union's does."""
     assert [alternative for alternative in members if word in words(alternative)] == [member]
     example = dataclasses.replace(examples(member)[0], kind=word)
@@ -147,7 +147,7 @@ def test_every_term_goes_by_its_kind_in_an_estimator() -> None:
             assert loaded(to_yaml({kind: example}), Terms) == Terms(**{kind: example})
 
 
-def test_every_method_may_be_its_bare_word() -> None:
+def test_every_method_may_be_given_by_its_name() -> None:
     methods = members_of(AnyMethod)
     assert {word for method in methods for word in words(method)} == {*get_args(MethodName)}
     for method in methods:
@@ -228,7 +228,7 @@ IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
 
 
 @pytest.mark.parametrize(("make", "words"), IMPOSSIBLE, ids=range(len(IMPOSSIBLE)))
-def test_what_cannot_be_is_refused_in_one_sentence(make: Callable[[], object], words: str) -> None:
+def test_impossible_configurations_give_one_sentence(make: Callable[[], object], words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make()
     assert isinstance(refusal.value, InputError) or "\n" not in str(refusal.value)

@@ -18,7 +18,7 @@ NETWORK = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
-def test_an_effect_is_smooth_in_its_size_and_nothing_at_zero(kind: type[Effect]) -> None:
+def test_an_effect_is_smooth_in_its_size_and_vanishes_at_zero(kind: type[Effect]) -> None:
     places = list(kind.places(3, 4))
     assert len(set(places)) == len(places) > 0
     for lines in places:
@@ -48,7 +48,7 @@ def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: Shared
     assert_allclose(double, 2 * single, rtol=1e-2, atol=1e-9)
 
 
-def test_a_reference_without_an_error_keeps_its_column_and_leaves_error_bars() -> None:
+def test_an_exact_reference_keeps_its_column_and_leaves_error_bars_unchanged() -> None:
     exact = lampest.Systematic(0.0, 0.0, response_sd=0.0)
     columns = error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact)
     assert columns.shape == (1, 3, 4) and not columns.any()

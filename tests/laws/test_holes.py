@@ -39,7 +39,7 @@ def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1)
     return recording_of(scene, recorded, 2, truth_cell_resistance=cells)
 
 
-def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -> None:
+def test_the_optimum_with_a_penalty_uses_only_the_present_readings() -> None:
     """Against scipy's least squares over those readings alone, with a network of its own."""
     noisy = recording(TWO_POINT)
     weight = 1e-4
@@ -73,7 +73,7 @@ def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation
 
 
 @pytest.mark.slow
-def test_plain_least_squares_says_how_little_it_knows_of_a_cell_that_nobody_read() -> None:
+def test_plain_least_squares_gives_an_unread_cell_wide_error_bars() -> None:
     """The others stay as good as their own readings make them; that cell's interval is wide and holds the truth."""
     elsewhere = []
     held = []

@@ -24,7 +24,7 @@ def blocks_of(shape: tuple[int, int], values: int) -> LineBlocks:
 
 @pytest.mark.parametrize("values", [1, 2])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_inverse_is_that_of_the_matrix(
+def test_the_inverse_by_blocks_equals_that_of_the_matrix(
     shape: tuple[int, int], values: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocks = blocks_of(shape, values)
@@ -39,7 +39,7 @@ def test_the_inverse_is_that_of_the_matrix(
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_determinant_is_that_of_the_laplacian_with_ties(
+def test_the_determinant_equals_that_of_the_laplacian_with_ties(
     shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(4)
@@ -51,7 +51,7 @@ def test_the_determinant_is_that_of_the_laplacian_with_ties(
     assert max(sizes) <= min(shape)
 
 
-def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_over_its_longer_side(
+def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Estimates, their verification and the check of the circuit: 1 × 800 cells took 1.9 s, and 1 × 1600 12 s."""

@@ -51,7 +51,7 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
-def test_neighbours_join_all_cells_and_no_absent_one(outline: str) -> None:
+def test_neighbours_connect_all_cells_and_no_absent_one(outline: str) -> None:
     panel, _ = drawn(outline, 2)
     first, second, distance = panel.neighbours
     assert panel.present.flat[first].all() and panel.present.flat[second].all()
@@ -64,14 +64,14 @@ def test_neighbours_join_all_cells_and_no_absent_one(outline: str) -> None:
     assert reached == set(np.flatnonzero(panel.present).tolist())
 
 
-def test_a_lattice_that_lies_askew_has_four_neighbours_though_its_places_are_rounded() -> None:
+def test_cells_of_a_rotated_lattice_have_four_neighbours_despite_rounding() -> None:
     places = [
         (j, k, round((j + k) * 7.5 / 2**0.5, 1), round((j - k) * 7.5 / 2**0.5, 1)) for j in range(5) for k in range(5)
     ]
     assert len(Panel(5, 5, 7.5, tuple(places)).neighbours[0]) == 2 * 5 * 4
 
 
-def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
+def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
     """The same neighbours and the same estimate, whether cells are listed or not."""
     plain = Panel(3, 4, 8.0)
     listed = replace(plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4)))
@@ -84,7 +84,7 @@ def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
-def test_a_cell_that_was_not_read_follows_its_neighbours(outline: str) -> None:
+def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
     """With log_gradient a missing reading's cell is found, and even cells stay even."""
     panel, _ = drawn(outline, 4)
     readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
@@ -106,7 +106,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
 
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])
-def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> None:
+def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
     """They are written, read and drawn; an absent crossing has no number."""
     panel, cells = drawn(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
@@ -142,7 +142,7 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 
 
-def test_a_reading_that_no_cells_allow_is_left_out() -> None:
+def test_an_impossible_reading_is_left_out() -> None:
     """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells stay right."""
     panel = Panel(6, 6)
     cells = 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
@@ -161,7 +161,7 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     assert Prepared(recording_of(scene, wrong, 1)).check.mark == "no"
 
 
-def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
+def test_a_frame_of_bounds_is_checked_by_the_circuit_laws_alone() -> None:
     panel, cells = drawn("foot", 11)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
@@ -169,7 +169,7 @@ def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
     assert check.mark == "doubtful" and "no cells were fitted" in check.sentence
 
 
-def test_a_line_of_a_table_without_numbers_is_named(tmp_path: Path) -> None:
+def test_the_error_names_a_table_line_without_numbers(tmp_path: Path) -> None:
     """Its first line may be a header."""
     (tmp_path / "cells.csv").write_text("row,column\n0,0\n0,x\n")
     (tmp_path / "scene.yaml").write_text("panel: {rows: 2, columns: 2, cells: cells.csv}\n")

@@ -78,7 +78,7 @@ class Square(Shape):
         return under * contact_of_weight(self.mass_g, self.edge_mm**2), np.zeros_like(x)
 
 
-def test_a_shape_of_ones_own_is_simulated(tmp_path: Path) -> None:
+def test_an_own_shape_is_simulated(tmp_path: Path) -> None:
     load = Square(centre_mm=(45.0, 45.0), edge_mm=40.0, mass_g=1500.0, tilt=0.2)
     contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
     assert contact.sum() * FINE.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01) and not suction.any()
@@ -90,7 +90,7 @@ def test_a_shape_of_ones_own_is_simulated(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_candidate_of_ones_own_is_recognised_and_no_disc() -> None:
+def test_an_own_candidate_is_recognised_instead_of_a_disc() -> None:
     loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
     verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)
     assert verdict.best.candidate.label == "square" and verdict.goodness < 1.4

@@ -46,7 +46,7 @@ def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
-def test_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
+def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
     operator = made(kind, COSTS[cost])
     rng = np.random.default_rng(5)
     for free in (EVERY, rng.random(EVERY.size) < 0.6):
@@ -69,7 +69,7 @@ def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: ty
     assert preconditioned.products <= plain.products
 
 
-def test_it_serves_no_other_panel() -> None:
+def test_the_distance_to_another_panel_is_infinite() -> None:
     operator = preconditioner(hessian_of(COSTS["plain"]), EVERY)
     assert operator.distance(operator.cell_resistance) == 0
     assert operator.distance(operator.cell_resistance * 2) == pytest.approx(np.log(2))

@@ -84,7 +84,7 @@ def size(values: Array) -> float:
 
 
 @every_scene
-def test_a_scene_with_it_comes_back_from_yaml(scene: Scene) -> None:
+def test_a_scene_with_the_readout_survives_yaml(scene: Scene) -> None:
     assert validated(parse_document(to_yaml(scene), "law"), Scene) == scene
 
 

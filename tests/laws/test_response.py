@@ -34,7 +34,7 @@ def test_the_published_curve_passes_through_its_points(pressure: float, change: 
 
 
 @OWN
-def test_a_response_of_its_own_falls_strictly_is_1_at_rest_and_is_inverted(response: Response) -> None:
+def test_an_own_response_falls_strictly_from_1_and_is_inverted(response: Response) -> None:
     low, high = (2 * end for end in response.told_kpa)
     pressure = np.linspace(low - 1, high, 1001)
     assert np.all(np.diff(response.logarithm(pressure)) < 0)
@@ -46,7 +46,7 @@ def test_a_response_of_its_own_falls_strictly_is_1_at_rest_and_is_inverted(respo
 
 
 @OWN
-def test_pressures_go_through_the_scenes_own_curve_and_gains(response: Response) -> None:
+def test_pressures_pass_through_the_curve_and_gains_of_the_scene(response: Response) -> None:
     """With and without water and a film that remembers nothing: what is put in comes out, cell by cell."""
     gain = ((0.7, 1.0, 1.3), (1.1, 0.9, 1.0))
     own = replace(response, gain=gain, gain_sd=None)

@@ -50,7 +50,7 @@ def sums(load: Shape) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_is_in_the_schema_and_comes_back_from_yaml(kind: type[Shape]) -> None:
+def test_a_shape_is_in_the_schema_and_survives_yaml(kind: type[Shape]) -> None:
     load = load_of(kind)
     simulation = Simulation(1, 1, Scene(PANEL), loads=(load,))
     assert validated(parse_document(to_yaml(simulation), "again"), Simulation) == simulation
@@ -60,7 +60,7 @@ def test_is_in_the_schema_and_comes_back_from_yaml(kind: type[Shape]) -> None:
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_presses_or_sucks_within_its_reach_alone(kind: type[Shape]) -> None:
+def test_a_shape_presses_or_sucks_only_within_its_reach(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=1.0, tilt_direction_deg=200.0)
     contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
     x, y = FINE.centres_mm()
@@ -79,7 +79,7 @@ def test_the_pressure_of_a_shape_moves_with_its_centre(kind: type[Shape]) -> Non
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
+def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
     level = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=0.0)
     tilted = dataclasses.replace(level, tilt=0.6, tilt_direction_deg=90.0)
     assert sums(tilted) == pytest.approx(sums(level), rel=1e-9)
@@ -88,7 +88,7 @@ def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
 
 
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
-def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> None:
+def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> None:
     """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
     panel = Panel(6, 6)
     rng = np.random.default_rng(4)
@@ -105,7 +105,7 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
 
 
 @pytest.mark.parametrize("kind", [kind for kind in shape_types() if isinstance(kind.candidate, RoundCandidate)])
-def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
+def test_recognition_and_simulation_share_one_pressure(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
     sampled = np.sum(load.mean_pressure(PANEL, 6.0), axis=0)
@@ -115,7 +115,7 @@ def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> No
     assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
 
 
-def test_labels_and_kinds_are_their_own() -> None:
+def test_labels_and_kinds_are_unique() -> None:
     every = [candidate.label for candidate in (*UNIFORM, *LOADS, FIELD)]
     assert len(set(every)) == len(every)
     kinds = [example(kind).split(",")[0] for kind in shape_types()]
@@ -123,7 +123,7 @@ def test_labels_and_kinds_are_their_own() -> None:
     assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False), "a full disc with nothing else unless it says so"
 
 
-def test_a_mouth_of_any_form_bears_its_suction() -> None:
+def test_the_rim_of_any_mouth_balances_its_suction() -> None:
     """The rim's force is the suction's, however long or uneven it is; extra pressure comes on top of it."""
     level = OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0)
     uneven = {"elongation": 1.3, "elongation_deg": 25.0, "unevenness": 0.4, "lobes": 3, "unevenness_deg": 70.0}
@@ -155,7 +155,7 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_values_are_those_of_fine_sampling(seed: int) -> None:
+def test_pressures_equal_those_of_fine_sampling(seed: int) -> None:
     rng = np.random.default_rng(seed)
     outer = float(rng.uniform(15, 50))
     numbers = (rng.uniform(-5, 45), rng.uniform(-5, 65), outer, outer * rng.uniform(0.2, 0.8), -rng.uniform(2, 20))

@@ -105,7 +105,7 @@ def test_a_term_without_a_unit_or_with_the_kind_of_another_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_only_data_terms_read_what_was_measured(term: type[Term], words: dict[str, Any]) -> None:
+def test_only_data_terms_read_the_measurement(term: type[Term], words: dict[str, Any]) -> None:
     data, cells = example(1)
     original = state(data, cells)
     moved = dataclasses.replace(original, measured=original.measured + 1.0)
@@ -211,7 +211,7 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
 
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_residual_scales_as_its_unit_says(term: type[Term], words: dict[str, Any]) -> None:
+def test_the_residual_scales_with_its_unit(term: type[Term], words: dict[str, Any]) -> None:
     """With all resistances doubled a residual in ohm doubles; a percentage, a ratio, a standard deviation stays."""
     data, cells = example(1)
     chosen = term(**words)
@@ -235,7 +235,7 @@ def slopes(loss: Loss, x: Array) -> Array:
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
-def test_losses_are_even_rising_and_zero_at_zero_and_convex_if_they_say_so(loss: Loss) -> None:
+def test_losses_are_even_rising_zero_at_zero_and_convex_as_declared(loss: Loss) -> None:
     losses = values(loss, GRID)
     assert float(loss.cost(casadi.DM(0.0))) == 0
     assert np.all(losses[np.abs(GRID) > 1e-9] > 0)
@@ -246,7 +246,7 @@ def test_losses_are_even_rising_and_zero_at_zero_and_convex_if_they_say_so(loss:
     assert float(loss.cost(column)) == pytest.approx(losses.sum(), rel=1e-12)
 
 
-def test_losses_are_what_they_say() -> None:
+def test_losses_equal_their_published_formulas() -> None:
     outside = np.abs(GRID) > CORNER
     assert_allclose(values(Squared(), GRID), GRID**2, rtol=1e-14)
     assert_allclose(values(Absolute(), GRID), np.abs(GRID), rtol=1e-14)
@@ -258,7 +258,7 @@ def test_losses_are_what_they_say() -> None:
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
-def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
+def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals are slopes."""
     weight = 0.7
     unit = 25.0
@@ -282,7 +282,7 @@ def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
 
 
 @pytest.mark.parametrize("loss", [loss for loss in LOSSES if loss.enters != "dual"], ids=lambda loss: loss.kind)
-def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> None:
+def test_derived_slopes_and_curvatures_equal_those_of_the_losses(loss: Loss) -> None:
     """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
     plain = OnlyCost(loss)
     grid = GRID + 0.1
@@ -294,7 +294,7 @@ def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> Non
     assert plain.determined(evidence) == loss.determined(evidence) == 3.0
 
 
-def test_slope_is_explained_by_curvature_and_pull() -> None:
+def test_curvature_and_pull_give_the_slope() -> None:
     """(ω x)² + H² = (½ρ')² wherever the loss is convex, ω = ½ρ'' against differences."""
     step = 1e-3 * CORNER
     loss = GemanMcClure(CORNER)

@@ -109,7 +109,7 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) -> None:
+def test_resistors_of_several_values_determine_every_number_of_every_line(kind: str) -> None:
     """Resistors and reference of 0.1 %: each line is found to what its σ says, and the scene says so."""
     rng = np.random.default_rng(KINDS.index(kind))
     shape = (4, 5)
@@ -131,7 +131,7 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) -> None:
+def test_sound_calibrations_are_accepted_and_within_their_deviations(kind: str) -> None:
     """50 boards and sets of resistors of 1 %, 3 to 12 frames: none is refused, and errors are as large as stated."""
     scores = []
     for seed in range(50):
@@ -167,7 +167,7 @@ def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads:
 
 
 @pytest.mark.slow
-def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
+def test_calibrated_channels_lie_within_their_deviations_and_improve_the_cells() -> None:
     channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
     calibration = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
     assert calibration.apart < 0.6 * SPREAD == 0.6 * calibration.apart_before and not calibration.warnings
@@ -186,7 +186,7 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_without_loads_the_command_says_that_nothing_is_known(
+def test_a_calibration_without_loads_says_that_nothing_is_known(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
     made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
@@ -198,7 +198,7 @@ def test_without_loads_the_command_says_that_nothing_is_known(
     assert "these loads determine hardly any channel" in ended.err and "rows are off by " in scene.read_text()
 
 
-def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
+def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
     made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     with pytest.raises(InputError, match="names no readout"):
         calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
@@ -210,7 +210,7 @@ def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
         calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
 
 
-def test_bars_of_gains_and_curve_hold_the_truth() -> None:
+def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
     """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures each."""
     rng = np.random.default_rng(3)
     gains = []
@@ -300,7 +300,7 @@ def test_wrong_lists_of_loads_are_refused_or_named() -> None:
         warnings_of([*known, known[3]])
 
 
-def test_loads_at_other_places_are_no_calibration() -> None:
+def test_loads_at_wrong_places_are_refused() -> None:
     bench = Bench(6, panel=Panel(6, 6))
     groups, known = moved_over(bench, [5.0], 20.0, 25.0)
     swapped = tuple(replace(load, x_mm=50 - load.x_mm) for load in known if load.x_mm is not None)

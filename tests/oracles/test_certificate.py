@@ -80,7 +80,7 @@ def solution_of(scene: Scene, recorded: Array, formulation: str, bounds: Bounds 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("name", EXTREMES)
-def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None:
+def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
     """Plain least squares of exact readings; the optimum has no misfit, and no large reading hides a small one."""
     cells = EXTREMES[name]
     measured = in_digits(cells)
@@ -93,7 +93,7 @@ def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None
 
 
 @pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
-def test_without_noise_a_large_panel_is_verified_by_every_reading(place: object) -> None:
+def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
     """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a thousandth."""
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
     cells[place] *= 1e-9
@@ -108,7 +108,7 @@ def test_without_noise_a_large_panel_is_verified_by_every_reading(place: object)
 @pytest.mark.parametrize("ohm", [1.0, 3e-3, 3e-4, 1e-6])
 @pytest.mark.parametrize("short", SHORTS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_verified_readings_of_shorts_are_met(kind: str, short: str, ohm: float, formulation: str) -> None:
+def test_verified_estimates_meet_the_readings_of_shorts(kind: str, short: str, ohm: float, formulation: str) -> None:
     """Cells of a third of a milliohm are met; where the digits end, the status is another one.
 
     `auto` gives what IPOPT leaves open to the reduced solver.
@@ -143,7 +143,7 @@ def verified(point: Evaluation) -> Solution:
 
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
-def test_small_cells_that_are_off_are_never_verified(number: int, relative_error: float) -> None:
+def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
     """Cells of the smaller kind scattered by `off`, which only their own small readings show.
 
     Clusters, a checkerboard, a block or stripes, up to nine decades apart.
@@ -175,7 +175,7 @@ def test_a_factor_may_succeed_on_rounding() -> None:
         assert not failed and clear_of_rounding(triangle, norm) is clear
 
 
-def test_a_small_cell_is_not_hidden() -> None:
+def test_a_single_wrong_small_cell_is_not_verified() -> None:
     """Everything is met but one shorted cell, which is off by a tenth: first-order conditions hold and nobody signs."""
     cells = changed((2, 3), 1e-6)
     perturbed = cells.copy()
@@ -186,7 +186,7 @@ def test_a_small_cell_is_not_hidden() -> None:
     assert verified(point).status is Status.FAINT and verified(point).solved
 
 
-def test_a_stationary_point_that_is_no_minimum_is_named() -> None:
+def test_the_certificate_names_a_saddle() -> None:
     """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm: φ = (r − 1000)² + 2 (100 log r)².
 
     Between the two minima the cost is stationary, and largest.
@@ -201,7 +201,7 @@ def test_a_stationary_point_that_is_no_minimum_is_named() -> None:
     assert solution.status is Status.SADDLE and not solution.solved and np.isnan(solution.cell_resistance).all()
 
 
-def test_cells_that_nothing_speaks_of_are_a_plateau() -> None:
+def test_undetermined_cells_are_called_a_plateau() -> None:
     """One row of cells, each its own circuit, of which one is not seen."""
     scene = Scene(Panel(1, 3))
     cells = np.array([[1000.0, 2000.0, 3000.0]])
@@ -212,7 +212,7 @@ def test_cells_that_nothing_speaks_of_are_a_plateau() -> None:
 
 
 @pytest.mark.parametrize("noise", [None, 0.05])
-def test_what_the_noise_hides_needs_no_further_step(noise: float | None) -> None:
+def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -> None:
     """Cells three millionths off are verified where the noise is ten thousand times as large, and only there."""
     measured = in_digits(USUAL)
     sigma = None if noise is None else noise * measured
@@ -245,7 +245,7 @@ def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gra
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)])
 @pytest.mark.parametrize("seed", [0, 1, 3, 5])
-def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, seed: int) -> None:
+def test_a_step_shortened_by_the_noise_alone_is_not_accepted(readout: Readout, seed: int) -> None:
     readout = replace(readout, adc_bits=32, noise_lsb=1.0)
     scene = Scene(Panel(4, 5), readout)
     cells = 10 ** np.random.default_rng(seed).uniform(1, 10, (4, 5))

@@ -126,7 +126,7 @@ SINGLE: dict[str, tuple[Any, str, float, Panel]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SINGLE)
-def test_a_load_is_called_what_it_is(name: str) -> None:
+def test_a_load_is_recognised_as_its_kind(name: str) -> None:
     """Also where a mouth is neither round nor even, or hangs over the edge of the panel."""
     load, label, tolerance, panel = SINGLE[name]
     verdict = verdict_on(load, panel=panel)
@@ -149,7 +149,7 @@ def test_a_load_is_called_what_it_is(name: str) -> None:
     ],
     ids=["uneven", "faint and far", "faint and near", "small panel", "large panel"],
 )
-def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: Unmodelled | None) -> None:
+def test_two_mouths_are_recognised_as_two(places: Any, forms: Any, panel: Panel, unmodelled: Unmodelled | None) -> None:
     mouths = [mouth(place, size, **form) for place, (size, form) in zip(places, forms, strict=True)]
     verdict = verdict_on(*mouths, panel=panel, unmodelled=unmodelled or Unmodelled())
     assert verdict.best.candidate.label == TWO and isinstance(verdict.best.candidate, Several)
@@ -165,7 +165,7 @@ def test_two_mouths_are_two(places: Any, forms: Any, panel: Panel, unmodelled: U
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reading_error", [0.0, 0.05])
-def test_errors_of_readings_that_stay_are_allowed_for(reading_error: float) -> None:
+def test_static_errors_of_readings_are_allowed_for(reading_error: float) -> None:
     """A panel of which every reading is off by 5 %, the same in all frames: its unloaded cells are off by a half."""
     recording = recorded(MOUTH, unmodelled=Unmodelled(reading_error=0.05), frames=1)
     verdict = verdicts_of(frames_of(recording, errors=ModelErrors(reading_error=reading_error)))[-1]
@@ -178,7 +178,7 @@ def test_errors_of_readings_that_stay_are_allowed_for(reading_error: float) -> N
 
 
 @pytest.mark.slow
-def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
+def test_the_field_ignores_a_single_outlying_reading() -> None:
     blocks = [Block(centre_mm=place, length_mm=60, width_mm=14, mass_g=300) for place in ((40, 20), (60, 55))]
     frame = frames_of(recorded(*blocks))[0]
     wild = frame.measured.copy()
@@ -188,7 +188,7 @@ def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_no_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
+def test_an_unknown_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
     """Under a line few cells change; suction that a rim cancels in every patch could be made to explain them."""
     angles = (((40, 20), 70, 20), ((60, 45), 80, -35), ((30, 60), 50, 80), ((85, 20), 40, 60))
     form = {"width_mm": 14, "mass_g": 300}
@@ -229,7 +229,7 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
 
 
 @pytest.mark.slow
-def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
+def test_strong_suction_excludes_a_smaller_disc(tmp_path: Path) -> None:
     """Cells that suction opens change the readings by little more, but by much where they would close again."""
     scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
     load = OralDisc(centre_mm=(45.2, 51.3), diameter_mm=32.2, rim_width_mm=4.5, pressure_kpa=-20, rim_kpa=60)
@@ -278,7 +278,7 @@ def watched(recordings: list[Recording], minutes: float = 0.0, drift: float = 0.
 
 
 @pytest.mark.parametrize("creep", [0.03, 0.1])
-def test_memory_of_a_lamprey_is_nothing(creep: float) -> None:
+def test_the_memory_of_a_lamprey_is_not_detected(creep: float) -> None:
     (attachment,) = watched([load_that_leaves(Film(0.24, creep, cell_spread=0.2))])
     assert (
         attachment.sucks > 0.9
@@ -290,26 +290,26 @@ def test_memory_of_a_lamprey_is_nothing(creep: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("load", [STRONG, SMALL_ROD], ids=["mouth", "rod"])
 @pytest.mark.parametrize("drift", [0.0, 0.02])
-def test_what_is_attached_stays_until_the_readings_step(load: Shape, drift: float) -> None:
+def test_an_attachment_lasts_until_the_readings_step(load: Shape, drift: float) -> None:
     (attachment,) = watched([load_that_leaves(Film(0.24, 0.03), load)], minutes=5, drift=drift)
     assert attachment.since_s == pytest.approx(5, abs=2) and attachment.until_s == pytest.approx(316, abs=5)
     assert (attachment.sucks > 0.5) == (load is STRONG)
 
 
-def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
+def test_a_weaker_returning_lamprey_is_detected() -> None:
     returning = load_that_leaves(None, replace(STRONG, pressure_kpa=-4, rim_kpa=30))
     answer = watched([load_that_leaves(None), returning])
     assert len(answer) == 2 and all(attachment.sucks > 0.9 for attachment in answer)
 
 
-def test_a_lamprey_that_sucks_less_is_still_there() -> None:
+def test_a_lamprey_with_weaker_suction_stays_attached() -> None:
     less = load_that_leaves(None, replace(STRONG, pressure_kpa=-3, rim_kpa=20), release=60, start=-0.9)
     answer = watched([load_that_leaves(None, frames=12, release=60), less])
     assert answer[-1].present and answer[-1].sucks > 0.5
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_bare_panel_is_nothing_for_ten_minutes(seed: int) -> None:
+def test_a_bare_panel_shows_nothing_for_ten_minutes(seed: int) -> None:
     """With drift, a gain that scatters, ripple and outliers."""
     real = Unmodelled(gain_spread=0.001, supply_ripple_lsb=0.4, outlier_probability=1e-4)
     bare = simulate(Simulation(1, seed, SQUARE, frames=600, unmodelled=real))
@@ -317,7 +317,7 @@ def test_a_bare_panel_is_nothing_for_ten_minutes(seed: int) -> None:
 
 
 @pytest.mark.parametrize("minutes", [1.0, 10.0])
-def test_memory_of_another_kind_is_nothing_either(minutes: float) -> None:
+def test_memory_of_another_kind_is_not_detected(minutes: float) -> None:
     """15 % of what cells have answered stays and fades exponentially, each cell's by a fifth more or less."""
     recording = load_that_leaves(None, frames=60)
     cells = recording.truth_cell_resistance
@@ -332,7 +332,7 @@ def test_memory_of_another_kind_is_nothing_either(minutes: float) -> None:
     assert attachment.until_s == pytest.approx(16, abs=2)
 
 
-def test_a_step_of_noise_is_no_load(tmp_path: Path) -> None:
+def test_a_step_of_the_noise_is_not_a_load(tmp_path: Path) -> None:
     """A recording not made with this package, in whose first frames ripple steps: a load was 1.5 times as probable."""
     bare, *_ = attached("nothing", 4.0, 98004)
     bare.save(tmp_path / "bare.h5")

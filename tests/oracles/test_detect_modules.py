@@ -27,7 +27,7 @@ SCALES = (0.1, 0.4, 1.0)
 
 
 @pytest.mark.slow
-def test_loads_over_seams_are_one_event_each(tmp_path: Path) -> None:
+def test_each_load_over_a_seam_is_one_event(tmp_path: Path) -> None:
     """Columns of modules begin at 0, 74 and 148 mm, rows at 0 and 64."""
     scene = replace(SCENE, faults=Faults(dead_modules=((1, 2),)))
     mouth = OralDisc(centre_mm=(40, 62), diameter_mm=38, rim_width_mm=6, pressure_kpa=-10, rim_kpa=20)
@@ -49,7 +49,7 @@ def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
     assert answer.answer == "nothing" and not answer.attachments
 
 
-def test_a_window_is_the_network_of_its_modules() -> None:
+def test_a_window_equals_the_network_of_its_modules() -> None:
     """By differences: cells of other modules change nothing, and lines are each module's own."""
     own = Window.about(SCENE, np.array([140.0, 60.0]))
     assert (own.cells[1].start, own.x_mm, own.y_mm, own.numbers) == (7, 74.0, 0.0, (1, 2, 4, 5))
@@ -74,7 +74,7 @@ def test_a_window_is_the_network_of_its_modules() -> None:
 
 
 @pytest.mark.slow
-def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recognition_examines_only_changed_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 36 modules one carries a rod: one window opens, a bounded number of looks is taken, all at this module."""
     looks = list[tuple[int, ...]]()
     verdict = Detector.verdict
@@ -97,7 +97,7 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.slow
-def test_breath_is_judged_in_windows_that_nothing_begins_anew() -> None:
+def test_breath_is_judged_in_uninterrupted_windows() -> None:
     """A deep breath is no row of steps: by 14 % of its suction, it changes the readings by more than half of the load.
 
     Nor is an outlier in two frames of three. The first 8 s of another mouth leave a breath of 6 % at 0.7 Hz open:
@@ -136,7 +136,7 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("curve", ["straight", "delayed"])
-def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: str) -> None:
+def test_error_bars_of_suction_and_breath_contain_unmeasured_films(curve: str) -> None:
     watched = [seen("mouth", 4.0, seed, attached_s=9.0, curve=curve) for seed in range(9000, 9004)]
     suction = np.array([(answer.suction - answer.true_suction) / answer.suction_sd for answer in watched])
     depth = np.array([(answer.seen_depth - answer.depth) / answer.depth_sd for answer in watched])
@@ -167,7 +167,7 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
 
 
 @pytest.mark.slow
-def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
+def test_a_poorly_determined_diameter_has_the_width_of_its_posterior() -> None:
     frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL)
     detector = Detector(6.0)
     rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
@@ -185,7 +185,7 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
 @pytest.mark.parametrize(
     ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
 )
-def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
+def test_diameters_of_small_rods_lie_within_their_errors(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
     best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL).best
     value, slopes = best.candidate.report(best.parameters)["diameter_mm"]
     error = np.sqrt(slopes @ best.covariance @ slopes)

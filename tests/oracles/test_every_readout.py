@@ -131,7 +131,7 @@ def truth_of(recording: Recording) -> Array:
     return recording.truth_cell_resistance[3:]
 
 
-def test_every_readout_reads_what_the_netlist_says() -> None:
+def test_every_readout_agrees_with_its_netlist() -> None:
     bare = {"pull-downs, bare": replace(PULLED, load_ohm=inf)}
     for name, readout in (READOUTS | SEVERAL | bare).items():
         recording = panel_of(readout, 0.0)
@@ -148,7 +148,7 @@ def test_every_readout_reads_what_the_netlist_says() -> None:
         for name, readout in (READOUTS | (SEVERAL if formulation == "reduced" else {})).items()
     ],
 )
-def test_clean_readings_give_the_cells(readout: Any, formulation: Any) -> None:
+def test_noise_free_readings_give_the_cells(readout: Any, formulation: Any) -> None:
     recording = panel_of(readout, 0.0)
     done = reconstruct(recording, Estimator(LSM, formulation))
     assert all(step.solution.solved for step in done.steps)
@@ -182,7 +182,7 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
-def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups: int | None) -> None:
+def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: int | None) -> None:
     """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with outlines and wire."""
     rng = np.random.default_rng(3)
     shape = (4, 6) if driven == "rows" else (6, 4)
@@ -255,7 +255,7 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         ("{kind: driven, drive_volt: 1, polarity: down}", "drive_volt and converter_volt have no place"),
     ],
 )
-def test_keys_that_contradict_each_other_are_refused_where_they_stand(
+def test_contradictory_keys_are_refused_at_their_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, readout: str, message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -312,7 +312,7 @@ def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     assert_allclose(done.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
 
 
-def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
+def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:
     recording = panel_of(LOADED, 1.0)
     recording.save(tmp_path / "panel.h5")
     loaded = Recording.load(tmp_path / "panel.h5")
@@ -334,7 +334,7 @@ def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 @pytest.mark.parametrize("across", ["reference", "sensor"])
-def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm: float | None) -> None:
+def test_two_point_readings_exclude_the_series_resistance_of_each_line(across: Any, input_ohm: float | None) -> None:
     readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
     cells = cells_of()
     scene = Scene(Panel(*SHAPE), readout, SeriesPerLine(ROW_OHM, COLUMN_OHM))
@@ -371,7 +371,7 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 @pytest.mark.parametrize("polarity", ["up", "down"])
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("diode", [Diode(), LED], ids=["silicon", "led"])
-def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, polarity: Any) -> None:
+def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any, polarity: Any) -> None:
     readout = replace(UNLIKE, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
     cells = cells_of()
     volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
@@ -411,7 +411,7 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
-def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
+def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
     """All channels and the reference drawn anew for every panel: errors in units of the error bars."""
     cells = cells_of()
     rng = np.random.default_rng(8)
@@ -432,7 +432,7 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
 
 
 @pytest.mark.parametrize("readout", [one for one in (READOUTS | SEVERAL).values() if one.unit == "volt"])
-def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -> None:
+def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
     cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0
     exact = readout.exact_reading(cells)
@@ -442,7 +442,7 @@ def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -
     assert readout.start(exact, np.full(cells.shape, 2000.0)).max() <= 2000.0
 
 
-def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:
+def test_an_unknown_readout_is_reported_on_writing_and_reading(tmp_path: Path) -> None:
     recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE), frames=2))
     odd = replace(recording, scene=replace(recording.scene, readout=Divider()))
     with pytest.warns(UserWarning, match="divider is not among the readouts"):
@@ -462,7 +462,7 @@ TWO_PANELS = [
 
 
 @pytest.mark.parametrize("ohm", TWO_PANELS)
-def test_of_two_panels_that_read_alike_the_probable_one_is_estimated(ohm: Any) -> None:
+def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: Any) -> None:
     """Cells on the other side of the largest reading are 20 to 100 times as large; starts were there, or nowhere."""
     idle, idle_load, drive, load, level = ohm
     readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load, adc_bits=16)
@@ -478,7 +478,7 @@ def test_of_two_panels_that_read_alike_the_probable_one_is_estimated(ohm: Any) -
 
 
 @pytest.mark.slow
-def test_starts_of_random_circuits_are_their_cells() -> None:
+def test_starts_of_random_circuits_equal_their_cells() -> None:
     """Before there was a choice of panels, two of five were wrong by half and more; some cells are truly alike."""
     rng = np.random.default_rng(5)
     wrong = 0
@@ -495,7 +495,7 @@ def test_starts_of_random_circuits_are_their_cells() -> None:
     assert wrong < 0.15 * circuits
 
 
-def test_another_panel_that_reads_alike_is_a_doubt() -> None:
+def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
     """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm, cell for cell."""
     readout = DrivenReadout(idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0)
     cells = 1000 * np.exp(0.2 * np.random.default_rng(3).standard_normal((8, 8)))

@@ -64,7 +64,7 @@ def with_holes(seed: int, missing: int) -> lampest.Recording:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("terms", [[], [lampest.RelativeChange()], [lampest.Gradient()]])
-def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> None:
+def test_intervals_contain_read_cells_despite_missing_readings(terms: list[object]) -> None:
     """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28 such panels."""
     misfit = lampest.Misfit(weighting="noise" if terms else "plain")
     held = []
@@ -78,7 +78,7 @@ def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> Non
 
 
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
-def test_what_was_never_read_is_stood_in_for_where_penalties_compare(term: object) -> None:
+def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object) -> None:
     """Nothing told the baseline of that cell: it went open, and took all others along by 1 %; bars held 45 %."""
     rng = np.random.default_rng(8)
     resting = 1000 * np.exp(0.2 * rng.standard_normal(SHAPE))
@@ -96,7 +96,7 @@ def test_what_was_never_read_is_stood_in_for_where_penalties_compare(term: objec
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
+def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
     """Ends of the way are optima with that cell held: found again by a solve within bounds that leave it no choice."""
     recording = with_holes(3, 1)
     terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))

@@ -33,7 +33,7 @@ LEAVES = 70
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.24, 0.5])
 @pytest.mark.parametrize("peak", [30.0, -8.0])
-def test_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
+def test_a_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
     share = np.linspace(0, 1, 101)
     plays = Plays.at_rest(np.array(gap))
     effective = np.zeros(202)
@@ -61,7 +61,7 @@ def test_creep_is_logarithmic_and_fades_by_superposition() -> None:
     np.testing.assert_allclose(pieces.crept, loaded.crept, rtol=1e-9)
 
 
-def test_memory_is_undone_exactly_under_water_too() -> None:
+def test_the_memory_is_inverted_exactly_even_under_water() -> None:
     generator = np.random.default_rng(3)
     water = np.array([0.0, 0.7])
     actual = observed = FilmMemory.at_rest(np.full(2, 0.24), np.full(2, 0.08), np.full(2, 0.7), water)
@@ -78,7 +78,7 @@ def recorded(film: Film | None = None, specified: Film | None = None, **changes:
     return simulate(dataclasses.replace(plain, **changes))
 
 
-def test_bent_cells_are_as_published() -> None:
+def test_bent_cells_have_the_published_values() -> None:
     """Paper, figure 2: 3.05 k, 1.03 k, 560, 350 ohm; -94, -82, -69, -81 % at 40 kPa."""
     for curvature, ohm, change in ((0, 3050, -0.94), (20, 1030, -0.82), (30.3, 560, -0.69), (58.8, 350, -0.81)):
         film = Film(curvature_per_m=curvature)
@@ -89,7 +89,7 @@ def test_bent_cells_are_as_published() -> None:
     assert bent.truth_cell_resistance[0] == pytest.approx(1030 * np.ones((8, 8)))
 
 
-def test_open_numbers_cannot_be_simulated() -> None:
+def test_unspecified_film_numbers_are_not_simulated() -> None:
     with pytest.raises(ValueError, match="auto"):
         recorded(specified=Film(creep_per_decade="auto"))
     assert "film" in to_yaml(recorded(Film(0.1), specified=Film("auto")).scene)
@@ -111,7 +111,7 @@ def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Ar
     return pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:end]), pressure
 
 
-def test_told_film_is_taken_off() -> None:
+def test_a_specified_film_is_corrected() -> None:
     """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames see moments only."""
     for specified, worst in ((TRUE, 0.02), (None, np.inf)):
         pressed, truth = of_truth(pressed_film(TRUE, specified))
@@ -122,7 +122,7 @@ def test_told_film_is_taken_off() -> None:
 
 
 @pytest.mark.parametrize("told", [TRUE, replace(TRUE, deviation=0.2, cell_spread=0.2)])
-def test_memory_is_causal(told: Film) -> None:
+def test_the_memory_is_causal(told: Film) -> None:
     """Frames that come later change nothing."""
     recording = pressed_film(TRUE, told)
     (complete, _), (part, _) = of_truth(recording), of_truth(recording, end=33)
@@ -130,7 +130,7 @@ def test_memory_is_causal(told: Film) -> None:
 
 
 @pytest.mark.slow
-def test_intervals_hold_films_that_differ() -> None:
+def test_intervals_contain_deviating_films() -> None:
     """Films and cells drawn as the scene says what is known of them: 95 % intervals, 12 films."""
     specified = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
     inside = []
@@ -141,7 +141,7 @@ def test_intervals_hold_films_that_differ() -> None:
     assert 0.88 < np.mean(inside) < 0.995
 
 
-def test_open_creep_stays_open_where_nothing_was_released() -> None:
+def test_unspecified_creep_stays_unknown_without_a_release() -> None:
     open_creep = Film(hysteresis=0.24, creep_per_decade="auto", cell_spread=0.1)
     course = replace(SLOW, release_at_s=None)
     recording = pressed_film(Film(0.24, 0.05, cell_spread=0.1), open_creep, course=course)
@@ -154,7 +154,7 @@ def test_open_creep_stays_open_where_nothing_was_released() -> None:
 
 
 @pytest.mark.parametrize(("creep", "residue"), [(0.0, 0.04), (0.05, 0.0), (0.05, 0.04)])
-def test_what_stays_and_does_not_fade_is_no_creep(creep: float, residue: float) -> None:
+def test_a_lasting_change_is_not_taken_for_creep(creep: float, residue: float) -> None:
     """A minute under loads and a minute after them, in ln(r/r0)."""
     rng = np.random.default_rng(1)
     load = rng.uniform(0.5, 2, (4, 4))
@@ -170,7 +170,7 @@ def test_what_stays_and_does_not_fade_is_no_creep(creep: float, residue: float) 
     assert known.residue == pytest.approx(residue, abs=0.01)
 
 
-def test_what_no_film_does_is_not_taken_for_creep() -> None:
+def test_an_impossible_film_response_is_not_taken_for_creep() -> None:
     """Half of a load stays."""
     frames = np.full((60, 3, 3), -1.0)
     frames[30:] = -0.5
@@ -188,7 +188,7 @@ def pressures(ratio: Array, film: Film | None, time: Array | None = None, sure: 
 
 
 @pytest.mark.parametrize("stays", [0.0, 0.02])
-def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> None:
+def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
     """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later presses."""
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
@@ -196,7 +196,7 @@ def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> 
     assert pressed.pressing[3:10].all() and not pressed.pressing[12:25].any() and pressed.pressing[25:].all()
 
 
-def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
+def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None:
     """A cell that nobody touches conducts more by 1 % a minute; changes are known to a thousandth."""
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
@@ -208,7 +208,9 @@ def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK, 1.0), (WEAK, 20.0), (CUP, 5.0)])
 @pytest.mark.parametrize("film", [None, Film(0.2, 0.05)])
-def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, seed: int, film: Film | None) -> None:
+def test_an_attached_load_is_never_taken_for_the_zero(
+    load: Shape, approach: float, seed: int, film: Film | None
+) -> None:
     """Of the true cells, which drift, with noise of 0.7 %; a load that has reached 0.1 kPa somewhere is there."""
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())

@@ -34,7 +34,7 @@ def garble(codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.ra
     ("kind", "share"),
     [("two rows", 0.93), ("a column", 0.82), ("the frame", 0.98), ("zeros", 0.98), ("a row of zeros", 0.96)],
 )
-def test_garbled_lines_of_a_frame_are_found(kind: str, share: float) -> None:
+def test_garbled_lines_of_a_frame_are_detected(kind: str, share: float) -> None:
     detected = []
     for seed in PLANS:
         plan = Plan.drawn(seed)
@@ -67,7 +67,7 @@ def test_no_frame_of_clean_recordings_is_garbled() -> None:
         assert not garbled_lines(plan.recording()), seed
 
 
-def test_a_garbled_frame_condemns_no_circuit_and_is_not_the_strongest() -> None:
+def test_a_garbled_frame_affects_neither_the_circuit_check_nor_the_strongest_frame() -> None:
     plan = Plan.drawn(4, "two_point")
     codes = plan.codes()
     frame = plan.unloaded + 4

@@ -72,7 +72,7 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
     ("fault", "share"),
     [(dead_row, 0.95), (dead_column, 0.95), (joined_rows, 0.7), (joined_columns, 0.7), (shorted_cell, 0.8)],
 )
-def test_faults_of_lines_and_cells_are_named_with_their_line(
+def test_faults_of_lines_and_cells_are_reported_with_their_line(
     fault: Callable[[Plan], tuple[str, Health]], share: float
 ) -> None:
     """On even films lines that touch read as single ones do where idle lines are driven, so films are uneven here."""
@@ -123,7 +123,7 @@ def test_rows_of_the_wrong_length_and_lines_in_another_order_are_noticed() -> No
     assert np.mean(cut) > 0.6 and np.mean(odd) > 0.75
 
 
-def test_shares_of_missing_readings_and_of_rails_are_told() -> None:
+def test_shares_of_missing_and_saturated_readings_are_reported() -> None:
     plan = Plan.drawn(0)
     recording = plan.recording()
     values = recording.recorded.copy()

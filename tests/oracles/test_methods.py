@@ -40,7 +40,7 @@ def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **o
 
 
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])
-def test_many_steps_are_the_optimum(terms: tuple[Term, ...]) -> None:
+def test_many_steps_reach_the_optimum(terms: tuple[Term, ...]) -> None:
     data = recording(resting((5, 6)), 1.1 * resting((5, 6)), 1.2 * resting((5, 6)), noise=1e-4)
     reached, optimum = (found_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
     assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
@@ -60,7 +60,7 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tupl
     assert errors[1] < errors[0] / 50
 
 
-def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
+def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
     """Lines outweigh cells in what conjugate gradients minimise; they must not stop before a cell is resolved."""
     shape = (30, 30)
     single = resting(shape)
@@ -79,7 +79,7 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
         ("LSR-dCR", RelativeChange(weight=1.0)),
     ],
 )
-def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellResistance) -> None:
+def test_the_converged_published_method_reaches_the_verified_optimum(method: str, term: CellResistance) -> None:
     """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
     rng = np.random.default_rng(4)
     panel = Panel(4, 5)

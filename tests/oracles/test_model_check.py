@@ -52,7 +52,7 @@ def test_every_kind_is_among_the_circuits() -> None:
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
-def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> None:
+def test_a_circuit_bounds_its_series_resistance(circuit: Readout) -> None:
     scene = Scene(lampest.Panel(*SHAPE, 10.0), circuit, series_resistance_ohm=200.0 if circuit.in_series else 0.0)
     recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
     bare = scene.with_series(0.0)
@@ -63,7 +63,7 @@ def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> Non
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
-def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Readout) -> None:
+def test_laws_of_a_circuit_hold_only_for_its_own_readings(circuit: Readout) -> None:
     exact = circuit.exact_reading(CELLS)[None]
     sigma = 1e-4 * exact
     for test in circuit.free_tests(exact, sigma):
@@ -86,7 +86,7 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
 # Loads that show it: a rod that halves nine cells leaves a series resistance of 140 ohm undecided.
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 4])
-def test_a_wrong_circuit_is_noticed_and_the_right_one_named(seed: int) -> None:
+def test_a_wrong_circuit_is_rejected_and_the_right_one_named(seed: int) -> None:
     for fault, recording in wrong(seed, side=10, bits=12):
         check = Prepared(recording).check
         assert check.explains is False, fault
@@ -112,7 +112,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     ],
     ids=["a resistance in series", "a leak"],
 )
-def test_the_skirts_of_soft_loads_are_not_mistaken_for(circuit: Readout, seed: int) -> None:
+def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed: int) -> None:
     """Half of the cells change by a few percent, which a wrong circuit or an effect would bring about as well."""
     rng = np.random.default_rng(seed)
     scene = Scene(Panel(12, 9), circuit)
@@ -129,7 +129,7 @@ def test_the_skirts_of_soft_loads_are_not_mistaken_for(circuit: Readout, seed: i
 
 
 @pytest.mark.slow
-def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
+def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
     """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be uniform or larger."""
     readout = TwoPointReadout()
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
@@ -143,7 +143,7 @@ def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
 
 
 @pytest.mark.slow
-def test_a_large_panel_is_held_against_cells_alone() -> None:
+def test_a_large_panel_is_compared_with_cells_alone() -> None:
     side = 21
     assert side**2 > MAX_CELLS
     readout = lampest.LoadedColumnsReadout(drive_ohm=0.0, adc_bits=12, readings=20)
@@ -158,7 +158,7 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
 
 
 @pytest.mark.slow
-def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
+def test_differing_channels_are_not_taken_for_another_series_resistance() -> None:
     """A quarter of a mouth on a module."""
     systematic = Systematic(reference_tolerance=0.01, channel_spread_ohm=3)
     panel = Panel(modules=Modules(2, 2, EachModule(10, 10)))
@@ -174,7 +174,7 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
 
 
 @pytest.mark.parametrize("seed", [411, 413])
-def test_an_omitted_series_resistance_is_named_where_linear_theory_sees_none(seed: int) -> None:
+def test_an_omitted_series_resistance_is_named_beyond_linear_theory(seed: int) -> None:
     _, recording = next(wrong(seed, 10, 10))
     assert "series_resistance_ohm near 1" in Prepared(recording).check.better
 
@@ -215,14 +215,14 @@ def test_multiplexers_in_parallel_are_named(seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", [TWO, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
-def test_right_groups_and_none_are_right(scene: Scene) -> None:
+def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
     for actual in (scene, grouped(scene)):
         assert Prepared(wrongly_told(actual, actual, 1)).check.mark == "yes"
 
 
 @pytest.mark.parametrize("memory", [0.04, 0.08])
 @pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
-def test_a_converter_that_remembers_is_named_with_its_number(scene: Scene, memory: float) -> None:
+def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: float) -> None:
     check = Prepared(wrongly_told(replace(scene, converter_memory=memory), scene, 2)).check
     assert check.better.startswith("converter_memory near ")
     assert float(check.better.split()[-1]) == pytest.approx(memory, rel=0.15)

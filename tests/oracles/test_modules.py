@@ -67,7 +67,7 @@ def test_a_scene_survives_its_text_and_counts_seams() -> None:
         ("faults: {dead_modules: [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]}", "nothing is left"),
     ],
 )
-def test_what_modules_cannot_have_is_one_sentence(keys: str, sentence: str) -> None:
+def test_impossible_modules_give_one_sentence(keys: str, sentence: str) -> None:
     with pytest.raises(InputError, match=r"scene\.yaml") as error:
         scene_of(SCENE + keys)
     assert sentence in str(error.value)
@@ -94,7 +94,7 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
-def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
+def test_modules_of_a_single_line_have_the_shared_errors() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "systematic: typical\npanel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n"
     text += SCENE[SCENE.index("readout") :]
@@ -103,7 +103,7 @@ def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> N
     assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
 
-def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modules_in_parallel_threads_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = simulated(scene_of(SCENE + FAULTS))
     terms = [lampest.Misfit(), lampest.CellResistance(weight=1e-7)]
     results = []
@@ -117,7 +117,7 @@ def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: p
 @pytest.mark.parametrize(
     "panel", ["modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}", "rows: 3, columns: 4"]
 )
-def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> None:
+def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     """Also through samples; a dead module has none."""
     dead = "faults: {dead_modules: [[0, 1]]}\n" if "modules" in panel else ""
     recording = simulated(scene_of(f"panel: {{{panel}}}\n{SCENE[SCENE.index('readout') :]}{dead}"))
@@ -177,7 +177,7 @@ def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: f
     return float(misfit + weight * sum(np.sum(step**2) for step in steps))
 
 
-def test_what_couples_no_cells_is_as_without_coupling() -> None:
+def test_a_penalty_without_neighbours_couples_no_modules() -> None:
     recording = taken()
     penalty = lampest.CellResistance(weight=1e-7)
     estimate = coupled(recording, penalty)
@@ -187,7 +187,7 @@ def test_what_couples_no_cells_is_as_without_coupling() -> None:
     np.testing.assert_allclose(estimate.baseline_resistance, separate.baseline_resistance, rtol=1e-5)
 
 
-def test_differences_over_seams_count_by_their_distance() -> None:
+def test_differences_over_seams_are_weighted_by_their_distance() -> None:
     recording = taken()
     weight = 3e4
     estimate, uncoupled = (solve(recording, lampest.LogGradient(weight=weight)) for solve in (coupled, apart))
@@ -212,7 +212,7 @@ def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
 
 
 @pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))])
-def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
+def test_frames_solved_in_blocks_equal_frames_solved_separately(
     terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rod = Rod(centre_mm=(55, 55), diameter_mm=30, mass_g=500)

@@ -42,14 +42,14 @@ def standing(seed: int, **keys: object) -> Recording:
 
 @pytest.mark.parametrize("keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}])
 @pytest.mark.parametrize("penalty", [LogGradient(), LogRatio()])
-def test_edges_of_a_load_that_stands_are_no_error_of_the_readings(keys: dict, penalty: lampest.Term) -> None:
+def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(keys: dict, penalty: lampest.Term) -> None:
     recording = standing(1, **keys)
     estimate = lampest.reconstruct(recording, [WEIGHTED, penalty])
     error = np.abs(estimate.cell_resistance / recording.truth_cell_resistance[estimate.frame] - 1)
     assert np.nanmedian(error) < 0.01 and np.nanquantile(error, 0.95) < 0.025
 
 
-def test_an_effect_that_the_scene_does_not_name_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Estimates depend on no advice, and wait for none."""
 
     def refuse(*_: object, **__: object) -> None:
@@ -71,7 +71,7 @@ def test_an_effect_that_the_scene_does_not_name_is_not_looked_for(monkeypatch: p
         assert estimate.advice
 
 
-def test_an_absent_effect_changes_no_reading_and_a_number_is_modelled() -> None:
+def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -> None:
     plain = standing(3)
     noise = Prepared(plain).noise
     np.testing.assert_array_equal(noise.readings.value, plain.readings().value)
@@ -104,7 +104,7 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
         ({"systematic": Systematic(reference_tolerance="estimated")}, "record five or more unloaded frames"),
     ],
 )
-def test_what_a_recording_cannot_determine_is_said_with_what_to_record(keys: dict, advised: str) -> None:
+def test_warnings_name_undetermined_effects_and_the_needed_recording(keys: dict, advised: str) -> None:
     recording = standing(5, **keys)
     loaded = replace(recording, role=np.ones_like(recording.role))
     estimate = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
@@ -112,7 +112,7 @@ def test_what_a_recording_cannot_determine_is_said_with_what_to_record(keys: dic
     assert advised in line and estimate.solved.all()
 
 
-def test_a_reference_is_never_seen_in_frames_and_keeps_its_prior() -> None:
+def test_a_reference_tolerance_keeps_its_prior() -> None:
     estimate = lampest.reconstruct(standing(6, systematic=Systematic(reference_tolerance="estimated")))
     assert any("lampest calibrate" in line for line in estimate.noise.warnings)
     assert estimate.recording.scene.systematic.reference_tolerance == 0.06

@@ -46,7 +46,7 @@ def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.esti
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
 
 
-def test_parts_of_noise_are_estimated_with_their_sizes_and_none_in_noise_alone() -> None:
+def test_components_of_noise_are_estimated_and_absent_ones_are_not() -> None:
     for frames in (2, 3, 5, 10):
         alone = [parts(np.random.default_rng(100 * frames + number), frames) for number in range(60)]
         assert np.mean([noise.own for noise in alone]) == pytest.approx(1, abs=0.02)
@@ -77,7 +77,7 @@ def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sam
     assert absent < 1.3 / samples**0.25  # as far as chance hides an effect
 
 
-def test_loads_and_wrong_noise_make_no_outliers() -> None:
+def test_loads_and_wrong_noise_cause_no_outliers() -> None:
     """Cells under a mouth overshoot in the first frame: by 50 σ, after a step of 1,450. Readings over their own σ vary
     five times less than they scatter. Under a foot predictions miss by as much in most frames."""
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
@@ -88,7 +88,7 @@ def test_loads_and_wrong_noise_make_no_outliers() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
-def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing_one(factor: float) -> None:
+def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None:
     """Under the load it would move the cells of its row and column by a tenth and more, whatever its value is."""
     recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen = recording.recorded.copy()
@@ -102,7 +102,7 @@ def test_a_frozen_reading_is_left_out_and_named_and_costs_no_more_than_a_missing
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.2, 0.4, 0.6, 1.0, 3.0])
-def test_readings_that_a_converter_repeats_are_not_frozen(noise: float) -> None:
+def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) -> None:
     """`noise` is in steps of the converter; a load moves half of the rows and none of the others."""
     rng = np.random.default_rng(int(100 * noise))
     flagged = 0
@@ -114,7 +114,7 @@ def test_readings_that_a_converter_repeats_are_not_frozen(noise: float) -> None:
     assert flagged == 0
 
 
-def test_leaps_are_seen_while_a_load_breathes() -> None:
+def test_outliers_are_detected_under_a_breathing_load() -> None:
     """Readings go by ten to forty σ from frame to frame, and lags of their median hid leaps of five times as much."""
     rng = np.random.default_rng(3)
     detected = 0
@@ -180,7 +180,7 @@ def held(recording: Recording) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("setting", ["estimated", None])
-def test_noise_left_open_is_that_of_the_frames(setting: str | None) -> None:
+def test_unspecified_noise_is_estimated_from_the_frames(setting: str | None) -> None:
     own, known = (recorded(1, scene_of(noise), 2.5) for noise in (setting, 2.5))
     reported = "readout.noise_lsb: 2." in Prepared(own).noise.sentence
     assert reported == (setting == "estimated")
@@ -192,9 +192,7 @@ def test_noise_left_open_is_that_of_the_frames(setting: str | None) -> None:
 
 @pytest.mark.parametrize("unloaded", [5, 0])
 @pytest.mark.parametrize(("true", "specified"), [(0.7, 8.4), (8.4, 0.7)], ids=["too large", "too small"])
-def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured(
-    true: float, specified: float, unloaded: int
-) -> None:
+def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(true: float, specified: float, unloaded: int) -> None:
     wrong, right = (recorded(2, scene_of(noise), true, unloaded=unloaded) for noise in (specified, true))
     noise = Prepared(wrong).noise
     expected = Prepared(right).noise
@@ -210,7 +208,7 @@ def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_bars_hold_a_gain_of_each_frame_by_number_and_estimated(seed: int) -> None:
+def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:
     for gain in (0.004, "estimated"):
         assert min(held(recorded(seed, scene_of(0.7, gain=gain), gain=0.004))) > 0.85
     size, deviation = Prepared(recorded(seed, scene_of(0.7, gain="estimated"), gain=0.004)).noise.estimated["gain"]
@@ -252,7 +250,7 @@ SERIES = Systematic(series_tolerance_ohm="estimated")
         ({"gain_spread": 0.005}, {"gain": "estimated"}),
     ],
 )
-def test_own_parts_cover_errors_that_move_cells_differently(effect: dict[str, float], keys: dict[str, str]) -> None:
+def test_own_deviations_cover_errors_that_differ_between_cells(effect: dict[str, float], keys: dict[str, str]) -> None:
     """Ripple raises some cells and lowers others, a gain moves each by its resistance, a series loaded ones by more."""
     scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.7), 140.0, **keys)
     plain = Simulation(1, 8, scene, baseline_frames=5, frames=4, unmodelled=Unmodelled(**effect))
@@ -264,12 +262,12 @@ def test_own_parts_cover_errors_that_move_cells_differently(effect: dict[str, fl
 
 
 @pytest.mark.slow
-def test_the_rim_of_a_mouth_is_no_error_of_the_model() -> None:
+def test_the_rim_of_a_mouth_is_not_taken_for_a_model_error() -> None:
     assert all(Prepared(pressed(seed)).warnings == () for seed in (43, 50))
 
 
 @pytest.mark.parametrize(("series", "reference"), [(50, 0.0), (-50, 0.0), (0, 0.05), (0, -0.05), (30, -0.04)])
-def test_typical_errors_cover_a_series_resistance_and_a_reference_that_are_off(series: float, reference: float) -> None:
+def test_typical_errors_cover_a_wrong_series_resistance_and_reference(series: float, reference: float) -> None:
     """Each moves all cells together, so that a recording is covered or not as a whole."""
     for seed in (31, 32, 33):
         silent = recorded(seed, scene_of(0.7, "typical"), series=series, reference=reference)
@@ -290,7 +288,7 @@ STATIC_LINE = "systematic: {reading_error: estimated}"
         pytest.param(0.1, range(20, 26), marks=pytest.mark.slow),
     ],
 )
-def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still(size: float, seeds: range) -> None:
+def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, seeds: range) -> None:
     """Large ones bend the answer and press cells against their bounds; no cells give the readings of the largest."""
     recordings = [recorded(seed, scene_of(0.7, STATIC), static=size) for seed in seeds]
     sizes = [Prepared(recording).noise.estimated["systematic.reading_error"][0] for recording in recordings]
@@ -301,20 +299,20 @@ def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still(size: 
     assert np.mean([held(recording) for recording in recordings[:4]], axis=0).min() > 0.85
 
 
-def test_bars_allow_for_static_errors_that_may_be_chance() -> None:
+def test_error_bars_allow_for_uncertain_static_errors() -> None:
     """Of 0.2 % too little shows to advise it; 72 to 84 % were held of such recordings."""
     recordings = [recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)]
     assert np.mean([held(recording) for recording in recordings], axis=0).min() > 0.8
 
 
 @pytest.mark.parametrize("noise_lsb", [0.7, 2.5])
-def test_static_errors_that_are_asked_for_and_absent_hardly_widen_bars(noise_lsb: float) -> None:
+def test_estimating_absent_static_errors_hardly_widens_error_bars(noise_lsb: float) -> None:
     recordings = [recorded(seed, scene_of(noise_lsb, STATIC), noise_lsb) for seed in range(9, 13)]
     assert 0.85 < np.median([own_part(recording)[1] for recording in recordings]) < 1.25
 
 
 @pytest.mark.slow
-def test_a_static_error_by_number_holds_and_none_is_imagined() -> None:
+def test_a_specified_static_error_holds_and_none_is_invented() -> None:
     recording = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static=0.005)
     assert Prepared(recording).noise.reading_error == 0.02
     for seed in range(9, 13):
@@ -324,7 +322,7 @@ def test_a_static_error_by_number_holds_and_none_is_imagined() -> None:
 
 
 @pytest.mark.slow
-def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_for_that() -> None:
+def test_error_bars_allow_for_loads_that_move_within_a_frame() -> None:
     """Neighbours in time say nothing of such readings but how far they may be off."""
     mouth = lampest.OralDisc(centre_mm=(35, 35), diameter_mm=30, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90)
     scene = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0, motion="estimated")
@@ -357,7 +355,7 @@ def breathing(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_breathing_loads_are_no_outliers_no_motion_within_a_scan_and_no_static_error(seed: int) -> None:
+def test_breathing_loads_are_not_taken_for_outliers_motion_or_static_errors(seed: int) -> None:
     """A hand whose edge presses ever less, a panel half covered, and a mouth whose inside sucks."""
     down, across = np.indices((10, 10)) - 4.5
     far = np.hypot(down, across)
@@ -403,7 +401,7 @@ def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path
     assert "touched the panel" in answer.why and not any("touched" in line for line in answer.warnings)
 
 
-def test_a_gain_that_varies_is_no_load_in_the_unloaded_frames() -> None:
+def test_a_varying_gain_is_not_taken_for_a_load_in_the_unloaded_frames() -> None:
     """The supply moves all readings of a frame; without MAX_GAIN one in fifteen such recordings passed for touched."""
     recording = lampest.datasets.load("lamprey_35mm")
     circuit = recording.scene.circuit

@@ -84,7 +84,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("method", METHODS)
-def test_ipopt_alone_solves_every_frame_in_iterations_of_its_own(
+def test_ipopt_alone_solves_every_frame_in_its_own_iterations(
     method: str, formulation: Any, counted: list[int]
 ) -> None:
     estimate = lampest.reconstruct(
@@ -99,7 +99,7 @@ def test_ipopt_alone_solves_every_frame_in_iterations_of_its_own(
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("method", METHODS)
-def test_a_solver_that_returns_its_start_is_found_out(
+def test_a_solver_that_returns_its_start_is_not_verified(
     method: str, formulation: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def start_of(interface: Interface, instance: Instance, warm: Multipliers | None = None) -> ProgramResult:
@@ -116,7 +116,7 @@ def test_a_solver_that_returns_its_start_is_found_out(
 @pytest.mark.parametrize("wires", WIRES)
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("shape", [(4, 5), (6, 3)])
-def test_optima_of_every_circuit_are_those_of_the_solver_without_voltages(
+def test_optima_of_every_circuit_equal_those_of_the_reduced_solver(
     shape: tuple[int, int], readout: str, wires: str
 ) -> None:
     recording = recording_of(READOUTS[readout], shape, **WIRES[wires])
@@ -130,7 +130,7 @@ def test_optima_of_every_circuit_are_those_of_the_solver_without_voltages(
 
 
 @pytest.mark.parametrize("joint", [True, False])
-def test_a_pair_of_frames_has_the_optimum_of_the_solver_without_voltages(joint: bool) -> None:
+def test_a_pair_of_frames_has_the_optimum_of_the_reduced_solver(joint: bool) -> None:
     recording = recording_of(READOUTS["two_point"])
     costs = []
     for kind in ("reduced", "nodal"):
@@ -141,7 +141,7 @@ def test_a_pair_of_frames_has_the_optimum_of_the_solver_without_voltages(joint: 
 
 
 @pytest.mark.parametrize("wires", WIRES)
-def test_voltages_of_the_nodes_are_those_of_a_netlist(wires: str) -> None:
+def test_node_voltages_equal_those_of_a_netlist(wires: str) -> None:
     scene = recording_of(READOUTS["grounded"], **WIRES[wires]).scene
     cells = 3000 * np.exp(np.random.default_rng(5).standard_normal((4, 5)))
     ties = scene.circuit.ties(scene.circuit.exact_reading(cells, scene.wiring))
@@ -191,7 +191,7 @@ def test_a_lower_optimum_of_the_witness_is_kept(monkeypatch: pytest.MonkeyPatch)
     assert_allclose(estimate.cell_resistance, right.cell_resistance, rtol=1e-6)
 
 
-def test_verdicts_of_a_witness() -> None:
+def test_the_witness_compares_objectives() -> None:
     estimate = lampest.reconstruct(recording_of(READOUTS["two_point"]), METHODS["smooth"], formulation="reduced")
     solution = estimate.steps[0].solution
     factor = {"lower": 0.9, "same": 1 + 1e-9, "higher": 1.1}
@@ -222,7 +222,7 @@ def own_program(**options: Any) -> tuple[lampest.OwnProgram, lampest.Reconstruct
 
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-def test_a_program_without_own_parts_has_the_estimate_and_its_own_hessian_the_error_bars(formulation: str) -> None:
+def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(formulation: str) -> None:
     program, estimate = own_program(formulation=formulation)
     solved = program.solve()
     assert solved.status == "optimum verified" and solved.iterations > 0
@@ -235,7 +235,7 @@ def test_a_program_without_own_parts_has_the_estimate_and_its_own_hessian_the_er
     assert_allclose(solved.cell_resistance_errors[0] / solved.cell_resistance[0], deviations, rtol=1e-5)
 
 
-def test_two_equal_cells_are_one_and_more_certain() -> None:
+def test_two_equal_cells_have_one_value_and_smaller_error_bars() -> None:
     program, _ = own_program()
     cells = program.cells()
     free = program.solve()
@@ -245,7 +245,7 @@ def test_two_equal_cells_are_one_and_more_certain() -> None:
     assert tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
 
 
-def test_the_total_conductance_can_be_given_or_limited() -> None:
+def test_the_total_conductance_can_be_fixed_or_limited() -> None:
     program, _ = own_program()
     total = 1000 * casadi.sum1(casadi.vec(1 / program.cells()))
     usual = (1000 / program.solve().cell_resistance).sum()
@@ -288,7 +288,7 @@ def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
         (lambda program: program.solve()["own"], r"has no own unknown own; it has none"),
     ],
 )
-def test_wrong_own_parts_say_what_is_asked_for(wrong: Any, message: str) -> None:
+def test_errors_of_wrong_own_parts_name_the_required_ones(wrong: Any, message: str) -> None:
     with pytest.raises(lampest.InputError, match=message):
         wrong(own_program()[0])
 
@@ -300,12 +300,12 @@ def test_wrong_own_parts_say_what_is_asked_for(wrong: Any, message: str) -> None
         ({"formulation": "reduced"}, r"formulation must be one of nodal, per_pixel"),
     ],
 )
-def test_wrong_arguments_of_a_program(options: dict[str, Any], message: str) -> None:
+def test_wrong_arguments_of_a_program_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(lampest.InputError, match=message):
         own_program(**options)
 
 
-def test_a_program_that_cannot_be_solved_says_so_and_holds_no_number() -> None:
+def test_an_unsolvable_program_has_a_status_and_no_number() -> None:
     program, _ = own_program()
     solved = program.subject_to("impossible", program.cells()[0, 0] / 1000.0, 1e-9).solve()
     assert solved.status != "optimum verified"

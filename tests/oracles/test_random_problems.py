@@ -48,7 +48,7 @@ CIRCUITS = {
 
 
 @pytest.mark.parametrize("joint", [False, True])
-def test_the_cost_and_its_gradient_are_those_of_the_second_statement(joint: bool) -> None:
+def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool) -> None:
     """At points that are no optima; the statement's own derivatives by differences."""
     for number in STATED:
         problem = replace(RandomProblem.drawn(11, number), joint=joint)
@@ -69,7 +69,7 @@ def test_the_cost_and_its_gradient_are_those_of_the_second_statement(joint: bool
 
 
 @pytest.mark.parametrize(("seed", "number"), PROBLEMS)
-def test_no_other_solver_finds_less(seed: int, number: int) -> None:
+def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
     """There may be no estimate where too little is read, or where the sentence says that arithmetic is at its end."""
     problem = RandomProblem.drawn(seed, number)
     try:
@@ -221,7 +221,7 @@ def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
 
 @pytest.mark.parametrize("weight", [0.0, 1e-3])
 @pytest.mark.parametrize("kind", CIRCUITS)
-def test_a_frame_whose_model_is_far_off_is_solved_soon_at_any_weight(kind: str, weight: float) -> None:
+def test_a_frame_with_a_wrong_model_is_solved_quickly_at_any_weight(kind: str, weight: float) -> None:
     solution = solution_of_a_skin(kind, Misfit(weighting="noise"), term_types()["log_gradient"](weight=weight))
     assert solution.solved or solution.status is Status.STALLED
     assert solution.iterations < 200

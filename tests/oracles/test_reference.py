@@ -62,7 +62,7 @@ def log_error(cells: Array, truth: Array) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_cells_and_the_scale_of_errors_are_recovered_from_readings_that_are_off_by_7_percent(seed: int) -> None:
+def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(seed: int) -> None:
     """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and 23."""
     truth = loaded()
     data, cost = judged(truth, seed, static=0.07)
@@ -85,9 +85,7 @@ def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(fa
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_without_heavy_tails_edges_are_mistaken_for_errors_of_the_readings(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_normal_tails_mistake_edges_for_errors_of_the_readings(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = np.full((10, 10), 3000.0) * np.exp(0.02 * np.random.default_rng(seed).standard_normal((10, 10)))
     truth[4:6, 3:5] *= 5
     data, cost = judged(truth, seed)
@@ -107,7 +105,7 @@ def frames_under_load(static: float, seed: int, unloaded: int = 0) -> Recording:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
+def test_the_model_error_is_in_the_error_bars_and_in_one_sentence(seed: int) -> None:
     recording = frames_under_load(0.07, seed)
     estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
     assert sum(MODEL_ERROR_NOTE in line for line in estimate.checks) == 1

@@ -15,7 +15,7 @@ SHAPE = (4, 3, 3)
 
 
 @pytest.mark.parametrize("count", [2, 3, 10, 30])
-def test_intervals_of_a_mean_hold_it(count: int) -> None:
+def test_intervals_of_a_mean_contain_it(count: int) -> None:
     rng = np.random.default_rng(1)
     held = 0
     for values in rng.standard_normal((2000, count)):
@@ -26,7 +26,7 @@ def test_intervals_of_a_mean_hold_it(count: int) -> None:
     assert mean_interval(values[:1], 1).upper == np.inf
 
 
-def test_parts_widen_the_interval_of_frames_that_remember() -> None:
+def test_parts_widen_the_interval_of_correlated_frames() -> None:
     """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much as that of independent frames."""
     held = np.zeros(2)
     for noise in np.random.default_rng(3).standard_normal((200, 300)):
@@ -55,7 +55,7 @@ def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
     assert disagreements([invented_case("A"), with_change("B", 0.0, 1.0, 1.0)]) == ()
 
 
-def test_prediction_error_is_what_fresh_readings_deviate_by() -> None:
+def test_the_prediction_error_is_the_deviation_of_fresh_readings() -> None:
     """Shrunk readings, model = s·y: E|fresh − model|² = 1 + s² + (1 − s)²·signal, in units of the noise."""
     rng = np.random.default_rng(5)
     shape = (400, 5, 5)

@@ -39,17 +39,17 @@ def test_evidence_shows_a_small_memory(memory: float) -> None:
     assert not isinstance(estimate, str) and abs(estimate[0] - memory) < 0.005
 
 
-def test_evidence_shows_no_memory_where_there_is_none() -> None:
+def test_evidence_shows_no_absent_memory() -> None:
     assert memory_gain(pressed_mat(0.0)) <= 0
 
 
-def test_noise_that_the_scene_understates_is_no_memory() -> None:
+def test_understated_noise_is_not_taken_for_memory() -> None:
     recording = pressed_mat(0.0)
     quiet = replace(recording.scene, readout=replace(COLUMNS, readings=20))
     assert memory_gain(replace(recording, scene=quiet)) <= 0
 
 
-def test_the_edge_of_a_load_is_no_memory() -> None:
+def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
     """Edge cells that follow the load in the order of the scan have changed by a share of what the load has."""
     generator = np.random.default_rng(100)
     cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))
@@ -68,5 +68,5 @@ def test_the_edge_of_a_load_is_no_memory() -> None:
         ("readout.groups: [[0, 1], [2, 3]] (read in parallel)", "readout: {groups: [[0, 1], [2, 3]]}"),
     ],
 )
-def test_the_advised_line_is_one_of_the_scene(name: str, line: str) -> None:
+def test_the_advised_line_is_valid_in_the_scene(name: str, line: str) -> None:
     assert entry_line(name) == line

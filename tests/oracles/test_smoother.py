@@ -56,7 +56,7 @@ def found_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimate
     return reconstruct(recording, Estimator(terms, "smoother" if terms is ROBUST else "reduced"))
 
 
-def test_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
+def test_the_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
     """n k Σ_i log(1 + a_i) + Σ x²/s², written out once more."""
     squares = np.random.default_rng(1).uniform(0, 4e-3, (5, 4))
 
@@ -71,7 +71,7 @@ def test_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
 
 
 @pytest.mark.parametrize("chance", [0, 2])
-def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(chance: int) -> None:
+def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> None:
     """The residuals of which Φ is the sum of squares, and their derivatives by differences.
 
     Three frames of squares, with errors that one frame shares, off the end of Φ and far from its anchor.
@@ -120,7 +120,7 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 
 
 @pytest.mark.slow
-def test_the_end_is_the_least_of_the_stated_cost() -> None:
+def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
     """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end and beside it."""
     recording = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     estimator = Estimator(ROBUST, "smoother")
@@ -159,7 +159,7 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
 
 
 @pytest.mark.slow
-def test_it_halves_the_error_and_its_bars_hold() -> None:
+def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
     """Standing cells, a jump, and a tap that lasts one frame."""
     alone = []
     together = []
@@ -181,7 +181,7 @@ def test_it_halves_the_error_and_its_bars_hold() -> None:
 
 
 @pytest.mark.slow
-def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> None:
+def test_cells_near_a_breathing_soft_load_do_not_determine_channels() -> None:
     """They move by little, and are taken for still: 64 % of the cells were covered."""
     rng, (down, across) = np.random.default_rng(1), np.indices((8, 8))
     load = 3 * np.exp(-((down - 2.5) ** 2 / 4 + (across - 3.5) ** 2 / 6))
@@ -196,13 +196,13 @@ def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> Non
     assert np.mean(in_intervals(estimate)) > 0.9
 
 
-def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
+def test_shared_errors_widen_the_error_bars_of_cells() -> None:
     specified = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
     silent = found_of(panel(2, systematic="none"))
     assert np.median(specified.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
 
 
-def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
+def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
     """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the change's error."""
     made = panel(5, systematic="none", resting=5)
     rng = np.random.default_rng(5)
@@ -217,7 +217,7 @@ def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
     assert together < 0.4 * alone
 
 
-def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
+def test_a_frame_with_too_few_readings_is_left_out() -> None:
     made = panel(5)
     recorded = made.recorded.copy()
     recorded[RESTING + 2] = np.nan
@@ -231,7 +231,7 @@ def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
     assert stream.push(made.readings()[RESTING])[1].solution.status is Status.UNRESTED
 
 
-def test_unknown_noise_is_refused() -> None:
+def test_the_smoother_refuses_unknown_noise() -> None:
     made = panel(0)
     with pytest.raises(InputError, match="noise"):
         found_of(replace(made, scene=Scene(made.scene.panel)))

@@ -67,13 +67,13 @@ def many(count: int, max_lines: float, seed: int) -> Iterator[tuple[str, Array]]
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_fourteen_digits_in_every_structured_case(shape: tuple[int, int]) -> None:
+def test_every_structured_panel_is_exact_to_fourteen_digits(shape: tuple[int, int]) -> None:
     for name, cells in structured(shape, np.random.default_rng(1), 15):
         assert_allclose(exact_two_point_resistance(cells), in_digits(cells), rtol=1e-14, err_msg=name)
 
 
 @pytest.mark.slow
-def test_unsafe_inverse_is_noticed() -> None:
+def test_an_unsafe_inverse_is_noticed() -> None:
     """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
     unsafe = wrong = 0
     for name, cells in many(1000, 7, 4):
@@ -97,7 +97,7 @@ def test_open_cells_leave_the_network() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
-def test_lines_that_nothing_connects_are_infinitely_apart(scale: float) -> None:
+def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
     """Two clusters and a row without cells, lines in mixed order; within the clusters all is as in their own panel."""
     rng = np.random.default_rng(8)
     first = rng.uniform(1e3, 1e4, (3, 4))
@@ -130,7 +130,7 @@ def test_shorts_join_lines() -> None:
 
 
 @pytest.mark.parametrize("wrong", [-1.0, np.nan, -np.inf])
-def test_cells_that_cannot_be(wrong: float) -> None:
+def test_impossible_cells_are_refused(wrong: float) -> None:
     cells = np.full((2, 3), 3000.0)
     cells[1, 2] = wrong
     for forward in (exact_two_point_resistance, two_point_resistance):

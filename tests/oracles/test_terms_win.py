@@ -143,7 +143,7 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 
 @pytest.mark.parametrize("reads_both", [False, True])
-def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
+def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
     """What errors of the baseline and of the previous frame add, against estimates from displaced ones."""
     rng = np.random.default_rng(8)
     shape = (3, 4)
@@ -208,7 +208,7 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
 
 
 @pytest.mark.parametrize(("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)])
-def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
+def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float) -> None:
     """Nothing chosen, against the logarithmic change from the previous frame with its best weight in hindsight."""
     errors = []
     best_errors = []
@@ -234,9 +234,7 @@ def walk(seed: int, percent: float, frames: int = 12) -> Recording:
 @pytest.mark.parametrize(
     ("percent", "ratio", "coverage"), [(2.0, (0.93, 1.07), (0.93, 0.97)), (0.0, (0.75, 1.0), (0.95, 1.0))]
 )
-def test_error_bars_say_what_errors_are(
-    percent: float, ratio: tuple[float, float], coverage: tuple[float, float]
-) -> None:
+def test_error_bars_match_the_errors(percent: float, ratio: tuple[float, float], coverage: tuple[float, float]) -> None:
     """Where cells walk as the term says; where they rest, bars allow for a walk that is not there."""
     spread = []
     inside = []

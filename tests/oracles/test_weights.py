@@ -59,7 +59,7 @@ def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int, s
 
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
-def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int, factor: float) -> None:
+def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: float) -> None:
     """Of the linear estimate with two penalties, as a sum over the noise; and what the point's own errors add."""
     estimator = Estimator((Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced")
     data = measured_data(estimator, cells_of(1), 0.003, 2)
@@ -82,7 +82,7 @@ def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int
 
 
 @pytest.mark.parametrize("most_cells", [1000, 10], ids=["matrices", "samples"])
-def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
+def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
     most_cells: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
@@ -118,7 +118,7 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
-def test_a_large_panel_tells_uneven_cells_from_static_errors(static: float) -> None:
+def test_a_large_panel_distinguishes_uneven_cells_from_static_errors(static: float) -> None:
     """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""
     rng = np.random.default_rng(3)
     shape = (24, 20)
@@ -150,7 +150,7 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         assert sigma[number] == pytest.approx(information**-0.5, rel=0.05)
 
 
-def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:
+def test_a_warning_names_a_chosen_weight_that_prevents_the_fit() -> None:
     """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too large."""
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
     values = lampest.two_point_resistance(truth)
@@ -178,7 +178,7 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 @pytest.mark.parametrize("chosen", [False, True], ids=["known", "chosen"])
 @pytest.mark.parametrize("level", SETTINGS)
 @pytest.mark.parametrize("name", PRIORS)
-def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level: str, chosen: bool) -> None:
+def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(name: str, level: str, chosen: bool) -> None:
     """Of 2,880 cells; of half as many where the weight is chosen, and 40 draws are 40 weights."""
     drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, 40 if chosen else 80, 7)
     half, most, nearly_all = drawn.coverage
@@ -248,7 +248,7 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
     return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
 
-def test_evidence_is_laplaces_at_each_estimate() -> None:
+def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
     """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
     recording = bump()
     problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))
@@ -268,7 +268,7 @@ def test_evidence_is_laplaces_at_each_estimate() -> None:
     assert_allclose(first[0] - second[0], first[1] - second[1], atol=1e-4)
 
 
-def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
+def test_a_held_cell_contributes_the_integral_of_its_density() -> None:
     """The cost's slope and Gauss-Newton curvature by differences, the integral by quadrature."""
     made = bump()
     subject_of_bump = subject(CellResistance(weight="auto"), made)

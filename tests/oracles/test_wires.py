@@ -59,7 +59,7 @@ def solved(recording: Recording, formulation: Any = "reduced", terms: Any = LSM)
 
 
 @each_readout
-def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
+def test_specified_wire_gives_the_cells(readout: Readout) -> None:
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD, systematic="none"))
     estimate = solved(recording)
     ignored = solved(forgetting(recording, "lines"))
@@ -70,7 +70,7 @@ def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
 
 @each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
-def test_other_formulations_know_wire(readout: Readout, formulation: Any) -> None:
+def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> None:
     """As well as without wire: what they leave out is theirs."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
     bare = simulated(Scene(Panel(9, 7), readout))
@@ -88,7 +88,7 @@ def test_matrix_free_steps_reach_the_same_optimum() -> None:
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("keys", [{"lines": Lines(1.0, 1.0)}, {"faults": TOUCHING}], ids=["wire", "touching"])
-def test_node_voltages_know_wire_and_touching_lines(formulation: str, keys: Any, tmp_path: Path) -> None:
+def test_node_voltages_include_wire_and_touching_lines(formulation: str, keys: Any, tmp_path: Path) -> None:
     """A run file with them is read; tests/oracles/test_program.py has the optima."""
     simulated(Scene(Panel(6, 6), READOUTS["loaded"], **keys)).save(tmp_path / "panel.h5")
     (tmp_path / "run.yaml").write_text(
@@ -98,13 +98,13 @@ def test_node_voltages_know_wire_and_touching_lines(formulation: str, keys: Any,
     assert len(read_run(tmp_path / "run.yaml").cases) == 1
 
 
-def test_lines_without_resistance_are_no_wiring() -> None:
+def test_lines_without_resistance_need_no_wiring() -> None:
     assert Scene(Panel(3, 4), lines=Lines()).wiring is None
     assert Scene(Panel(3, 4), lines=Lines(0.0, 1e-9)).wiring is not None
 
 
 @each_readout
-def test_little_wire_does_little(readout: Readout) -> None:
+def test_small_wire_resistance_changes_readings_little(readout: Readout) -> None:
     """No large conductance stands in the equations: a billionth of an ohm costs no digits."""
     cells = np.random.default_rng(1).uniform(100, 9000, size=(6, 8))
     bare, wired = (readout.exact_reading(cells, wiring) for wiring in (None, Wiring(Lines(1e-9, 0.0))))
@@ -140,7 +140,7 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
-def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None) -> None:
+def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
     """Of cells on one crossing the sum of conductances is right; each alone has bars without end, and says so."""
     recording = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none"))
     done = solved(recording)
@@ -164,7 +164,7 @@ def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None
 
 
 @pytest.mark.parametrize("term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"])
-def test_shares_that_only_a_penalty_tells_are_followed_to_their_optimum(term: Term) -> None:
+def test_shares_determined_only_by_a_penalty_reach_their_optimum(term: Term) -> None:
     """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of them did not end."""
     recording = simulated(Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),))))
     done = solved(recording, terms=(*LSM, term))
@@ -173,7 +173,7 @@ def test_shares_that_only_a_penalty_tells_are_followed_to_their_optimum(term: Te
 
 
 @each_readout
-def test_lines_that_touch_are_read_alike_and_no_others(readout: Readout) -> None:
+def test_touching_lines_have_equal_readings_and_others_do_not(readout: Readout) -> None:
     for seed in range(5):
         touching = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING), seed).readings()
         assert (touching_rows(touching), touching_columns(touching)) == (((1, 3),), ((0, 4, 5),))
@@ -181,7 +181,7 @@ def test_lines_that_touch_are_read_alike_and_no_others(readout: Readout) -> None
         assert (touching_rows(apart), touching_columns(apart)) == ((), ())
 
 
-def test_equal_rows_are_no_rows_that_touch() -> None:
+def test_equal_rows_are_not_taken_for_touching_ones() -> None:
     """Where all rows read alike within the noise nothing is told."""
     noisy = TwoPointReadout(readings=1, noise_lsb=4)
     readings = simulate(Simulation(1, 2, Scene(Panel(6, 6), noisy), Cells(spread=0.0), frames=1)).readings()
@@ -194,7 +194,7 @@ def contacted(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1,
 
 
 @each_readout
-def test_the_change_of_cells_hardly_knows_of_contacts(readout: Readout) -> None:
+def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
     """They are the same in both frames: bars of changes are far narrower than those of cells."""
     done = solved(contacted(readout, 5))
     bars = done.cell_resistance_errors / done.cell_resistance
@@ -234,7 +234,7 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
 
 @pytest.mark.slow
 @each_readout
-def test_estimates_of_contacts_are_as_far_off_as_they_say(readout: Readout) -> None:
+def test_errors_of_estimated_contacts_match_their_deviations(readout: Readout) -> None:
     """Cells of equal resistance and a penalty that knows it."""
     far = []
     narrower = []
@@ -251,7 +251,7 @@ def test_estimates_of_contacts_are_as_far_off_as_they_say(readout: Readout) -> N
 @pytest.mark.parametrize(
     "terms", [(LogRatio(weight=10.0, loss=Squared()),), (LogRatio(weight="auto"),)], ids=["squared", "auto"]
 )
-def test_methods_that_look_back_know_contacts(terms: tuple[Term, ...]) -> None:
+def test_methods_with_a_baseline_model_contacts(terms: tuple[Term, ...]) -> None:
     """The joint first pair estimates them; later frames go on with them."""
     recording = contacted(READOUTS["two_point"], 6, frames=3)
     done = solved(recording, terms=(*LSM, *terms))
@@ -272,7 +272,7 @@ def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
 
 
 @each_converter
-def test_remembers_channel_by_channel(readout: Readout) -> None:
+def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
     """A capacitor holds a part of each channel of a frame that is scanned over and over, one after the other."""
     volt = volts(readout, (5, 4))
     expected = np.empty_like(volt)
@@ -287,7 +287,7 @@ def test_remembers_channel_by_channel(readout: Readout) -> None:
 
 
 @each_converter
-def test_is_taken_off_exactly_and_its_noise_is_told(readout: Readout) -> None:
+def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Readout) -> None:
     volt = volts(readout, (3, 5, 4))
     recorded = readout.recorded_from_volt(with_memory(readout, FRACTION, volt))
     freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
@@ -302,7 +302,7 @@ def test_is_taken_off_exactly_and_its_noise_is_told(readout: Readout) -> None:
     assert np.mean(np.std(draws, axis=0) / sigma) == pytest.approx(1, abs=0.02)
 
 
-def test_after_a_channel_that_says_nothing_any_voltage_may_be_remembered() -> None:
+def test_a_missing_channel_leaves_the_remembered_voltage_unknown() -> None:
     readout = CONVERTERS["rows"]
     volt = volts(readout, (4, 4))
     recorded = with_memory(readout, FRACTION, volt)
@@ -326,7 +326,7 @@ def test_a_rail_stays_a_bound() -> None:
 
 
 @each_converter
-def test_told_of_it_the_cells_are_found(readout: Readout) -> None:
+def test_specified_memory_gives_the_cells(readout: Readout) -> None:
     scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=FRACTION)
     recording = simulate(Simulation(1, 5, scene, frames=3))
     estimate = solved(recording)
@@ -362,7 +362,7 @@ def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (5, 8), (9, 4), (16, 16)])
 @pytest.mark.parametrize("ohm", [(1.0, 1.0), (0.3, 20.0), (50.0, 0.02), (0.0, 3.0), (3.0, 0.0)])
-def test_currents_and_voltages_are_badcrossbars(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
+def test_currents_and_voltages_equal_those_of_badcrossbar(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
     rows, columns = shape
     cells = log_normal_cells(rows, columns)
     reference = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
@@ -376,7 +376,7 @@ def test_currents_and_voltages_are_badcrossbars(shape: tuple[int, int], ohm: tup
     assert_allclose(through.reshape(rows, columns, rows) / cells[..., None], reference_through, rtol=1e-10, atol=1e-17)
 
 
-def test_the_other_sides_are_mirror_images() -> None:
+def test_networks_fed_from_the_other_sides_are_mirror_images() -> None:
     """badcrossbar knows rows that enter at the left and columns that leave at the bottom; the others are turned."""
     cells = log_normal_cells(5, 8)
     ties = np.full(13, 1e-3)
