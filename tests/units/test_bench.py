@@ -53,7 +53,7 @@ def timed(side: int, times: list[float], method: str = "LSM", solver: str = "red
 
 
 @pytest.mark.slow
-def test_all_solvers_agree_where_they_say_they_solved() -> None:
+def test_all_solvers_agree_on_solved_frames() -> None:
     """Ours, IPOPT and those of SciPy, on squares and on a panel that is none."""
     limits = SolverLimits(nodal=3, joint=3, scipy_exact=4, scipy_difference=3, scipy_lbfgsb=3)
     file = SolversFile(1, (3, (2, 4)), recordings=2, frames=2, repeats=2, limits=limits)
@@ -73,7 +73,7 @@ def test_all_solvers_agree_where_they_say_they_solved() -> None:
     assert tiny.left_out == ()
 
 
-def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_single_one(tmp_path: Path) -> None:
+def test_the_gap_refers_to_the_lowest_objective_of_several_solvers(tmp_path: Path) -> None:
     file = BenchFile(1, (3,), LSM, frames=1, repeats=1)
     frames = run_bench(file, quiet).frames
     names = BenchLimits().solvers
@@ -103,7 +103,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
 
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)
 @pytest.mark.parametrize("joint", [False, True], ids=["single", "joint"])
-def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, joint: bool) -> None:
+def test_the_jacobian_is_that_of_the_residuals_of_the_cost(method: str, joint: bool) -> None:
     bench = BenchFile(1, ((3, 4),), limits=BenchLimits(joint=4 if joint else 0))
     recording = bench.recording((3, 4))
     readings = recording.readings()
@@ -121,7 +121,7 @@ def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, jo
 
 
 @pytest.mark.parametrize("name", ["bench", "bench_large"])
-def test_shipped_benchmarks_are_in_order(name: str) -> None:
+def test_shipped_benchmarks_are_valid(name: str) -> None:
     bench = read_bench(ROOT / "configs" / f"{name}.yaml")
     assert list(bench.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
     assert {(10, 10), (32, 32), (100, 100), (200, 200)} <= set(bench.shapes)
@@ -130,7 +130,7 @@ def test_shipped_benchmarks_are_in_order(name: str) -> None:
     assert replace(bench, readout=BenchFile(1, (3,)).readout) == bench
 
 
-def test_ours_and_theirs_stand_side_by_side_on_the_same_mats() -> None:
+def test_the_table_compares_both_packages_on_the_same_mats() -> None:
     solves = list(solved_mats(Mats(sides=(6,), draws=1, noise_percent=(0, 1)), seed=3, settings=Settings()))
     assert [(solve.noise_percent, solve.solver) for solve in solves] == [*product((0, 1), (*OURS, *PUBLISHED))]
     for solve in solves:

@@ -50,7 +50,7 @@ def window(
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("uneven", [0.0, 0.1, 0.25])
-def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
+def test_suction_swinging_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
     shown = window(own=0.08, seed=seed, uneven=uneven)
     assert shown.odds > 3 and shown.suction > 0.95
     assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
@@ -69,13 +69,13 @@ def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneve
     ],
     ids=str,
 )
-def test_a_rim_or_a_place_that_swings_is_none(seed: int, moving: dict[str, float]) -> None:
+def test_a_swinging_rim_or_place_is_not_breath(seed: int, moving: dict[str, float]) -> None:
     shown = window(**moving, seed=seed)  # the last one as the square of a movement that is half as fast
     assert shown.odds < 0 or shown.suction < 0.1
 
 
 @pytest.mark.parametrize("uneven", [0.1, 0.25])
-def test_the_depth_is_as_sure_as_it_is_said_to_be(uneven: float) -> None:
+def test_the_depth_of_breath_lies_within_its_error(uneven: float) -> None:
     """Also where the rim swings by less than its pattern, as on a film that it saturates."""
     depths = [window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.04) for seed in range(8)]
     scores = np.array([(value - 0.08) / error for value, error in depths])
@@ -84,14 +84,14 @@ def test_the_depth_is_as_sure_as_it_is_said_to_be(uneven: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_waves_and_noise_are_none_and_hide_none(seed: int) -> None:
+def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
     assert window(seed=seed).odds < 0 > window(waves=3.0, seed=seed).odds
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
         shown = window(**hiding, seed=seed)
         assert shown.odds > 3 and shown.suction > 0.9
 
 
-def test_odds_of_a_window_before_a_pull_stay() -> None:
+def test_a_pull_keeps_the_odds_of_earlier_windows() -> None:
     """A pull ends the window; without one, the longer window replaces the shorter."""
     shown, hidden = (Breath(odds, 1.0, (1.1, 0.1), (0.08, 0.01)) for odds in (8.0, -3.0))
     unpulled = Breathing().after(shown, 9.0, full=False)
@@ -113,13 +113,13 @@ def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
     return breath(interval, changes[still], known)
 
 
-def test_a_breath_is_a_share_of_suction_that_is_pulled() -> None:
+def test_the_depth_of_breath_is_relative_to_the_pulled_suction() -> None:
     level = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
     shown = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
     assert shown.odds > 3 and shown.depth[0] == pytest.approx(0.05, rel=0.2)
 
 
-def test_a_part_of_a_window_shows_a_breath_alone() -> None:
+def test_part_of_a_window_suffices_to_detect_breath() -> None:
     """While a mouth pulls, it does not breathe steadily."""
     pull = TIMES > 3.75
     wild = 0.5 * pull * np.random.default_rng(5).standard_normal(len(TIMES))
@@ -144,7 +144,7 @@ def pumped(period_s: float, loss: float) -> Array:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(("period_s", "loss"), [(25.0, 0.2), (60.0, 0.15), (60.0, 0.4), (90.0, 0.3)])
-def test_suction_that_decays_and_is_pumped_up_is_alive(period_s: float, loss: float, seed: int) -> None:
+def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed: int) -> None:
     """Within five pumps, the published intervals: 20 to 200 s."""
     odds = followed(pumped(period_s, loss), seed=seed)
     assert np.max(odds) > np.log(9), "nine in ten is the answer's level"
@@ -165,13 +165,13 @@ def test_suction_that_decays_and_is_pumped_up_is_alive(period_s: float, loss: fl
     ],
     ids=["still", "leaks", "creeps", "aliased breath", "pressed once", "bumped once", "pressed and let go"],
 )
-def test_a_cup_that_leaks_creeps_or_is_touched_is_not(course: Array, seed: int) -> None:
+def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int) -> None:
     odds = followed(course, seed=seed)
     assert np.max(odds) < np.log(9) and odds[-1] < 0.5
 
 
 @pytest.mark.slow
-def test_rare_and_frequent_bumps_of_either_sign_are_none() -> None:
+def test_rare_and_frequent_bumps_are_not_pumping() -> None:
     """At one in a minute and one in twenty seconds; two of twenty courses may pass the level by chance."""
     passed = []
     for seed in range(10):
@@ -183,7 +183,7 @@ def test_rare_and_frequent_bumps_of_either_sign_are_none() -> None:
     assert np.mean(passed) <= 0.1
 
 
-def test_a_mouth_that_rested_is_known_again_within_minutes() -> None:
+def test_a_rested_mouth_is_recognised_within_minutes() -> None:
     long = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for number in range(400):  # twenty minutes
         long = long.after(np.full((3, 1), 0.001 * (-1) ** number), number * BLOCK_S)
@@ -195,7 +195,7 @@ def test_a_mouth_that_rested_is_known_again_within_minutes() -> None:
     assert long.odds > np.log(9) > MIN_LOG_ODDS
 
 
-def test_what_was_learned_stays_when_a_mouth_has_moved() -> None:
+def test_a_moved_mouth_keeps_its_odds() -> None:
     track = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for time, value in zip(BLOCKS[:100], pumped(45.0, 0.3), strict=False):
         track = track.after(np.full((3, 1), value), float(time))

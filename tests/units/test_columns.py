@@ -15,7 +15,7 @@ from lampest.runs.columns import CELLS, FRAMES, Column, positive_or_infinite
 LEAST = Column("least_resistance", FRAMES, "ohm", "smallest cell", lambda done: None, (positive_or_infinite,))
 
 
-def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
+def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
     case = invented_case()
     for values, message in (
@@ -29,7 +29,7 @@ def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_texts_and_truth_values_are_columns_too(tmp_path: Path) -> None:
+def test_columns_hold_texts_and_truth_values(tmp_path: Path) -> None:
     words = Column("word", FRAMES, "1", "a word", lambda done: None, dtype=str)
     marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=bool)
     case = invented_case(extra={"word": ("one", "two", "three"), "marked": np.eye(10, dtype=bool)})

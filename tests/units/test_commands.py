@@ -88,9 +88,7 @@ def test_every_option_has_help_and_every_command_an_example() -> None:
                 assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
 
 
-def test_a_study_takes_a_folder_that_is_not_there_yet(
-    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_creates_its_folder(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     folders: list[object] = []
     monkeypatch.setattr("lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out))
     for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
@@ -99,7 +97,7 @@ def test_a_study_takes_a_folder_that_is_not_there_yet(
     assert folders == [tmp_path / "new"] * len(studies) and studies
 
 
-def test_no_help_holds_an_emoji(lampest: Command) -> None:
+def test_no_help_contains_an_emoji(lampest: Command) -> None:
     """Of words between two colons the help's renderer makes a picture where it knows one."""
     for name in ("compare", "plot", "export", "detect", "tare"):
         ended = lampest(name, "--help")
@@ -107,7 +105,7 @@ def test_no_help_holds_an_emoji(lampest: Command) -> None:
 
 
 @pytest.mark.slow
-def test_a_mat_begins_with_a_scene_of_contacts_in_which_a_penalty_wins(
+def test_init_of_a_mat_writes_a_scene_of_contacts_with_a_useful_penalty(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -139,7 +137,7 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     assert written == ["detections.h5", "timeline_mine.png", "visits.csv", "visits.png"]
 
 
-def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
+def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:
     assert {name for name, command in TOP.items() if command.hidden} == set(OLD) | set(GROUPS)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
         completed = lampest(old)
@@ -155,7 +153,7 @@ def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Comman
         )
 
 
-def test_version_and_mistyped_commands(lampest: Command) -> None:
+def test_version_is_printed_and_mistyped_commands_are_refused(lampest: Command) -> None:
     ended = lampest("--version")
     assert ended.code == 0 and re.fullmatch(r"lampest \d+\.\d+\.\d+\S*\n", ended.out)
     ended = lampest("plto")
@@ -163,7 +161,7 @@ def test_version_and_mistyped_commands(lampest: Command) -> None:
     assert "--set" in lampest("run", "x.yaml", "--ste", "a=1").err
 
 
-def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
+def test_progress_on_a_terminal_shows_the_count_and_the_remaining_time(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for terminal, counted in ((False, False), (True, False), (True, True)):
@@ -177,7 +175,7 @@ def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
         assert all(word in drawn for word in ("frames", "33%", "left")) == terminal and ("3/9" in drawn) == counted
 
 
-def test_memory_that_ran_out_is_a_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exhausted_memory_gives_one_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     for error, words in ((MemoryError(), "no details"), (MemoryError(" 3 GiB\n  for a matrix"), "3 GiB for a matrix")):
 
         def failing(error: MemoryError = error) -> None:
@@ -208,7 +206,7 @@ def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeyp
         assert completed.code == (130 if "ended_by" in ending else 0)
 
 
-def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
+def test_a_simulation_takes_overrides_and_checks_its_space_first(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert lampest("init", tmp_path).code == 0
@@ -231,7 +229,7 @@ def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
     assert not (tmp_path / "deep").exists()
 
 
-def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_recording(
+def test_results_of_other_cases_are_renamed_and_never_replace_a_recording(
     disk: SimpleNamespace, lampest: Command
 ) -> None:
     out = disk.folder / "out"
@@ -257,7 +255,7 @@ def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_rec
     assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
 
 
-def test_pictures_of_a_frame_and_an_estimator(tmp_path: Path, lampest: Command) -> None:
+def test_plot_draws_a_given_frame_and_estimator(tmp_path: Path, lampest: Command) -> None:
     results = tmp_path / "results.h5"
     new = tmp_path / "new"
     write_results(results, [invented_case(name, "small", (2, 3, 4)) for name in ("LSM", "LSR-CR")])
@@ -305,7 +303,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path) -> None:
+def test_a_study_with_an_input_named_like_an_output_writes_nothing(tmp_path: Path) -> None:
     taken = tmp_path / "own.h5"
     taken.write_bytes(b"")
     study: Study[Any, Any] = Study("own", "things", "x.yaml", lambda *_: 0, lambda *_: 0, one_row, form="own/1")
@@ -314,7 +312,7 @@ def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path
     assert names(tmp_path) == {"own.h5"}
 
 
-def test_paths_that_are_none_are_refused(disk: SimpleNamespace) -> None:
+def test_invalid_paths_are_refused(disk: SimpleNamespace) -> None:
     for text in (None, 3, b"r.h5"):
         with pytest.raises(InputError, match="path"):
             Recording.load(text)
@@ -324,7 +322,7 @@ def test_paths_that_are_none_are_refused(disk: SimpleNamespace) -> None:
         read_scene("\0")
 
 
-def test_what_a_killed_writer_left_goes_with_the_next_export(tmp_path: Path) -> None:
+def test_the_next_export_removes_fragments_of_a_killed_writer(tmp_path: Path) -> None:
     write_results(tmp_path / "r.h5", [invented_case("LSM", "mouth", (2, 3, 4))])
     assert subprocess.run([sys.executable, "-c", KILLED, tmp_path / "r.mat"], check=False).returncode == -9
     assert len([name for name in names(tmp_path) if name.endswith(".part")]) == 1

@@ -42,7 +42,7 @@ def recorded(seed: int = 2, **known: Any) -> Recording:
 
 
 @pytest.mark.slow
-def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
+def test_pumps_identify_a_mouth_without_visible_breath() -> None:
     """At one frame a second; a cup that leaks as fast, without pumps, stays something that sucks."""
     known: dict[str, Any] = {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5, "seed": 5}
     known |= {"scene": Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0)}
@@ -56,7 +56,7 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
 
 
 @pytest.mark.parametrize("readout", [TwoPointReadout(), LoadedColumnsReadout(load_ohm=1000.0)])
-def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
+def test_frame_noise_survives_its_arrays(readout: Any) -> None:
     """A pattern has a number for each channel of a line; of another shape it is refused."""
     scene = Scene(Panel(2, 3), readout)
     channels = 2 if scene.circuit.by_columns else 3
@@ -70,7 +70,7 @@ def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> None:
+def test_detect_of_a_mat_reports_two_contacts_with_place_and_area() -> None:
     """An L and a disc; then a mouth."""
     cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
     disc = Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600)
@@ -88,7 +88,7 @@ def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> Non
 
 
 @pytest.mark.slow
-def test_a_press_of_a_third_of_a_second_is_a_contact_of_a_mat_and_is_named_elsewhere() -> None:
+def test_a_short_press_is_a_contact_of_a_mat_and_mentioned_otherwise() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
     cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
     course = Course(start_s=0.4, release_at_s=0.7)
@@ -103,7 +103,7 @@ def test_a_press_of_a_third_of_a_second_is_a_contact_of_a_mat_and_is_named_elsew
     assert not unspecified.attachments and "something touched the panel from 0.6 s to 0.9 s" in unspecified.sentence
 
 
-def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
+def test_cells_of_lower_conductance_are_neither_a_contact_nor_explained() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
     known: dict[str, Any] = {"cells": Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6), "frame_period_s": 0.25}
     loaded = recorded(scene=scene, loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),), **known)
@@ -117,7 +117,7 @@ def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
 
 
 @pytest.mark.slow
-def test_one_frame_shows_no_change(tmp_path: Path) -> None:
+def test_a_single_frame_shows_no_change(tmp_path: Path) -> None:
     recorded(frames=1).save(tmp_path / "one.h5")
     answer = detect_recording(tmp_path / "one.h5")
     assert answer.answer == CANNOT_SAY and "one frame" in answer.why
@@ -135,7 +135,7 @@ def test_one_frame_shows_no_change(tmp_path: Path) -> None:
         )
 
 
-def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:
+def test_detect_refuses_files_other_than_recordings_and_results(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
     with pytest.raises(InputError, match=r"other\.h5"):

@@ -26,7 +26,7 @@ def drawn(cells: int, seed: int) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_error_more_is_scored_by_the_density_of_the_change_with_it(seed: int) -> None:
+def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -> None:
     change, covariance = drawn(9, seed)
     columns = 0.05 * np.random.default_rng(seed + 10).standard_normal((9, 4))
     scores = scores_with_errors(change, np.linalg.inv(covariance), columns)
@@ -56,7 +56,7 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     assert score[0] > evidence(change, covariance, moved) - 1e-9
 
 
-def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
     logarithm = np.full((4, 2, 3), 0.1)
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
@@ -70,7 +70,7 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     np.testing.assert_allclose(within, [0.25, 0])
 
 
-def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_forked_child_renews_only_the_locks_of_cached_properties(monkeypatch: pytest.MonkeyPatch) -> None:
     """A property's lock would be held there for ever by a thread of the parent; the module's own is free again."""
     held = RLock()
     waiting: Any = cached_property(len)
@@ -90,7 +90,7 @@ def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(mo
         lock.release()
 
 
-def test_levels_have_the_false_alarms_that_they_state() -> None:
+def test_levels_have_their_stated_false_alarm_rate() -> None:
     """Of a normal distribution, on both sides; once in so many numbers."""
 
     def once_in(sigmas: float) -> float:

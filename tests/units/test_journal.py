@@ -39,7 +39,7 @@ def flip(path: Path, place: str, row: int) -> None:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, lampest: Callable[..., Any]) -> None:
+def test_check_names_a_damaged_frame_and_repair_drops_it(killed: Path, place: str, lampest: Callable[..., Any]) -> None:
     meant = Recording.load(killed)
     flip(killed, place, 5)
     for reader in (Recording.load, StoredRecording.of):
@@ -59,7 +59,7 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, 
     assert sorted(file.name for file in killed.parent.iterdir()) == ["growing.h5", "killed.h5"]
 
 
-def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> None:
+def test_estimates_of_a_board_are_stored_and_checked_like_sums(tmp_path: Path) -> None:
     killed = unclosed_recording(tmp_path / "killed.h5", SCENE, FRAMES, unloaded=3, estimates=True)
     number = np.where(np.arange(FRAMES) % 2, np.arange(FRAMES), np.nan)
     expected = np.broadcast_to(number[:, None, None], (FRAMES, 3, 4))
@@ -76,7 +76,7 @@ def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> 
         replace(recording, board_log_change=expected)
 
 
-def test_boards_without_estimates_leave_no_dataset_of_them(killed: Path) -> None:
+def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) -> None:
     repair(killed)
     assert Recording.load(killed).board_log_change is None
     with h5py.File(killed) as file:
@@ -84,7 +84,7 @@ def test_boards_without_estimates_leave_no_dataset_of_them(killed: Path) -> None
 
 
 @pytest.mark.parametrize("damaged", [None, 5])
-def test_a_journal_without_a_salt_is_read_as_before(killed: Path, damaged: int | None) -> None:
+def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:
     """Checksums of older versions: of the columns of a row alone, without a salt and the row's number."""
     meant = Recording.load(killed).recorded
     with h5py.File(killed.with_name("growing.h5"), "r+") as file:
@@ -117,7 +117,7 @@ def test_a_damaged_event_is_dropped(killed: Path) -> None:
     )
 
 
-def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
+def test_the_shortest_dataset_limits_the_number_of_events(killed: Path) -> None:
     """A writer that was killed between two datasets left one longer than the other."""
     for name, flags in (("time", [1, 0]), ("label", [1, 0]), ("crc32", [1])):
         with h5py.File(killed.with_name("growing.h5")) as file, h5py.File(killed.with_name("c.h5"), "w") as copy:
@@ -126,7 +126,7 @@ def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
             assert EVENTS.undamaged(copy).tolist() == flags
 
 
-def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
+def test_a_fully_damaged_journal_is_refused_and_left_unchanged(killed: Path) -> None:
     for row in range(FRAMES):
         flip(killed, "raw/sums", row)
     original = killed.read_bytes()
@@ -135,7 +135,7 @@ def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
     assert killed.read_bytes() == original
 
 
-def test_a_file_that_its_writer_left_open_stays_unless_it_ends_too_early(killed: Path) -> None:
+def test_an_unclosed_file_is_read_unchanged_and_a_truncated_one_refused(killed: Path) -> None:
     whole = killed.read_bytes()
     assert is_left_open(killed) and len(Recording.load(killed).time) == FRAMES
     assert killed.read_bytes() == whole
@@ -145,7 +145,7 @@ def test_a_file_that_its_writer_left_open_stays_unless_it_ends_too_early(killed:
             Recording.load(killed)
 
 
-def test_damage_in_it_is_a_sentence_that_names_it(killed: Path) -> None:
+def test_damage_of_an_unclosed_file_gives_one_sentence(killed: Path) -> None:
     """HDF5 alone waits for the right checksum without end."""
     whole = killed.read_bytes()
     expected = Recording.load(killed).recorded

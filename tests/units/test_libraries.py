@@ -45,7 +45,7 @@ def imported() -> set[str]:
 
 
 @pytest.mark.slow
-def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
+def test_every_optional_library_has_its_pip_name() -> None:
     requirements = [*PROJECT["dependencies"], *itertools.chain(*PROJECT["optional-dependencies"].values())]
     known = {match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))} | EXTRAS.keys()
     known |= {f"lampest[{name}]" for name in PROJECT["optional-dependencies"]}
@@ -53,7 +53,7 @@ def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
     assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
 
 
-def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_no_library() -> None:
+def test_the_error_of_a_missing_library_names_its_extra_unlike_own_modules() -> None:
     for library, groups, brings in (("serial", (), "pyserial"), ("paho.mqtt", ("streams",), r"lampest\[streams\]")):
         words = rf"^{library} is not installed; pip install '{brings}' brings it$"
         with pytest.raises(InputError, match=words), extra(*groups):
@@ -63,7 +63,7 @@ def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_
             raise ModuleNotFoundError("no such module", name=name)
 
 
-def test_without_matplotlib_reports_have_no_picture_and_plots_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = lampest.Recording.load(HOUSE / "tests" / "golden" / "recording.h5")
     estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
     for name in [*sys.modules]:
@@ -80,7 +80,7 @@ def test_without_matplotlib_reports_have_no_picture_and_plots_name_the_extra(mon
     assert "<pre" in page and "<img" not in page
 
 
-def test_without_matplotlib_detect_writes_everything_but_pictures(
+def test_detect_writes_everything_but_pictures_without_matplotlib(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("lampest.cli.results.find_spec", lambda name: None)
@@ -99,7 +99,7 @@ def loaded(code: str) -> set[str]:
 
 
 @pytest.mark.slow
-def test_a_process_imports_what_it_needs_alone() -> None:
+def test_a_process_imports_only_needed_libraries() -> None:
     for code, absent in (
         (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
         ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "casadi", "lampest.estimate")),

@@ -70,9 +70,7 @@ def of_every_frame(name: str) -> Estimator:
 
 
 @pytest.mark.slow
-def test_what_is_left_to_another_process_reaches_the_frames_after(
-    lamprey: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_findings_of_the_other_process_reach_later_frames(lamprey: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that waits for them."""
     monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
@@ -90,7 +88,7 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
 
 
 @pytest.mark.slow
-def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Recording) -> None:
+def test_every_frame_waits_for_its_findings_if_the_other_process_dies(lamprey: Recording) -> None:
     engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
 
     def kill() -> None:
@@ -126,7 +124,7 @@ def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object])
 @pytest.mark.parametrize(
     "method", [of_every_frame("smooth"), of_every_frame("relative_change"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
 )
-def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
+def test_live_estimates_equal_those_of_a_batch(method: Estimator) -> None:
     # Without outliers, and errors of single readings: only a batch sees later frames, which tell them from a change.
     ((_, simulation),) = read_simulations(Path(__file__).parents[2] / "configs" / "lamprey_35mm.yaml")
     calm = dataclasses.replace(simulation.unmodelled, outlier_probability=0.0)
@@ -142,7 +140,7 @@ def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
     np.testing.assert_array_equal([picture.open_cell for picture in live], flags)
 
 
-def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_said() -> None:
+def test_a_reading_frozen_in_the_unloaded_frames_stays_missing_and_is_named() -> None:
     rng = np.random.default_rng(3)
     recorded = two_point_resistance(3000 * np.exp(0.001 * rng.standard_normal((11, 5, 6))))
     recorded[8:, 2] *= 0.9
@@ -158,7 +156,7 @@ def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_sa
 
 
 @pytest.mark.slow
-def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_is_none(lamprey: Recording) -> None:
+def test_live_reports_a_wrong_circuit_but_not_a_wrong_reading(lamprey: Recording) -> None:
     """The recording was made with 140 ohm in series; here nobody tells."""
     scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=0.0)
     with Engine("test", "test", LSM, 3) as engine:
@@ -175,7 +173,7 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_
     assert Prepared(first).check.mark == "yes"
 
 
-def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
+def test_slow_solving_continues_with_the_newest_frame_and_counts_skipped_ones(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = threading.Semaphore(0)
@@ -208,7 +206,7 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
     assert (view.frames, view.lost, view.skipped, len(view.history)) == (7, 10, 4, 2)
 
 
-def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Recording) -> None:
+def test_a_failed_frame_shows_no_number_and_the_next_is_solved(lamprey: Recording) -> None:
     resistance = lamprey.resistance.copy()
     resistance[4, 1:] = np.nan
     shown = pictures(LSM, dataclasses.replace(lamprey, recorded=resistance))
@@ -229,7 +227,7 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
 
 
 @pytest.mark.parametrize("frames", [None, 1])
-def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
+def test_an_exception_of_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
     narrow = dataclasses.replace(LSM, bounds=Bounds(upper=1.0))
     with Engine("test", "test", narrow, 3) as engine, pytest.raises(InputError, match="bounds leave no room for cell"):
         from_recording(engine, lamprey, 1e9, frames)
@@ -237,7 +235,7 @@ def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None
 
 
 @pytest.mark.slow
-def test_a_replay_takes_its_time(lamprey: Recording) -> None:
+def test_a_replay_keeps_its_pace(lamprey: Recording) -> None:
     waits: list[float] = []
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, lamprey, 4.0, 5, waits.append)
@@ -248,7 +246,7 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
     np.testing.assert_allclose(waits, 0.25 * np.arange(5), atol=0.1)
 
 
-def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
+def test_estimators_are_chosen_by_name_or_from_a_file(disk: SimpleNamespace) -> None:
     assert chosen(None, disk.run())[0] == "LSM"
     name, estimator = chosen("LSR-dCR", disk.run())
     assert (name, estimator.formulation, estimator.relative) == ("LSR-dCR", "auto", True)
@@ -257,7 +255,7 @@ def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
 
 
 @pytest.mark.slow
-def test_live_pressure_forgets_what_the_film_remembers() -> None:
+def test_live_pressure_excludes_the_memory_of_the_film() -> None:
     """30 frames of nothing, 20 of a rod, 50 of nothing."""
     film = Film(0.2, 0.08)
     course = Course(start_s=30, release_at_s=50)
@@ -312,14 +310,14 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
 
 
 @pytest.mark.slow
-def test_a_stream_keeps_nothing_of_the_frames_that_went() -> None:
+def test_a_stream_retains_no_past_frames() -> None:
     early, late = stream_figures((FRAMES // 4, FRAMES))
     assert late.allocated - early.allocated < LEAK_BYTES_PER_FRAME * (late.frames - early.frames)
     assert late.open_files <= early.open_files
 
 
 @pytest.mark.slow
-def test_the_live_page_keeps_its_history_and_nothing_else() -> None:
+def test_the_live_page_retains_only_its_history() -> None:
     """Its history is full after 1,800 frames."""
     early, late = live_figures((2 * FRAMES, 3 * FRAMES))
     assert late.allocated - early.allocated < LEAK_BYTES_PER_FRAME * (late.frames - early.frames)

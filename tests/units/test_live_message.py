@@ -32,7 +32,7 @@ LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 
 CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
-def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
+def test_an_urgent_errand_waits_only_for_urgent_ones() -> None:
     look = Errand("look", int)
     urgent = Errand("look", int, urgent=True)
     check = Errand("check", int)
@@ -58,7 +58,7 @@ def news(recording: Recording) -> list[object]:
 
 
 @pytest.mark.slow
-def test_live_answers_as_detect_does(tmp_path: Path) -> None:
+def test_live_and_detect_give_the_same_answer(tmp_path: Path) -> None:
     recording = taken(40, (MOUTH,))
     recording.save(tmp_path / "mouth.h5")
     batch = detect_recording(tmp_path / "mouth.h5")
@@ -70,7 +70,7 @@ def test_live_answers_as_detect_does(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
+def test_the_watching_process_answers_and_its_death_is_reported() -> None:
     answers: list[Detected] = []
     watching = watcher("mouth", answers.append)
     for item in news(taken(4)):
@@ -86,7 +86,7 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     watching.close()
 
 
-def test_a_wait_ends_with_its_condition_or_its_time() -> None:
+def test_a_wait_ends_on_its_condition_or_timeout() -> None:
     answers = [True, True, True, False, False]
     assert waited(lambda: answers.pop(), 60.0) and answers == [True], "asked once more at the end"
     begin = time.monotonic()
@@ -94,7 +94,7 @@ def test_a_wait_ends_with_its_condition_or_its_time() -> None:
     assert waited(lambda: True, 0.0)
 
 
-def test_an_answer_that_changes_is_in_the_log_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_contains_each_changed_answer_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
     answers = [Detected.of("mouth", (load,), 4.0) for load in (CUP, CUP, LAMPREY, LAMPREY)]
     with Engine("test", "test", METHODS["smooth"], 3) as engine:
         for answer in answers:

@@ -89,7 +89,7 @@ def samples_of(recording: Recording) -> list[Sample]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_every_way_in_gives_the_same_cells(name: str) -> None:
+def test_every_entry_point_gives_the_same_cells(name: str) -> None:
     case = CASES[name]
     recording = recording_of(case)
     readings = recording.readings()
@@ -123,7 +123,7 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
     assert_array_equal([picture.force for picture in boarded], [picture.force for picture in replayed])
 
 
-def test_what_does_not_fit_is_named() -> None:
+def test_errors_name_inconsistent_inputs() -> None:
     """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
     role = np.ones(2, dtype=np.uint8)

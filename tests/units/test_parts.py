@@ -79,7 +79,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, small: None) -> None:
+def test_parts_give_the_results_of_the_whole_recording(tmp_path: Path, lampest: Command, small: None) -> None:
     """A part without a measured frame, frames that cannot be read and outliers are among them."""
     values = frames(110)
     values[45:75] = np.nan
@@ -107,7 +107,7 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
 
 
-def test_parts_know_that_the_data_chose_their_weights(tmp_path: Path, small: None) -> None:
+def test_results_of_parts_record_automatic_weights(tmp_path: Path, small: None) -> None:
     save(tmp_path, frames(40))
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
     terms = lampest.Misfit(weighting="noise"), lampest.Gradient()
@@ -117,7 +117,7 @@ def test_parts_know_that_the_data_chose_their_weights(tmp_path: Path, small: Non
         assert {estimates.automatic for _, estimates, _ in parts} == {weight == "auto"}
 
 
-def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path: Path, small: None) -> None:
+def test_a_long_recording_has_the_frame_period_of_its_first_part(tmp_path: Path, small: None) -> None:
     time = np.concatenate([0.1 * np.arange(20), 10.0 + 0.7 * np.arange(20)])
     role = (np.arange(40) >= UNLOADED).astype(np.uint8)
     lampest.Recording(SCENE, frames(40), time, role).save(tmp_path / "long.h5")
@@ -129,9 +129,7 @@ def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("apart", [True, False])
-def test_an_ended_run_goes_on_behind_its_last_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
-) -> None:
+def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool) -> None:
     """Three parts of 16 frames, of estimates that look back or do not; the second is damaged before it goes on.
 
     Parts that stand apart are solved in any order, by an executor or by the case itself.
@@ -179,7 +177,7 @@ def test_an_ended_run_goes_on_behind_its_last_part(
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, small: None, fresh: bool) -> None:
+def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(tmp_path: Path, small: None, fresh: bool) -> None:
     save(tmp_path, frames(40))
     (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
     run = read_run(tmp_path / "run.yaml")
@@ -196,7 +194,7 @@ def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, smal
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")
-def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
+def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
     """Peak resident size of two processes; the 25 maps of the longer recording alone would be 48 MB."""
     scene = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
     run = "schema: 1\nrecordings: [long.h5]\nformulation: naive\nestimators: {one: {terms: {misfit: {}}}}\n"
@@ -211,7 +209,7 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
     assert peaks[1] < 1.02 * peaks[0]
 
 
-def test_what_needs_all_frames_says_so(tmp_path: Path, lampest: Command, small: None) -> None:
+def test_methods_that_need_all_frames_refuse_long_recordings(tmp_path: Path, lampest: Command, small: None) -> None:
     save(tmp_path, frames(40))
     robust = "misfit: {weighting: noise, loss: {kind: student, corner: 4}}"
     for entry, words in (
@@ -273,7 +271,7 @@ def test_a_check_refuses_files_of_other_programs_without_checksums(tmp_path: Pat
         checked_sentence(tmp_path / "readings.h5")
 
 
-def test_what_holds_all_of_a_recording_asks_for_its_memory(
+def test_commands_that_load_a_whole_recording_check_its_memory(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save(tmp_path, frames(2000))

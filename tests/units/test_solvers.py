@@ -49,7 +49,7 @@ def decayed(unknowns: Array) -> SumOfSquares:
     return SumOfSquares(amplitude * falling + offset - measured, slopes)
 
 
-def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
+def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
     free = (-np.inf, np.inf)
     box = (np.array([0.0, 0.0, 0.5]), np.array([5.0, 1.2, 5.0]))
     for damping, bounds in ((0.0, free), (10.0, free), (LOOP.damping, free), (LOOP.damping, box)):
@@ -64,7 +64,7 @@ def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
-def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+def test_second_derivatives_are_factored_once_and_reused(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """Of the third frame of a recording: evaluations of the cost, products with ∇²φ, and its factors."""
     bench = BenchFile(schema=1, sizes=(8,))
     counts = dict[str, int]()

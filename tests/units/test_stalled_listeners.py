@@ -92,7 +92,7 @@ def read_all(end: socket.socket) -> int:
 
 
 @pytest.mark.slow
-def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the_end() -> None:
+def test_a_stalled_websocket_delays_neither_frames_nor_clients_nor_the_end() -> None:
     received: list[int] = []
     publishing = publish_at("websocket://127.0.0.1:0").opened(print)
     url, send = publishing.__enter__()
@@ -114,7 +114,7 @@ def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the
 
 
 @pytest.mark.slow
-def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stalled_websocket_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(publish_module, "MAX_STREAMS", 1)
     monkeypatch.setattr(publish_module, "TURN_SECONDS", 0.2)
     with publish_at("websocket://127.0.0.1:0").opened(print) as (url, send), sleeper(url):
@@ -129,7 +129,7 @@ def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.Monkey
         within(admitted)
 
 
-def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None:
+def test_a_stalled_broker_delays_neither_frames_nor_the_end() -> None:
     taken: list[socket.socket] = []
     with closing(small_socket()) as door:
         door.bind(("127.0.0.1", 0))
@@ -155,7 +155,7 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
 
 
-def test_a_websocket_is_for_this_computer_and_elsewhere_asks_for_a_token() -> None:
+def test_a_websocket_is_local_or_requires_a_token() -> None:
     for host, headers, path, status in (
         ("127.0.0.1", {"Origin": "http://evil.example"}, "", 403),
         ("127.0.0.1", {"Origin": "http://127.0.0.1:8137"}, "", 101),

@@ -87,12 +87,12 @@ def run(text: str, *arguments: object) -> None:
 
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"])
-def test_threads_find_the_cells_that_one_thread_finds(count: int, ways: str) -> None:
+def test_several_threads_give_the_cells_of_one_thread(count: int, ways: str) -> None:
     run(EQUAL, count, ways)
 
 
 @pytest.mark.slow
-def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> None:
+def test_a_failing_or_cancelled_thread_harms_no_other() -> None:
     run(
         """
         import ctypes
@@ -133,7 +133,7 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
 
 
 @pytest.mark.slow
-def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None:
+def test_processes_forked_during_estimates_can_estimate() -> None:
     """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
     run(
         """
@@ -151,7 +151,7 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
     )
 
 
-def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> None:
+def test_processes_forked_while_threads_limit_blas_can_limit_it() -> None:
     run(
         """
         from lampest.files.process import ONE_BLAS_THREAD
@@ -170,7 +170,7 @@ def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> No
     )
 
 
-def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
+def test_ctrl_c_ends_only_the_main_thread() -> None:
     run(
         """
         estimates = {}
@@ -216,7 +216,7 @@ def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
         assert 0 < alone < len(during) and all(threads == {1} for threads in during) and blas_threads() == {2}
 
 
-def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:
+def test_the_last_leaving_thread_restores_the_threads_of_blas() -> None:
     entered = Barrier(2)
     leaving = Barrier(2)
     during = list[set[int]]()

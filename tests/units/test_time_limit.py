@@ -41,7 +41,7 @@ FORMULATIONS: dict[Any, tuple[Any, ...]] = {
 }
 
 
-def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
+def test_failed_cases_stop_no_other_and_are_solved_by_the_next_run(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solve = batch.reconstruct
@@ -69,7 +69,7 @@ def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
 
 
 @pytest.mark.slow
-def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> None:
+def test_the_study_of_starts_uses_the_chosen_weights(disk: SimpleNamespace) -> None:
     text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
     text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
@@ -83,7 +83,7 @@ def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> Non
     assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
 
 
-def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written_unless_its_user_insists(
+def test_a_panel_beyond_time_or_memory_is_refused_before_writing_unless_forced(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (run := tmp_path / "run.yaml").write_text(RUN)
@@ -98,7 +98,7 @@ def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written
         assert not messages or (ended.code == 2 and not (tmp_path / "out").exists())
 
 
-def test_memory_of_a_control_group_is_what_it_allows_less_what_it_uses(
+def test_available_memory_of_a_control_group_is_its_limit_minus_its_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(process.ALLOWED, raising=False)
@@ -129,7 +129,7 @@ def recorded(frames: int = 4) -> Any:
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -> None:
+def test_a_frame_not_solved_in_time_holds_nan_and_a_status(formulation: Any) -> None:
     estimator = Estimator(FORMULATIONS[formulation], formulation, solver=Settings(time_limit_s=1e-9), error_bars=False)
     stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, recorded()[:1]).mean())
     steps = [stream.push(Readings.of(SCENE, recorded()[1]))[1]]
@@ -139,7 +139,7 @@ def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -
         assert step.status == "the time limit was reached before an optimum" and np.isnan(step.cell_resistance).all()
 
 
-def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hanging_solve_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     original = newton_module.trust_region_step
 
     def slowly(*arguments: Any) -> Any:

@@ -37,7 +37,7 @@ def detected(*loads: Attachment, start: str | None = "2026-05-04T17:30:00+00:00"
     return Detected.of("pond", loads, 4.0, start_time=start, end_s=end_s)
 
 
-def test_a_visit_is_a_row_with_the_clock_of_its_recording() -> None:
+def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
     first, second = visits_of([detected(load(600.0, 900.0), load(3600.0, None, sucks=RING))])
     assert (first.answer, first.begin, first.duration_s, first.left) == (
         LAMPREY,
@@ -56,12 +56,12 @@ def test_visits_are_counted_by_day_and_by_night() -> None:
     assert (day, hours, lampreys, an_hour, hours_of_night, at_night) == ("2026-05-04", "0.5", "1", "2", "1.5", "1")
 
 
-def test_a_mouth_of_the_same_size_may_have_come_back() -> None:
+def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
     loads = load(0.0, 100.0, 30.0), load(200.0, 300.0, 40.0), load(400.0, 500.0, 30.5)
     assert [visit.may_be_visit for visit in visits_of([detected(*loads)])] == [None, None, 1]
 
 
-def test_visits_of_several_recordings_are_in_the_order_of_time() -> None:
+def test_visits_of_several_recordings_are_sorted_by_time() -> None:
     late = detected(load(10.0, 20.0))
     early = detected(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
     assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == ["2026-05-03", "2026-05-04"]
@@ -73,12 +73,12 @@ def test_the_sentence_counts_visits() -> None:
 
 
 @pytest.mark.parametrize(("threshold", "answer"), [(0.9, LAMPREY), (0.999, SUCKS)])
-def test_the_threshold_decides_what_is_called_a_lamprey(threshold: float, answer: str) -> None:
+def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: str) -> None:
     sure = replace(load(0.0, None), sucks=0.99)
     assert answer_of(sure, 4.0, threshold)[0] == answer
 
 
-def test_a_reason_is_of_its_time() -> None:
+def test_a_reason_applies_to_its_time() -> None:
     """After 55 minutes nothing shows within minutes, and after nine seconds nothing at 4.5 s at the earliest."""
     silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
     assert "earliest" not in answer_of(silent, 4.0)[2]
@@ -87,7 +87,7 @@ def test_a_reason_is_of_its_time() -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_of_recordings_is_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
+def test_a_folder_of_recordings_gives_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     """Two recordings of one name, with clocks and in folders of their own; their visits are exported from the file."""
     recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"
@@ -114,7 +114,7 @@ def test_a_folder_without_a_recording_is_refused(tmp_path: Path, lampest: Callab
     assert refused.code == 2 and "holds no recording" in refused.err
 
 
-def test_a_look_that_fails_is_one_look(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_recognition_is_repeated_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """The load is recognised by the next one, and the recording is told to its end."""
     recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
     known = known_of(Prepared(recording))
@@ -135,7 +135,7 @@ def test_a_look_that_fails_is_one_look(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
-def test_a_ring_that_trembles_is_no_lamprey_in_any_frame(number: int) -> None:
+def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
     """By 3 % at a breathing rate; no cell has risen."""
     recording, *_ = attached("trembling ring", 4.0, 8100 + number)
     known = known_of(Prepared(recording))
@@ -150,7 +150,7 @@ def test_a_ring_that_trembles_is_no_lamprey_in_any_frame(number: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["wavy mouth", "mouth and body", "pulled mouth", "mouth in current"])
-def test_uneven_mouths_beside_bodies_in_currents_and_pulled_suck_and_live(kind: str) -> None:
+def test_uneven_mouths_near_bodies_in_currents_or_pulled_are_recognised(kind: str) -> None:
     answers = [seen(kind, 4.0, 8200 + number) for number in range(3)]
     assert all(attachment.sucks > 0.9 for attachment in answers)
     # a body whose tail beats at the rate of breath may hide it
@@ -159,7 +159,7 @@ def test_uneven_mouths_beside_bodies_in_currents_and_pulled_suck_and_live(kind: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bubbles", "rock", "hand", "fin"])
-def test_nothing_stood_on_the_panel_where_something_comes(kind: str) -> None:
+def test_an_arriving_load_is_not_assumed_in_the_unloaded_frames(kind: str) -> None:
     for number in range(3):
         recording, *_ = attached(kind, 4.0, 8300 + number)
         answer = answered(recording)
@@ -167,13 +167,13 @@ def test_nothing_stood_on_the_panel_where_something_comes(kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_few_cells_that_become_even_are_no_load_that_left() -> None:
+def test_few_cells_becoming_even_are_not_taken_for_a_departed_load() -> None:
     """A fin presses on few cells, which happen to be more even under it."""
     answer = answered(attached("fin", 4.0, 977000)[0])
     assert answer.answer == PRESSES and not any("in its unloaded frames" in note for note in answer.notes)
 
 
-def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
+def test_a_wave_at_half_the_frame_rate_has_the_depth_of_a_breath() -> None:
     """Its sine is hardly sampled: amplitudes come from the prior, and not from a division by nothing."""
     times = np.arange(0, 8, 0.25)
     rise = np.repeat([-2.0, 1.0], 20)

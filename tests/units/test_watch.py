@@ -44,12 +44,12 @@ def taken(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [2, 3])
-def test_unloaded_frames_that_something_touched_are_none(first: int) -> None:
+def test_touched_unloaded_frames_are_rejected(first: int) -> None:
     answer = answered(taken((ROD, first, 12)))
     assert answer.answer == CANNOT_SAY and "while its unloaded frames were taken" in answer.why
 
 
-def test_what_changes_as_little_as_a_film_settles_is_no_touch() -> None:
+def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
     """A fiftieth of what a rod does."""
     recording = taken((ROD, 8, 20))
     touched = taken((ROD, 2, 20))
@@ -58,7 +58,7 @@ def test_what_changes_as_little_as_a_film_settles_is_no_touch() -> None:
 
 
 @pytest.mark.slow
-def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it_leaves() -> None:
+def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
     """What cells show then is like suction."""
     answer = answered(taken((ROD, 0, 10)))
     assert answer.answer == CANNOT_SAY and answer.why.endswith("in its unloaded frames, and left at 10.0 s")
@@ -74,12 +74,12 @@ def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it
         Ring(centre_mm=(44, 46), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850),
     ],
 )
-def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing(load: Shape) -> None:
+def test_a_load_in_all_unloaded_frames_is_not_called_nothing(load: Shape) -> None:
     answer = answered(taken((load, -1, 9), frames=8, side=10))
     assert answer.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in answer.why
 
 
-def test_cells_of_an_uneven_film_are_no_load_in_the_unloaded_frames() -> None:
+def test_cells_of_an_uneven_film_are_not_taken_for_a_load_in_the_unloaded_frames() -> None:
     search = Detector(6.0).search(Panel(10, 10))
     high = np.zeros((10, 10))
     high[3:7, 3:7] = 2.0
@@ -91,7 +91,7 @@ def test_cells_of_an_uneven_film_are_no_load_in_the_unloaded_frames() -> None:
         assert not search.lies_on(8 + bare)
 
 
-def test_an_outlier_in_an_unloaded_frame_does_not_blind() -> None:
+def test_an_outlier_in_an_unloaded_frame_does_not_prevent_detection() -> None:
     recording = taken((ROD, 7, 14), frames=14)
     recording.recorded[2, 1, 1] *= 3
     known = known_of(Prepared(recording))
@@ -104,7 +104,7 @@ def unloaded(recording: Recording) -> Unloaded:
     return Unloaded(recording.scene, tuple(scan_of(recording, frame) for frame in range(UNLOADED)))
 
 
-def test_what_comes_in_the_last_moment_is_recognised_as_far_as_it_shows() -> None:
+def test_a_load_in_the_last_frames_is_recognised() -> None:
     answer = answered(taken((MOUTH, 18, 20)))
     assert answer.answer == SUCKS and answer.attachments[0].since_s == 18.0
     live = Watched("watched").after(news := unloaded(recording := taken((MOUTH, 17, 20))))
@@ -114,7 +114,7 @@ def test_what_comes_in_the_last_moment_is_recognised_as_far_as_it_shows() -> Non
 
 
 @pytest.mark.slow
-def test_a_load_that_patterns_hardly_see_leaves_as_it_came() -> None:
+def test_a_poorly_visible_load_arrives_and_leaves() -> None:
     """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of the touch."""
     readout = LoadedColumnsReadout(polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7)
     weak = Rod(centre_mm=(26, 24), diameter_mm=22, mass_g=25)
@@ -124,7 +124,7 @@ def test_a_load_that_patterns_hardly_see_leaves_as_it_came() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD])
-def test_of_two_loads_the_one_that_leaves_is_reported_and_its_memory_is_none(other: Shape) -> None:
+def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shape) -> None:
     mouth = OralDisc(centre_mm=(25, 68), diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10)
     answer = answered(taken((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
     assert [attachment.until_s for attachment in answer.attachments] == [30.0, None]
@@ -138,7 +138,7 @@ def test_of_two_loads_the_one_that_leaves_is_reported_and_its_memory_is_none(oth
 
 
 @pytest.mark.slow
-def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
+def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     """At a frame a second, while the temperature sways readings by 3 % in two hours."""
     visits = ((MOUTH, 600, 2400), (ROD, 3000, 4000), (MOUTH, 4600, 5400))
     recording = taken(*visits, frames=6000, memory_share=0.0)
@@ -160,7 +160,7 @@ def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
 
 
 @pytest.mark.slow
-def test_live_takes_a_new_zero_where_the_first_was_touched() -> None:
+def test_live_takes_a_new_zero_if_the_first_was_touched() -> None:
     recording = taken((ROD, 3, 8))
     live = Watched("watched").after(unloaded(recording))
     assert live.detected.answer == CANNOT_SAY and "unloaded frames" in live.detected.why

@@ -108,7 +108,7 @@ USELESS: tuple[tuple[Script, str, int], ...] = (
 
 
 @pytest.mark.slow
-def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_stay(
+def test_a_line_without_valid_frames_ends_with_a_sentence_and_keeps_earlier_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module, seconds in (("stream", 0.5), ("record", 1.0)):
@@ -126,7 +126,7 @@ def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_st
             (tmp_path / "r.h5").unlink()
 
 
-def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
+def test_frames_are_decoded_in_a_flood(tmp_path: Path) -> None:
     done = recorded(flooded, tmp_path, frames=50)
     assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
 
@@ -205,7 +205,7 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
 ADJACENT = ({10: 10_000, 11: -9_000}, {10: 5_000, 11: 5_000, 12: -3_000}, {10: -20, 11: 9_000})
 
 
-def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
+def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
     for name, (sent, expected, jumps) in RUNS.items():
         _, samples = run_of(*sent)
         assert places(samples)[1:] == expected[1:], name
@@ -219,7 +219,7 @@ def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
         np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
 
 
-def test_a_clock_that_is_wild_in_the_last_frame_costs_no_frame() -> None:
+def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
     for last_ms in (5_520, 100, 2**31):
         run, samples = run_of((0, 500), (1, 510), (2, last_ms))
         samples += run.rest()
@@ -230,7 +230,7 @@ def test_a_clock_that_is_wild_in_the_last_frame_costs_no_frame() -> None:
         assert not run.rest() and places(samples) == whole(2), "repeated and foreign frames are none"
 
 
-def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:
+def test_the_clock_limits_the_accepted_frame_number() -> None:
     """The first one; and none that its clock puts days ahead."""
     assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]
     assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == whole(3)
@@ -238,7 +238,7 @@ def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:
     assert samples[2].session == 1 and samples[2].lost < 10_000 and samples[2].time < 100
 
 
-def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once() -> None:
+def test_a_stopped_clock_costs_no_frame_and_is_named_once() -> None:
     _, samples = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
     assert places(samples) == whole(101) and np.all(np.diff([sample.time for sample in samples]) >= 0.01 - 1e-9)
     assert [(number, sample.events) for number, sample in enumerate(samples) if sample.events] == [
@@ -265,7 +265,7 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
     assert samples[-1].time == pytest.approx(29.99, rel=0.01)
 
 
-def test_a_plug_that_is_out_loses_no_frames_and_missed_ticks_are_no_jump() -> None:
+def test_an_unplugged_board_loses_no_counted_frames_and_missed_ticks_are_no_jump() -> None:
     run, (*_, last) = run_of((0, 500), (1, 510))
     resumed = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
     (sample,) = resumed.take(frame(3, 540))
@@ -274,7 +274,7 @@ def test_a_plug_that_is_out_loses_no_frames_and_missed_ticks_are_no_jump() -> No
     assert sample.time == pytest.approx(5.02) and not sample.events
 
 
-def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
+def test_a_wrongly_accepted_frame_is_doubted_after_a_silence() -> None:
     run, _ = run_of((0, 500), (1, 510), (149, 2000))
     assert not run.take(frame(2, 520))
     run.doubt()
@@ -284,7 +284,7 @@ def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
     assert run.take(frame(5, 550))
 
 
-def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_path: Path) -> None:
+def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
     wrong = [(field, value) for field, values in ABSURD.items() for value in values]
     greetings = [replace(IDLE, **{field: value}) for field, value in wrong]
     for hello, (field, value) in zip(greetings, wrong, strict=True):
@@ -299,7 +299,7 @@ def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_pat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_recording_leaves_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
     def interrupt(progress: Progress) -> None:
         if progress.frames == 6:
             os.kill(os.getpid(), number)
@@ -311,7 +311,7 @@ def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
 
 
-def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(KeyboardInterrupt), process.ending_signals():  # nothing is worth finishing
         signal.raise_signal(signal.SIGTERM)
     monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
@@ -323,7 +323,7 @@ def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkey
             signal.raise_signal(signal.SIGTERM)
 
 
-def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a_program() -> None:
+def test_an_ignored_signal_stays_ignored_unless_it_ends_programs() -> None:
     """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
     handlers = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
     try:
@@ -337,7 +337,7 @@ def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a
             signal.signal(number, handler)
 
 
-def test_a_scene_beyond_the_board_or_against_it_is_refused() -> None:
+def test_a_scene_that_contradicts_the_board_is_refused() -> None:
     for panel, changes, words in (
         (Panel(17, 10), {}, r"panel\.rows is 17, but the board can do at most 16"),
         (Panel(3, 4), {"readings": 65}, r"readout\.readings is 65, but the board can do at most 64"),
@@ -347,13 +347,13 @@ def test_a_scene_beyond_the_board_or_against_it_is_refused() -> None:
             scene_of(IDLE, Scene(panel, TwoPointReadout(**changes)))
 
 
-def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_names_a_port_without_a_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
         record("loop://", tmp_path / "r.h5", frames=1)
 
 
-def test_ports_and_modules_must_be_as_many() -> None:
+def test_ports_and_modules_must_have_equal_numbers() -> None:
     dead = replace(SCENE, faults=Faults(dead_modules=((0, 1),)))
     larger = Scene(Panel(modules=Modules(2, 3, EachModule(3, 4))), TwoPointReadout(readings=2))
     for ports, scene, words in (
@@ -390,7 +390,7 @@ def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int 
     return complete
 
 
-def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -> None:
+def test_the_next_board_leads_during_the_absence_of_the_first() -> None:
     arrivals = [
         (board, number, number * PERIOD, number * PERIOD + 0.01)
         for number in range(20)
@@ -421,7 +421,7 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
     assert (waiting.moment, waiting.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
-def test_a_board_that_returns_is_shown_whatever_its_phase() -> None:
+def test_a_returning_board_is_shown_at_any_phase() -> None:
     """Its frames arrive after those of the leading board, which must wait for them again."""
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
@@ -430,7 +430,7 @@ def test_a_board_that_returns_is_shown_whatever_its_phase() -> None:
         assert delivered[26:] == [(number, number) for number in range(26, 40)]
 
 
-def test_the_image_begins_where_every_board_has_come() -> None:
+def test_the_image_begins_when_every_board_has_sent() -> None:
     alignment = Alignment(2)
     for number in range(-1, 3):
         alignment.take(0, sent(number + 1, number * PERIOD))
@@ -472,7 +472,7 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> t
     return [sample for batch in batches for sample in batch], states
 
 
-def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:
     """The second board lacks the frames 2 and 3, the third hangs, is opened anew and says that it lost two frames."""
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
@@ -498,7 +498,7 @@ def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyP
     assert set(states) == {"module 0,1 at b: no frame came"}
 
 
-def test_frames_that_all_boards_lost_are_lost_and_a_board_that_never_answers_ends_all(
+def test_frames_lost_by_all_boards_count_as_lost_and_a_silent_board_ends_the_recording(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     boards: dict[str, list[Any]] = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
@@ -510,7 +510,7 @@ def test_frames_that_all_boards_lost_are_lost_and_a_board_that_never_answers_end
         image_of(monkeypatch, boards | {"d": [InputError("no board at d")]})
 
 
-def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
+def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> None:
     messages: list[tuple[str, bool]] = []
     path = tmp_path / "one.h5"
     recorder = Recorder(tmp_path, 2, lambda sentence, runs: messages.append((sentence, runs)))
@@ -546,7 +546,7 @@ def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
     assert messages[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
 
 
-def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_summary_counts_its_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = [sent(number, 0.1 * number - 100) for number in range(5)]
     changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"events": (CLOCK_JUMPED,)}, {"events": (CLOCK_STOPPED,)})
     for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
@@ -585,7 +585,7 @@ def batches_of(*sizes: int) -> Samples:
     yield from (tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size)) for size in sizes)
 
 
-def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
+def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
     line = stream._Line("url", None, None, lambda: False)
     idle = replace(IDLE, running=True)
     fit, misshapen = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
@@ -606,7 +606,7 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
 
 
-def test_a_frame_has_the_estimate_that_came_before_it_and_no_other() -> None:
+def test_a_frame_has_the_estimate_sent_before_it() -> None:
     """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a line up."""
     line = stream._Line("url", None, None, lambda: False)
     run = Scanning(replace(IDLE, running=True), OWN, 0, None)
@@ -664,7 +664,7 @@ def test_a_recording_ends_after_its_frames_or_seconds() -> None:
         assert [len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)] == sizes
 
 
-def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> None:
+def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
     """Pairs over a restart, of loaded frames and at the ends of the converter count as nothing."""
     rng = np.random.default_rng(3)
     readings = 4
