@@ -67,9 +67,9 @@ def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(rng: Rng, fol
         limits = {"frames": 30} if rng.random() < 0.5 else {"seconds": 0.5}
         with mock.patch.object(stream, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
             try:
-                done = record(board.port, out, period=0.01, **limits)
+                summary = record(board.port, out, period=0.01, **limits)
                 # A frame whose number and clock lie alike may be believed as far as ten seconds ahead.
-                lost = done.lost > 1200 * (done.restarts + done.frames)
+                lost = summary.lost > 1200 * (summary.restarts + summary.frames)
             except InputError:
                 pass
         late = time.monotonic() - begin > LIMIT_S + SLACK_S

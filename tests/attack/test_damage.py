@@ -42,11 +42,11 @@ def _harmed(rng: Rng, content: bytes) -> bytes:
 
 def _damaged(reader: Callable[[Path], Any], make: Callable[[Path], bytes]) -> Tries:
     def tries(rng: Rng, folder: Path, count: int) -> Outcomes:
-        whole, path = make(folder), folder / "a.h5"
-        path.write_bytes(whole)
+        content, path = make(folder), folder / "a.h5"
+        path.write_bytes(content)
         meant = _content(reader(path))
         for _ in range(count):
-            path.write_bytes(_harmed(rng, whole))
+            path.write_bytes(_harmed(rng, content))
             yield _outcome(path, reader, meant)
 
     return tries
@@ -93,19 +93,19 @@ test_damage_of_results_is_noticed = attack(70, 2900)(_damaged(read_results, good
 
 @attack()
 def test_check_names_the_dataset_with_a_flipped_bit(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made, places = small_folder(folder / "work"), dict[str, int]()
-    with h5py.File(made / "small.h5") as file:
+    work_folder, places = small_folder(folder / "work"), dict[str, int]()
+    with h5py.File(work_folder / "small.h5") as file:
         file.visititems(
             lambda name, node: places.update({name: _place(node)}) if isinstance(node, h5py.Dataset) else None
         )
-    whole, meant = (made / "small.h5").read_bytes(), called("info", "small.h5", folder=made)
+    content, meant = (work_folder / "small.h5").read_bytes(), called("info", "small.h5", folder=work_folder)
     for name, place in places.items():
-        damaged = bytearray(whole)
+        damaged = bytearray(content)
         damaged[place] ^= 16
-        (made / "small.h5").write_bytes(damaged)
+        (work_folder / "small.h5").write_bytes(damaged)
         words = ("small.h5", f"/{name} is damaged", "checksum")
-        yield called("check", "small.h5", folder=made).refused(*words)
-        described = called("info", "small.h5", folder=made)
+        yield called("check", "small.h5", folder=work_folder).refused(*words)
+        described = called("info", "small.h5", folder=work_folder)
         yield HELD if described.out == meant.out else described.refused(*words)
 
 
@@ -215,9 +215,9 @@ def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> No
 def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
     path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
-    whole, meant = path.read_bytes(), Recording.load(path)
+    content, meant = path.read_bytes(), Recording.load(path)
     for _ in range(count):
-        path.write_bytes(_harmed(rng, whole))
+        path.write_bytes(_harmed(rng, content))
         outcome = _outcome(path, Recording.load, _content(meant))
         yield outcome if outcome != HELD else _repaired(path, meant)
 

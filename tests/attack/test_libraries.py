@@ -33,14 +33,14 @@ pytestmark = pytest.mark.slow
 
 @attack(2, len(NEEDED))
 def test_commands_name_a_missing_library_and_work_without_unneeded_ones(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made, book = small_folder(folder / "work"), Workbook()
+    work_folder, book = small_folder(folder / "work"), Workbook()
     for values in np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2).tolist():
         book.active.append(values)
-    book.save(made / "sheet.xlsx")
+    book.save(work_folder / "sheet.xlsx")
     for _, (library, arguments) in drawn(rng, NEEDED, count):
-        ended = command(*arguments, folder=made, without=library)
-        yield ended.refused(library, "is not installed; pip install")
+        completed = command(*arguments, folder=work_folder, without=library)
+        yield completed.refused(library, "is not installed; pip install")
     missing = ",".join(library for library, _ in NEEDED)
     for arguments in SPARED[: count - 1]:
-        ended = command(*arguments, folder=made, without=missing)
-        yield HELD if ended.code == 0 else ended.described(f"{' '.join(arguments)} without {missing}")
+        completed = command(*arguments, folder=work_folder, without=missing)
+        yield HELD if completed.code == 0 else completed.described(f"{' '.join(arguments)} without {missing}")

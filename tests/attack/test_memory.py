@@ -33,19 +33,19 @@ def test_a_file_that_repeats_a_long_text_is_refused(rng: Rng, folder: Path, coun
         texts = group.create_dataset("event_label", (20_000,), h5py.string_dtype())
         texts[0] = "x" * 300_000
         group["event_time"] = np.zeros(20_000)
-    whole = bytearray(path.read_bytes())
-    place = _place(whole, 300_000)
-    reference = bytes(whole[place : place + 16])
-    whole[place : place + 16 * 20_000] = reference * 20_000
-    path.write_bytes(whole)
+    content = bytearray(path.read_bytes())
+    place = _place(content, 300_000)
+    reference = bytes(content[place : place + 16])
+    content[place : place + 16 * 20_000] = reference * 20_000
+    path.write_bytes(content)
     yield _bounded(command("info", "small.h5", folder=folder, seconds=SECONDS), "small.h5")
 
 
-def _place(whole: bytearray, length: int) -> int:
+def _place(content: bytearray, length: int) -> int:
     """Where the first reference to a text of that length stands, 19 999 empty ones behind it."""
-    place = whole.find(struct.pack("<I", length))
-    while any(whole[place + 16 : place + 160]):
-        place = whole.find(struct.pack("<I", length), place + 1)
+    place = content.find(struct.pack("<I", length))
+    while any(content[place + 16 : place + 160]):
+        place = content.find(struct.pack("<I", length), place + 1)
         assert place > 0
     return place
 
@@ -78,27 +78,29 @@ def test_small_files_that_expand_are_not_imported(rng: Rng, folder: Path, count:
 
 @attack()
 def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
+    work_folder = small_folder(folder / "work")
     scene = "\n".join(f"  {line}" for line in WIDE.splitlines())
-    (made / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
-    with h5py.File(made / "wide.h5", "w") as file:
+    (work_folder / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
+    with h5py.File(work_folder / "wide.h5", "w") as file:
         file["entry/scene"] = np.bytes_(WIDE)
         file["entry/two_point/resistance"] = np.full((2, 1, 60001), 1500.0)
         file["entry/two_point/role"] = np.array([0, 1], dtype=np.uint8)
-    run = (made / "run.yaml").read_text()
-    (made / "run.yaml").write_text(run.replace("small.h5", "wide.h5"))
+    run = (work_folder / "run.yaml").read_text()
+    (work_folder / "run.yaml").write_text(run.replace("small.h5", "wide.h5"))
     for arguments in (("simulate", "wide.yaml"), ("calibrate", "wide.h5", "--known", "1000")):
-        ended = command(*arguments, folder=made, seconds=SECONDS, memory="4GB")
-        yield _bounded(ended, "60001", "GiB of memory are needed", "there are 4.0 GiB")
-    looked = command("info", "wide.h5", folder=made, seconds=SECONDS, memory="4GB")
+        completed = command(*arguments, folder=work_folder, seconds=SECONDS, memory="4GB")
+        yield _bounded(completed, "60001", "GiB of memory are needed", "there are 4.0 GiB")
+    looked = command("info", "wide.h5", folder=work_folder, seconds=SECONDS, memory="4GB")
     yield looked.within(SECONDS, MEGABYTES) if looked.code == 0 else looked.described("a look at a wide panel")
-    ended = command(*("run", "run.yaml", "--out", "out", "--jobs", "1"), folder=made, seconds=SECONDS, memory="4GB")
-    sentence = ended.code == 3 and "there are 4.0 GiB" in ended.err and "Traceback" not in ended.err
-    yield ended.within(SECONDS, MEGABYTES) if sentence else ended.described("a run of a wide panel")
+    completed = command(
+        *("run", "run.yaml", "--out", "out", "--jobs", "1"), folder=work_folder, seconds=SECONDS, memory="4GB"
+    )
+    sentence = completed.code == 3 and "there are 4.0 GiB" in completed.err and "Traceback" not in completed.err
+    yield completed.within(SECONDS, MEGABYTES) if sentence else completed.described("a run of a wide panel")
 
 
-def _bounded(ended: Ended, *words: str) -> str:
-    return ended.refused(*words) or ended.within(SECONDS, MEGABYTES) or HELD
+def _bounded(completed: Ended, *words: str) -> str:
+    return completed.refused(*words) or completed.within(SECONDS, MEGABYTES) or HELD
 
 
 @attack(2, 40)
@@ -115,19 +117,19 @@ def test_a_tight_address_limit_gives_one_sentence_without_waiting(rng: Rng, fold
 
 @attack(len(ULIMITS), len(ULIMITS))
 def test_a_run_under_an_address_limit_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
-    with (made / "run.yaml").open("a") as run:
+    work_folder = small_folder(folder / "work")
+    with (work_folder / "run.yaml").open("a") as run:
         run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")  # two cases, so that there are two processes
     for kibibytes in ULIMITS:
-        yield _within_addresses(kibibytes * 1024, *JOBS, folder=made).refused(*TOO_FEW_ADDRESSES)
+        yield _within_addresses(kibibytes * 1024, *JOBS, folder=work_folder).refused(*TOO_FEW_ADDRESSES)
 
 
 def _within_addresses(limit: int, *arguments: str, folder: Path) -> Ended:
     """Run the command under a limit of addresses in bytes."""
     script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
     words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
-    done = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
-    return Ended(done.returncode, done.stdout, done.stderr, 0.0, 0)
+    completed = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
+    return Ended(completed.returncode, completed.stdout, completed.stderr, 0.0, 0)
 
 
 FILLED = """
@@ -150,5 +152,7 @@ print(reconstruct(recording, [Misfit()], formulation="nodal").status[0])
 
 def test_ipopt_needs_no_further_buffer_when_data_filled_the_addresses() -> None:
     """OpenBLAS asks for ever for the 128 MiB that it is refused."""
-    done = subprocess.run([sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "optimum verified\n", "")
+    completed = subprocess.run(
+        [sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60
+    )
+    assert (completed.returncode, completed.stdout, completed.stderr) == (0, "optimum verified\n", "")

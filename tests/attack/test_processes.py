@@ -39,26 +39,26 @@ def test_run_needs_no_second_thread_and_live_is_refused_without_one(
     def refused(*arguments: object) -> int:
         raise RuntimeError("can't start new thread")
 
-    made = small_folder(tmp_path)
+    work_folder = small_folder(tmp_path)
     monkeypatch.setattr(threading, "_start_new_thread", refused)
-    assert called(*RUN, "1", folder=made).code == 0
-    assert called(*LIVE, folder=made).refused("ulimit -u") == HELD
+    assert called(*RUN, "1", folder=work_folder).code == 0
+    assert called(*LIVE, folder=work_folder).refused("ulimit -u") == HELD
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0 or SETPRIV is None, reason="only root becomes another user")
 @attack(6, 40)
 def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
+    work_folder = small_folder(folder / "work")
     folder.chmod(0o755)
-    for path in (made, *made.rglob("*")):
+    for path in (work_folder, *work_folder.rglob("*")):
         os.chown(path, STRANGER, STRANGER)
     commands = (LIVE, (*RUN, "2"), (*RUN, "1"))
     for number in range(count):
         words = commands[number % 3]
-        done = _as_stranger(int(rng.integers(1, 6)), *words, folder=made)
-        sentence = done.code == 0 or (done.code == 2 and done.err.count("\n") == 1)
-        yield HELD if sentence and done.plain and done.seconds < 60 else done.described(words[0])
+        completed = _as_stranger(int(rng.integers(1, 6)), *words, folder=work_folder)
+        sentence = completed.code == 0 or (completed.code == 2 and completed.err.count("\n") == 1)
+        yield HELD if sentence and completed.plain and completed.seconds < 60 else completed.described(words[0])
 
 
 def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
@@ -67,7 +67,7 @@ def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
     become += [f"--inh-caps={READING}", f"--ambient-caps={READING}"]
     script = [sys.executable, "-c", LIMITED.format(limit=limit), *words]
     begin = time.monotonic()
-    done = subprocess.run(
+    completed = subprocess.run(
         [str(SETPRIV), *become, *script],
         cwd=folder,
         env=environment(OPENBLAS_NUM_THREADS="1", HOME=str(folder), PYTHONDONTWRITEBYTECODE="1"),
@@ -75,7 +75,7 @@ def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
         text=True,
         timeout=120,
     )
-    return Ended(done.returncode, done.stdout, done.stderr, time.monotonic() - begin, 0)
+    return Ended(completed.returncode, completed.stdout, completed.stderr, time.monotonic() - begin, 0)
 
 
 # Kills itself once so many files have got their names.

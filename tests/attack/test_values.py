@@ -97,7 +97,7 @@ def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, coun
         yield from _tried(name, place, LOOKS[:1] + RUNS)
 
 
-def sensible(ended: Ended) -> str:
+def sensible(completed: Ended) -> str:
     """Return HELD where a command did its work, or said in words of the panel why not."""
-    foreign = [word for word in FOREIGN if word in ended.err]
-    return ended.survived() or (f"speaks of {foreign}: {ended.err[-300:]}" if foreign else HELD)
+    foreign = [word for word in FOREIGN if word in completed.err]
+    return completed.survived() or (f"speaks of {foreign}: {completed.err[-300:]}" if foreign else HELD)

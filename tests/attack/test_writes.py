@@ -42,58 +42,60 @@ FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "
 
 @attack(18, 18)
 def test_empty_and_root_paths_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
+    work_folder = small_folder(folder / "work")
     for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
-        yield _untouched(made, (*writer, place))
+        yield _untouched(work_folder, (*writer, place))
 
 
 @attack(12, 30)
 def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made, kinds = _beside_precious(folder, "work"), ["pipe", "folder", "link", "socket"]
-    os.mkfifo(made / "pipe.h5")
-    (made / "folder.h5").mkdir()
-    (made / "link.h5").symlink_to(folder / "precious")
+    work_folder, kinds = _beside_precious(folder, "work"), ["pipe", "folder", "link", "socket"]
+    os.mkfifo(work_folder / "pipe.h5")
+    (work_folder / "folder.h5").mkdir()
+    (work_folder / "link.h5").symlink_to(folder / "precious")
     with socket.socket(socket.AF_UNIX) as server:
-        with contextlib.chdir(made):  # the names of sockets are short
+        with contextlib.chdir(work_folder):  # the names of sockets are short
             server.bind("socket.h5")
         with contextlib.suppress(PermissionError):
-            os.mknod(made / "device.h5", 0o600 | 0o020000, os.makedev(1, 3))
+            os.mknod(work_folder / "device.h5", 0o600 | 0o020000, os.makedev(1, 3))
             kinds.append("device")
         for _, (writer, kind) in drawn(rng, [(writer, kind) for writer in FILES for kind in kinds], count):
-            yield _untouched(made, (*writer, f"{kind}.h5")) or _precious(folder)
+            yield _untouched(work_folder, (*writer, f"{kind}.h5")) or _precious(folder)
 
 
 @attack(12, 100)
 def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
-    ways = [(words, read, way) for words in INPUTS for read in words if "." in read for way in ("", "./", "hard")]
-    for index, (words, read, way) in drawn(rng, ways, count):
-        made, place = _inputs(folder / f"work{index}"), way + read
-        if way == "hard":
-            (made / place).hardlink_to(made / read)
-        yield _untouched(made, (*words, place), read)
-    made = _inputs(folder / "detected")
-    shutil.copy(made / "results.h5", made / "detections.h5")
-    yield _untouched(made, ("detect", "detections.h5"), "is an input")
+    cases = [
+        (words, read, prefix) for words in INPUTS for read in words if "." in read for prefix in ("", "./", "hard")
+    ]
+    for index, (words, read, prefix) in drawn(rng, cases, count):
+        work_folder, place = _inputs(folder / f"work{index}"), prefix + read
+        if prefix == "hard":
+            (work_folder / place).hardlink_to(work_folder / read)
+        yield _untouched(work_folder, (*words, place), read)
+    work_folder = _inputs(folder / "detected")
+    shutil.copy(work_folder / "results.h5", work_folder / "detections.h5")
+    yield _untouched(work_folder, ("detect", "detections.h5"), "is an input")
     for place in ("z", "./z"):
-        yield _untouched(made, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs")
+        yield _untouched(work_folder, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs")
 
 
-def _inputs(made: Path) -> Path:
+def _inputs(work_folder: Path) -> Path:
     """A folder with all inputs of the commands."""
-    small_folder(made)
-    (made / "scene.yaml").write_text("panel: {rows: 3, columns: 4}\n")
-    scene = Recording.load(made / "small.h5").scene.panel
+    small_folder(work_folder)
+    (work_folder / "scene.yaml").write_text("panel: {rows: 3, columns: 4}\n")
+    scene = Recording.load(work_folder / "small.h5").scene.panel
     known = np.full(scene.shape, 1000.0)
-    np.savetxt(made / "known.csv", known, delimiter=",")
-    np.save(made / "known.npy", known)
+    np.savetxt(work_folder / "known.csv", known, delimiter=",")
+    np.save(work_folder / "known.npy", known)
     read = np.tile(two_point_resistance(known) + 140.0, (9, 1, 1))
     recording = Recording(Scene(scene, TwoPointReadout(), 140.0), read, np.arange(9.0), np.ones(9, dtype=np.uint8))
-    recording.save(made / "known.h5")
-    (made / "loads.yaml").write_text("schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n")
-    (made / "loads.csv").write_text("frames,pressure_kpa\n1:2,5\n")
+    recording.save(work_folder / "known.h5")
+    (work_folder / "loads.yaml").write_text("schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n")
+    (work_folder / "loads.csv").write_text("frames,pressure_kpa\n1:2,5\n")
     estimators = "estimators: {CR: {terms: {misfit: {}, cell_resistance: {weight: auto}}}}\n"
-    (made / "weights.yaml").write_text(f"schema: 1\nrecordings: [small.h5]\nformulation: reduced\n{estimators}")
-    return made
+    (work_folder / "weights.yaml").write_text(f"schema: 1\nrecordings: [small.h5]\nformulation: reduced\n{estimators}")
+    return work_folder
 
 
 @pytest.mark.slow

@@ -27,9 +27,9 @@ ROWS_OF_TABLE = [
 
 def test_one_sentence_names_missing_packages(tmp_path: Path) -> None:
     words = ["make", "-s", "-C", str(FIRMWARE), "ARDUINO=/nowhere", f"BUILD={tmp_path / 'build'}"]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode
-    first = done.stderr.splitlines()[0]
+    completed = subprocess.run(words, capture_output=True, text=True)
+    assert completed.returncode
+    first = completed.stderr.splitlines()[0]
     assert first.startswith("firmware: compilers for the board are missing; install them with: apt-get install gcc-avr")
     packages = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "packages"], capture_output=True, text=True).stdout
     assert first.endswith(packages.strip())

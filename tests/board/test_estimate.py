@@ -333,8 +333,8 @@ def test_random_codes_never_give_nan_overruns_or_more_work_than_budgeted(circuit
     term = lampest.RelativeChange(weight=0.01) if circuit == "grounded_one" else lampest.LogGradient(weight=1.0)
     _, case = solved_case(scene_of(circuit, cells=cells), [NOISY, term])
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
-    done = sanitized(tmp_path, FUZZ)
-    assert done.returncode == 0, done.stderr[:2000]
+    completed = sanitized(tmp_path, FUZZ)
+    assert completed.returncode == 0, completed.stderr[:2000]
 
 
 CONSTANTS_FUZZ = """
@@ -453,10 +453,10 @@ def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_p
 def test_the_command_writes_a_sketch_and_prints_its_accuracy(lamprey, tmp_path):
     folder = tmp_path / "mat"
     words = ["export", str(lamprey[0]), "--to", "c", "--out", str(folder), "--milliseconds", "10"]
-    done = CliRunner().invoke(app, [*words, "--processor", "cortex-m4f"])
-    assert done.exit_code == 0, done.output
+    completed = CliRunner().invoke(app, [*words, "--processor", "cortex-m4f"])
+    assert completed.exit_code == 0, completed.output
     assert (folder / "mat.ino").is_file() and (folder / "lampest_estimate.h").is_file()
-    assert "ends within 0.05 σ" in done.output
+    assert "ends within 0.05 σ" in completed.output
 
 
 @pytest.mark.parametrize(

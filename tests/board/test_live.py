@@ -244,9 +244,9 @@ def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
     time = np.arange(0.0, 60.0, 0.125)
     course, _, _ = courses(rng, "still mouth", time, 60.0)
     breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
-    made = MAKERS["uneven mouth"](rng, panel)
+    mouth = MAKERS["uneven mouth"](rng, panel)
     layer = film(rng, "real")
-    cells = mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
+    cells = mouth_cells(rng, panel, mouth, layer, course * breath[:, None], time, np.zeros(len(time)))
     with live_board(tmp_path, cells, (), "--baseline", 6, period=0.125) as (window, _):
         window.until(watched, lambda text: "something that sucks (lamprey or cup)" in text, seconds=30)
         window.until("return !document.getElementById('alarm').hidden", seconds=30)

@@ -98,7 +98,7 @@ def test_live_shows_the_map_of_the_board_next_to_its_own(exported, tmp_path: Pat
         np.testing.assert_allclose(picture.board_change, picture.relative_change, atol=2)
     recording = Recording.load(tmp_path / "r.h5")
     replayed = live_pictures(method, UNLOADED_FRAMES, lambda engine: from_recording(engine, recording, 1e6, None))
-    np.testing.assert_allclose([picture.board_change for picture in replayed], [each.board_change for each in shown])
+    np.testing.assert_allclose([picture.board_change for picture in replayed], [view.board_change for view in shown])
 
 
 def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path: Path) -> None:

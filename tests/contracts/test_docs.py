@@ -110,9 +110,9 @@ def run(folder: Path, command: str) -> str:
     paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
     environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths}
     options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "timeout": 300}
-    ended = subprocess.run(command, shell=True, **options)
-    assert ended.returncode == 0, f"$ {command}\n{ended.stdout}{ended.stderr}"
-    return ended.stdout
+    completed = subprocess.run(command, shell=True, **options)
+    assert completed.returncode == 0, f"$ {command}\n{completed.stdout}{completed.stderr}"
+    return completed.stdout
 
 
 def apply(folder: Path, fence: Fence) -> None:
@@ -205,10 +205,10 @@ def test_links_and_named_paths_exist(page: Path) -> None:
             assert linked.exists(), f"{page.name}: {target}"
             assert not anchor or anchor in anchors(linked), f"{page.name}: {target}"
     examples = "".join(example.read_text(encoding="utf-8") for example in ADDING)
-    made = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
+    moved_files = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
     for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
         built = path.startswith("docs/_build/")
-        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
+        assert built or path in moved_files or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 @pytest.mark.slow
@@ -316,8 +316,8 @@ def test_every_word_is_spelt_right() -> None:
     pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "firmware/README.md"]
     options = ["--ignore-words-list", NAMES, "--skip", "*_build*,*.svg,*.bib"]
     command = [sys.executable, "-m", "codespell_lib", *options, "lampest", "docs", "configs", "paper", *pages]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
+    completed = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stdout
 
 
 # The way of mats, insoles and skins, and pages beside other programs.

@@ -49,9 +49,9 @@ def results(tmp_path: Path) -> Path:
 
 def exported(lampest: Run, results: Path, to: str, *words: Any) -> Path:
     """The file that the command says it wrote."""
-    done = lampest("export", results, "--to", to, *words)
-    assert done.code == 0, done.err
-    return Path(done.out.splitlines()[0])
+    completed = lampest("export", results, "--to", to, *words)
+    assert completed.code == 0, completed.err
+    return Path(completed.out.splitlines()[0])
 
 
 def shown(case: CaseResult, name: str) -> Any:

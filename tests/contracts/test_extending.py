@@ -112,10 +112,10 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
 
 def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None:
     free = lampest.Bounds("none", "none")
-    once, twice = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
-    assert_allclose(twice.cell_resistance, 2 * once.cell_resistance)
-    assert np.ptp(once.cell_resistance[0]) == 0 and once.cell_resistance_errors is None
-    assert set(once.status) == {"approximate, as the formulation asks; not an optimum"}
+    single, double = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
+    assert_allclose(double.cell_resistance, 2 * single.cell_resistance)
+    assert np.ptp(single.cell_resistance[0]) == 0 and single.cell_resistance_errors is None
+    assert set(single.status) == {"approximate, as the formulation asks; not an optimum"}
 
 
 def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
@@ -151,9 +151,9 @@ def test_an_installed_package_adds_its_names_to_yaml(
     package(EXTENSIONS, **{group: f"addon:{name}" for group, name in GROUPS.items()})
 
     def command(*arguments: str | Path) -> str:
-        ended = lampest(*arguments)
-        assert (ended.code, ended.err) == (0, ""), arguments
-        return str(ended.out)
+        completed = lampest(*arguments)
+        assert (completed.code, completed.err) == (0, ""), arguments
+        return str(completed.out)
 
     (tmp_path / "simulation.yaml").write_text(SIMULATION)
     (tmp_path / "run.yaml").write_text(RUN)
@@ -187,6 +187,6 @@ def test_a_wrong_entry_point_gives_one_sentence(
     package(EXTENSIONS + 'TWICE = type("Twice", (Histogram,), {"kind": "contours"})()\n', **{group: name})
     (tmp_path / "run.yaml").write_text(RUN)
     words = ("run", tmp_path / "run.yaml") if group in ("terms", "methods") else ("plot", tmp_path / "r.h5")
-    ended = lampest(*words, *(("--show", "contours") if group == "plots" else ()))
-    assert ended.code == 2 and ended.err.startswith(f"lampest: {sentence}"), ended.err
-    assert ended.err.count("\n") == 1
+    completed = lampest(*words, *(("--show", "contours") if group == "plots" else ()))
+    assert completed.code == 2 and completed.err.startswith(f"lampest: {sentence}"), completed.err
+    assert completed.err.count("\n") == 1

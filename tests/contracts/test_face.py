@@ -273,10 +273,10 @@ def test_progress_counts_all_frames(known: dict[str, object]) -> None:
 @pytest.fixture(scope="module")
 def few() -> Recording:
     """The lamprey's unloaded frames and two later ones."""
-    whole = lampest.datasets.load("lamprey_35mm")
+    recording = lampest.datasets.load("lamprey_35mm")
     chosen = [0, 1, 2, 14, 15]
     parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
-    return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
+    return replace(recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts})
 
 
 def test_the_automatic_weight_is_better_than_the_papers_weight(few: Recording) -> None:

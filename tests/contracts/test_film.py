@@ -104,11 +104,11 @@ def test_yaml_and_csv_give_the_same_scene_and_it_is_printed_without_out(
     rods: list[Path], tmp_path: Path, lampest: Command
 ) -> None:
     path = tmp_path / "loads.yaml"
-    whole = rods[4]
+    rod = rods[4]
     load = "frames: [4, 6], x_mm: 25, y_mm: 25, diameter_mm: 30"
     path.write_text(f"schema: 1\nloads:\n  - {{{load}, force_newton: 3.5316}}\n")
     (tmp_path / "loads.csv").write_text("first,last,x_mm,y_mm,diameter_mm,mass_g\n4,6,25,25,30,360\n\n")
-    as_yaml, as_csv = (lampest("calibrate", whole, "--loads", tmp_path / f"loads.{end}") for end in ("yaml", "csv"))
+    as_yaml, as_csv = (lampest("calibrate", rod, "--loads", tmp_path / f"loads.{end}") for end in ("yaml", "csv"))
     assert as_yaml.code == 0 and as_yaml.out == as_csv.out
     assert "cells felt no load" in as_yaml.out
     path.with_name("scene.yaml").write_text(as_yaml.out)
@@ -120,9 +120,9 @@ def test_impossible_loads_give_one_sentence(rods: list[Path], tmp_path: Path, la
     out = tmp_path / "scene.yaml"
     for text, words in WRONG.items():
         path.write_text(f"recording,first,last,x_mm,y_mm,diameter_mm,mass_g\n{text}\n")
-        ended = lampest("calibrate", rods[0], "--loads", path, "--out", out)
-        assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-        assert words in ended.err and not out.exists()
-    ended = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
+        completed = lampest("calibrate", rods[0], "--loads", path, "--out", out)
+        assert (completed.code, completed.out, completed.err.count("\n")) == (2, "", 1)
+        assert words in completed.err and not out.exists()
+    completed = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
     several = "lampest: --known, --loads and --from-recording are different calibrations: give one of them\n"
-    assert (ended.code, ended.err) == (2, several)
+    assert (completed.code, completed.err) == (2, several)

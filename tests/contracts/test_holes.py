@@ -51,9 +51,13 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
     cut = recorded(tmp_path / "cut.h5", healthy(3))
     cut.write_bytes(cut.read_bytes()[:3000])
     (tmp_path / "run.yaml").write_text(RUN.format("cut.h5, holes.h5"))
-    ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
-    assert ended.code == 3 and "2 cases solved" in ended.out and "2 failed" in ended.out
-    assert "cut × LSM" in ended.err and "not a readable HDF5 file" in ended.err and "Traceback" not in ended.err
+    completed = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
+    assert completed.code == 3 and "2 cases solved" in completed.out and "2 failed" in completed.out
+    assert (
+        "cut × LSM" in completed.err
+        and "not a readable HDF5 file" in completed.err
+        and "Traceback" not in completed.err
+    )
     with h5py.File(tmp_path / "out" / "results.h5") as file:
         assert set(file["entry"]) == {"holes"}
         status = [text.decode() for text in file["entry/holes/LSM/status"]]

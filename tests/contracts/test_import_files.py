@@ -283,9 +283,9 @@ def claims(path: Path) -> None:
 
 
 def whole_sheet(path: Path) -> None:
-    made = openpyxl.Workbook()
-    made.active["A1"], made.active["XFD1048576"] = 1, 2
-    made.save(path)
+    workbook = openpyxl.Workbook()
+    workbook.active["A1"], workbook.active["XFD1048576"] = 1, 2
+    workbook.save(path)
 
 
 def truncated(path: Path) -> None:
@@ -410,22 +410,22 @@ def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
 
 def test_the_import_sets_entries_of_a_scene(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     scene = tmp_path / "scene.yaml"
-    made = tmp_path / "m.h5"
+    out = tmp_path / "m.h5"
     scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
     np.save(tmp_path / "m.npy", FRAMES)
-    words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", made)
+    words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", out)
     assigned = ("--scene", scene, "--set", "series_resistance_ohm=70", "--set", "panel.pitch_mm=4")
-    done = lampest(*words, *assigned, "--period", "0.5", "--baseline", "1")
-    assert done.code == 0, done.err
-    assert "series resistance 70 ohm and pitch 4 mm, by the scene" in done.out
-    recording = Recording.load(made)
+    completed = lampest(*words, *assigned, "--period", "0.5", "--baseline", "1")
+    assert completed.code == 0, completed.err
+    assert "series resistance 70 ohm and pitch 4 mm, by the scene" in completed.out
+    recording = Recording.load(out)
     assert recording.scene == Scene(Panel(3, 5, 4.0), None, 70.0)
     assert (recording.time[1], recording.role.tolist()) == (0.5, [0, 1, 1, 1])
-    made.unlink()
+    out.unlink()
     wrong = lampest(*words, "--scene", scene, "--set", "panel.pitsch_mm=4")
-    assert (wrong.code, made.exists()) == (2, False) and "pitsch_mm" in wrong.err
+    assert (wrong.code, out.exists()) == (2, False) and "pitsch_mm" in wrong.err
     nowhere = lampest(*words, "--rows", 3, "--columns", 5, "--set", "panel.pitch_mm=4")
-    assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err
+    assert (nowhere.code, out.exists()) == (2, False) and "--scene" in nowhere.err
 
 
 def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path: Path) -> None:
@@ -456,8 +456,8 @@ def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
         if line.startswith("cat "):
             (tmp_path / line.split()[1]).write_text(answer, encoding="utf-8")
     (call,) = (line for line in answers if line.startswith("lampest import "))
-    ended = run_command(*call.split()[1:], cwd=tmp_path)
-    assert (ended.returncode, ended.stderr, ended.stdout) == (0, "", answers[call])
+    completed = run_command(*call.split()[1:], cwd=tmp_path)
+    assert (completed.returncode, completed.stderr, completed.stdout) == (0, "", answers[call])
 
 
 def test_info_prints_the_start_of_a_recording(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:

@@ -165,11 +165,11 @@ def test_results_hold_the_whole_scene(tmp_path: Path) -> None:
     further = (faults, water, Temperature(-0.003, 20.0, 12.0), Systematic(0.01, 3.0))
     subject = MeasuredSubject("L7", "Petromyzon marinus", 420.0, 150.0)
     people = {"subject": subject, "experiment": Experiment("attachment", water_temperature_celsius=12.5)}
-    whole = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.5), 140.0, *further, **people)
-    dataclasses.replace(Recording.load(LAMPREY), scene=whole).save(tmp_path / "recording.h5")
-    assert Recording.load(tmp_path / "recording.h5").scene == whole
-    write_results(tmp_path / "r.h5", [invented_case(method, scene=whole) for method in METHODS[:2]])
-    assert [case.scene for case in read_results(tmp_path / "r.h5").cases] == [whole] * 2
+    scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.5), 140.0, *further, **people)
+    dataclasses.replace(Recording.load(LAMPREY), scene=scene).save(tmp_path / "recording.h5")
+    assert Recording.load(tmp_path / "recording.h5").scene == scene
+    write_results(tmp_path / "r.h5", [invented_case(method, scene=scene) for method in METHODS[:2]])
+    assert [case.scene for case in read_results(tmp_path / "r.h5").cases] == [scene] * 2
     with h5py.File(tmp_path / "r.h5") as file:
         group = file["entry/mouth/recording"]
         assert group["scene"].shape == () and group["scene"].dtype.kind == "S"
@@ -191,13 +191,13 @@ def test_damaged_values_and_long_texts_are_detected(tmp_path: Path) -> None:
     """HDF5 keeps attributes of more than 4 kB where it has no checksum."""
     path = tmp_path / "r.h5"
     write_results(path, [invented_case(case_yaml="k" * 8000)])
-    whole = path.read_bytes()
-    path.write_bytes(whole.replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
     with pytest.raises(InputError, match="case is damaged"):
         read_results(path)
-    path.write_bytes(whole)
+    path.write_bytes(content)
     with h5py.File(path) as file:
         place = file["/entry/mouth/LSM/cell_resistance"].id.get_chunk_info(0).byte_offset + 40
-    path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
+    path.write_bytes(content[:place] + bytes([content[place] ^ 255]) + content[place + 1 :])
     with pytest.raises(InputError, match="/entry/mouth/LSM/cell_resistance is damaged"):
         read_results(path)

@@ -117,8 +117,8 @@ def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figu
     (disk.folder / "configs").mkdir()
     (disk.folder / "configs" / "mine.yaml").write_text(disk.text.replace("small.h5", "../small.h5") + figures)
     monkeypatch.chdir(disk.folder)
-    ended = lampest("run", "configs/mine.yaml", "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
+    completed = lampest("run", "configs/mine.yaml", "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "")
     results = read_results(disk.folder / "results" / "mine" / "results.h5")
     assert len(results.cases) == 3 and results.published["LSM"].all.time_s == 16.45
     given = results.published["LSR-dCR"]
@@ -156,9 +156,9 @@ def test_a_missing_library_gives_one_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     path = disk.run(disk.text + "executor: {kind: dask}\n")
-    ended = lampest("run", path, "--out", disk.folder / "out")
-    assert (ended.code, ended.out) == (2, "")
-    assert ended.err == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
+    completed = lampest("run", path, "--out", disk.folder / "out")
+    assert (completed.code, completed.out) == (2, "")
+    assert completed.err == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
     assert not (disk.folder / "out").exists()
     assert lampest("run", path, "--out", disk.folder / "out", "--jobs", "1").code == 0
 

@@ -60,15 +60,15 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
 def test_the_error_of_a_wrong_value_names_valid_ones(
     assigned: str, sentence: str, codes: Path, scene: Path, lampest: Command
 ) -> None:
-    ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
-    assert ended.code == 2 and sentence in ended.err and "Input should" not in ended.err
+    completed = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    assert completed.code == 2 and sentence in completed.err and "Input should" not in completed.err
 
 
 def test_import_says_that_it_replaced_a_file(codes: Path, scene: Path, lampest: Command) -> None:
-    made = codes.with_suffix(".h5")
-    first, second = (lampest("import", codes, "--scene", scene, "--out", made) for _ in range(2))
-    assert first.out.splitlines()[-1] == str(made)
-    assert second.out.splitlines()[-1] == f"{made} (in place of the file that had this name)"
+    out = codes.with_suffix(".h5")
+    first, second = (lampest("import", codes, "--scene", scene, "--out", out) for _ in range(2))
+    assert first.out.splitlines()[-1] == str(out)
+    assert second.out.splitlines()[-1] == f"{out} (in place of the file that had this name)"
 
 
 def test_import_calls_only_undetermined_entries_assumed(codes: Path, scene: Path, lampest: Command) -> None:
@@ -88,9 +88,9 @@ def test_infinite_resistances_without_a_readout_are_not_at_a_rail(tmp_path: Path
 
 
 def test_the_error_names_an_unknown_estimator_of_a_setting(starter: Path, lampest: Command) -> None:
-    ended = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
-    assert ended.code == 2
-    assert "there is no estimator 'smoth'; did you mean smooth?" in ended.err
+    completed = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
+    assert completed.code == 2
+    assert "there is no estimator 'smoth'; did you mean smooth?" in completed.err
     unlike = lampest("run", starter / "run.yaml", "--set", "estimators.x.error_bars=false")
     assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
 
@@ -102,8 +102,8 @@ def test_a_pattern_without_quotation_marks_is_explained_and_the_starter_file_sho
     text = run.read_text()
     assert '"*.h5"' in text
     run.write_text(text.replace("[example.h5]", "[*.h5]"))
-    ended = lampest("run", run)
-    assert ended.code == 2 and "in YAML a * begins an alias: write such a text in quotation marks" in ended.err
+    completed = lampest("run", run)
+    assert completed.code == 2 and "in YAML a * begins an alias: write such a text in quotation marks" in completed.err
     run.write_text(text.replace("[example.h5]", '["*.h5"]'))
     assert len(lampest_cases(run)) == 3
 
@@ -186,8 +186,8 @@ def test_the_error_names_the_command_for_a_file_of_another_kind(
     if not (starter / name).exists():
         (starter / name).write_bytes(contents.get(name, b"1,2,3\n"))
     for command in ("info", "plot"):
-        ended = lampest(command, starter / name)
-        assert ended.code == 2 and kind in ended.err and "synchronously" not in ended.err, ended.err
+        completed = lampest(command, starter / name)
+        assert completed.code == 2 and kind in completed.err and "synchronously" not in completed.err, completed.err
 
 
 def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Command) -> None:

@@ -61,8 +61,8 @@ def started(folder: Path, *words: str) -> SimpleNamespace:
     """Run Python as a user does; return code, out and err."""
     environment = {**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *words]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
-    return SimpleNamespace(code=done.returncode, out=done.stdout, err=done.stderr)
+    completed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
+    return SimpleNamespace(code=completed.returncode, out=completed.stdout, err=completed.stderr)
 
 
 def studied(
@@ -129,8 +129,13 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
 def test_a_mistake_in_the_file_of_a_script_gives_one_sentence(
     disk: SimpleNamespace, lampest: Command, old: str, new: str, place: str
 ) -> None:
-    done, out = studied(lampest, disk, "audit", AUDIT.replace(old, new))
-    assert done.code == 2 and place in done.err and len(done.err.strip().splitlines()) == 1 and not out.exists()
+    completed, out = studied(lampest, disk, "audit", AUDIT.replace(old, new))
+    assert (
+        completed.code == 2
+        and place in completed.err
+        and len(completed.err.strip().splitlines()) == 1
+        and not out.exists()
+    )
 
 
 def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespace, lampest: Command) -> None:
@@ -138,10 +143,10 @@ def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespac
     with h5py.File(path, "a") as file:
         del file["entry/truth"]
     text = GRADIENT_ALONE + "bounds: {upper: none}\n"
-    done, out = studied(lampest, disk, "weights", text + "auto_weight: {rule: evidence}\n")
-    assert done.code == 2 and "auto_weight.rule: evidence needs the noise" in done.err and not out.exists()
-    done, out = studied(lampest, disk, "weights", text)
-    assert done.code == 0, done.err
+    completed, out = studied(lampest, disk, "weights", text + "auto_weight: {rule: evidence}\n")
+    assert completed.code == 2 and "auto_weight.rule: evidence needs the noise" in completed.err and not out.exists()
+    completed, out = studied(lampest, disk, "weights", text)
+    assert completed.code == 0, completed.err
     rules = {row["rule"]: row for row in table_of(out / "tune.csv")}
     assert set(rules) == {"risk", "Morozov", "L-curve"}
     assert rules["risk"]["in_use"] == "1" and rules["Morozov"]["weight"] == ""
@@ -151,8 +156,8 @@ def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespac
 @pytest.mark.slow
 def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamespace, lampest: Command) -> None:
     setting = ("--set", "estimators.g.terms.gradient.weight=0.002")
-    done, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)
-    assert done.code == 0, done.err
+    completed, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)
+    assert completed.code == 0, completed.err
     (given,) = (row for row in table_of(out / "tune.csv") if row["rule"] == "given")
     assert float(given["weight"]) == 0.002
 

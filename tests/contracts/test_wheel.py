@@ -43,9 +43,11 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
 
     def run(*command: object) -> str:
         options = {"cwd": empty, "env": os.environ | {"PYTHONPATH": str(site)}, "timeout": 120}
-        ended = subprocess.run([str(word) for word in command], **options, capture_output=True, text=True, check=False)
-        assert ended.returncode == 0, ended.stderr
-        return ended.stdout
+        completed = subprocess.run(
+            [str(word) for word in command], **options, capture_output=True, text=True, check=False
+        )
+        assert completed.returncode == 0, completed.stderr
+        return completed.stdout
 
     lampest = (sys.executable, site / "bin" / "lampest")
     started = run(*lampest, "init")
@@ -84,8 +86,8 @@ def test_the_package_page_has_no_dead_links_and_the_sdist_holds_tests_and_pages(
 def test_init_replaces_no_file(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "run.yaml").write_text("mine")
-    ended = lampest("init", tmp_path / "new")
-    assert ended.code == 2 and "run.yaml: is there already" in ended.err
+    completed = lampest("init", tmp_path / "new")
+    assert completed.code == 2 and "run.yaml: is there already" in completed.err
     assert [path.read_text() for path in (tmp_path / "new").iterdir()] == ["mine"]
 
 

@@ -202,9 +202,9 @@ def good_results(folder: Path) -> bytes:
     shape = (2, 3, 4)
     cases = [invented_case("LSM", "small", shape), invented_case("LSR-dCR", "small", shape, failed=(1,))]
     write_results(folder / "good.h5", cases, {"LSM": PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))})
-    whole = bytes((folder / "good.h5").read_bytes())
+    content = bytes((folder / "good.h5").read_bytes())
     (folder / "good.h5").unlink()
-    return whole
+    return content
 
 
 def without_checksums(make: Callable[[Path], Any], folder: Path) -> Any:

@@ -92,11 +92,11 @@ def _check_sentence(sentence: str) -> None:
 
 def _check_command(arguments: list[str], code: int) -> None:
     """The command ends with that code, and says one line on stderr where it refuses."""
-    ended = called(*arguments, folder=Path.cwd())
-    lines = ended.err.count("\n")
-    refused = "lampest: " in ended.err and not ended.out
-    if ended.code != code or lines != (code != 0) or (code and not refused):
-        raise ReceptionError(ended.described(f"lampest {arguments[0]} must end with {code}"))
+    completed = called(*arguments, folder=Path.cwd())
+    lines = completed.err.count("\n")
+    refused = "lampest: " in completed.err and not completed.out
+    if completed.code != code or lines != (code != 0) or (code and not refused):
+        raise ReceptionError(completed.described(f"lampest {arguments[0]} must end with {code}"))
 
 
 def _setting(path: Path) -> None:

@@ -313,14 +313,14 @@ def on_resistors(
     scene: lp.Scene, printed: lp.Array, more: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
     """Six frames of known resistors, infinite where there is none, with other channels and these other parts."""
-    made = replace(scene, **true)
+    actual = replace(scene, **true)
     memory = true.get("converter_memory")
     rows = np.linspace(-spread, spread, 4) + more
     columns = np.linspace(-4, 8, 5) + more
     if scene.circuit.unit == "volt" and "readout" not in true:
-        made = replace(made, readout=replace(made.circuit, drive_ohm=90.0))
-    volt = made.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), made, rows, columns)
-    volt = with_memory(made.circuit, memory, volt) if memory else volt
+        actual = replace(actual, readout=replace(actual.circuit, drive_ohm=90.0))
+    volt = actual.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), actual, rows, columns)
+    volt = with_memory(actual.circuit, memory, volt) if memory else volt
     noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
     return lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
 
@@ -371,9 +371,9 @@ def refused_resistors_row() -> list[str]:
         (on_resistors(scene, known, readout=replace(scene.circuit, drive_ohm=9.001)), known),
     ]  # fmt: skip
     answers = []
-    for each, table in cases:
+    for case, table in cases:
         try:
-            answers.append(calibrate_resistors([each], [table], tolerance=1e-3).summary)
+            answers.append(calibrate_resistors([case], [table], tolerance=1e-3).summary)
         except InputError as error:
             answers.append(str(error))
     return answers
@@ -430,15 +430,15 @@ def frame_noise_row() -> list[Any]:
 
 def joint_row() -> list[Any]:
     """All frames as one problem, with errors that all share and some that each has, at three points."""
-    made = simulated("gain_spread", SHARED_ERRORS)
+    recording = simulated("gain_spread", SHARED_ERRORS)
     rng = np.random.default_rng(2)
     rows = list[Any]()
     robust = (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),)
     estimator = Estimator(robust, "reduced", bounds=lp.Bounds(lower=2500.0))
-    data = [estimator.data(made.readings()[frame].alone(), Background(made.scene)) for frame in range(3, 7)]
-    cells = np.log(made.truth_cell_resistance[3:7]).reshape(4, -1) + 0.01 * rng.standard_normal((4, 20))
-    noise = FrameNoise(made.scene, 4, 0.004, *np.zeros((2, 5, 0)))
-    begun = Joint.of([estimator.cost(made.scene, 1)] * 4, data, Shared.of(made.scene), cells, noise, 2)
+    data = [estimator.data(recording.readings()[frame].alone(), Background(recording.scene)) for frame in range(3, 7)]
+    cells = np.log(recording.truth_cell_resistance[3:7]).reshape(4, -1) + 0.01 * rng.standard_normal((4, 20))
+    noise = FrameNoise(recording.scene, 4, 0.004, *np.zeros((2, 5, 0)))
+    begun = Joint.of([estimator.cost(recording.scene, 1)] * 4, data, Shared.of(recording.scene), cells, noise, 2)
     stiffness = rng.uniform(10, 1e4, (3, 20))
     begun = replace(begun, stiffness=stiffness, shift=0.2 * rng.standard_normal(len(begun.shift)))
     for joint in (begun, begun.stepped().sharing(), begun.stepped().stepped()):
@@ -450,14 +450,14 @@ def joint_row() -> list[Any]:
             joint.shared_estimate, [each.held for each in held], held[-1].value, held[-1].newton()[1],
             joint.answer(joint.shared[:, :, :2]), [each.uncertain.variance for each in (joint, held[-1])],
         ]  # fmt: skip
-    return [*rows, error_bars(begun.stepped(), 2, Shared.of(made.scene))]
+    return [*rows, error_bars(begun.stepped(), 2, Shared.of(recording.scene))]
 
 
 def batches_row() -> dict[str, Any]:
     """Which frames of streams are solved together, by estimator and by readings that are missing, and their cells."""
     misfit = lp.Misfit(weighting="noise")
     penalty = lp.LogGradient(weight=3.0)
-    made = simulated()
+    recording = simulated()
     rows = {}
     bare = partial(Estimator, (misfit, penalty), "reduced", error_bars=False)
     frame = lp.AutoWeight(per="frame")
@@ -473,11 +473,11 @@ def batches_row() -> dict[str, Any]:
         "truncated": Estimator((misfit, penalty), "truncated"),
     }  # fmt: skip
     for name, estimator in cases.items():
-        stream = Stream.begin(estimator, made.scene, 1.0, made.readings()[:4].mean())
-        recorded = made.recorded[4:7].copy()
+        stream = Stream.begin(estimator, recording.scene, 1.0, recording.readings()[:4].mean())
+        recorded = recording.recorded[4:7].copy()
         inverses = InverseHessians.nothing(3, 20)
         recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
-        pairs = push_streams([stream, None, stream], lp.Readings.of(made.scene, recorded), inverses)
+        pairs = push_streams([stream, None, stream], lp.Readings.of(recording.scene, recorded), inverses)
         steps = [step and step.cell_resistance for _, step in pairs]
         rows[name] = [inverses.positive, np.isnan(inverses.position).any(axis=1), steps]
     return rows

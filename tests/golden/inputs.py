@@ -265,13 +265,13 @@ def configurations() -> dict[str, Any]:
                 known[name] = kind()
             except (TypeError, ValueError):  # what has no default stands below
                 continue
-    made = (
+    examples = (
         lp.Huber(corner=3.0), lp.Student(corner=3.0), lp.Panel(3, 4), *SHAPES.values(), *RESPONSES.values(), FILM,
         lp.Temperature(-0.003, 20.0, 8.0), lp.Water(9.0), COURSE, CONTACTS, PER_LINE, MODULES.modules,
         lp.Simulation(1, 2, scenes()["noisy"]), lp.Scene(lp.Panel(2, 3)), executors.Processes(), executors.Dask(),
         bench.BenchFile(1, (3,)), extremes.Grid((3,)), tradeoff.TradeoffFile(1, ("a.h5",)),
     )  # fmt: skip
-    return known | {type(each).__name__: each for each in made}
+    return known | {type(example).__name__: example for example in examples}
 
 
 def ranges_row(owner: Any) -> dict[str, Any]:

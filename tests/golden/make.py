@@ -101,10 +101,10 @@ def write_table(*rooms: str) -> None:
 
         def compute(number: int, variables: dict[str, str]) -> bool:
             command = [sys.executable, "-m", "tests.golden.make", "rows", f"{folder}/{number}.json", *rooms]
-            ended = subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables)
-            if ended.returncode == -signal.SIGILL and variables:
+            completed = subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables)
+            if completed.returncode == -signal.SIGILL and variables:
                 return False
-            ended.check_returncode()
+            completed.check_returncode()
             return True
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -233,35 +233,35 @@ def page_row() -> dict[str, Any]:
 
 def drawn_row(figure: Figure) -> dict[str, Any]:
     """What a reader of a figure sees, and the numbers under it."""
-    axes = []
+    rows = []
     figure.draw_without_rendering()
-    for each in figure.findobj(Axes):
-        images = [*each.images, *each.collections]
-        axes.append(
+    for axes in figure.findobj(Axes):
+        images = [*axes.images, *axes.collections]
+        rows.append(
             {
-                "labels": [getattr(each, f"get_{of}")() for of in ("xlabel", "ylabel", "title", "xscale", "yscale")],
-                "limits": [*each.get_xlim(), *each.get_ylim()],
-                "ticks": [each.get_xticks(), each.get_yticks()],
+                "labels": [getattr(axes, f"get_{of}")() for of in ("xlabel", "ylabel", "title", "xscale", "yscale")],
+                "limits": [*axes.get_xlim(), *axes.get_ylim()],
+                "ticks": [axes.get_xticks(), axes.get_yticks()],
                 "texts": [
                     (text.get_text(), text.get_position(), text.get_size(), text.zorder, str(text.get_color()))
-                    for text in each.texts
+                    for text in axes.texts
                 ],
-                "lines": [np.asarray(line.get_xydata(), dtype=float) for line in each.lines],
+                "lines": [np.asarray(line.get_xydata(), dtype=float) for line in axes.lines],
                 "looks": [
                     [getattr(line, f"get_{of}")() for of in ("linewidth", "markersize", "zorder", "alpha")]
                     + [str(getattr(line, f"get_{of}")()) for of in ("color", "linestyle", "marker", "markerfacecolor")]
-                    for line in each.lines
+                    for line in axes.lines
                 ],
-                "offsets": [np.asarray(image.get_offsets(), dtype=float) for image in each.collections],
-                "widths": [image.get_linewidths() for image in each.collections],
+                "offsets": [np.asarray(image.get_offsets(), dtype=float) for image in axes.collections],
+                "widths": [image.get_linewidths() for image in axes.collections],
                 "shapes": [
                     np.concatenate([path.vertices for path in image.get_paths()] or [np.zeros((0, 2))])
-                    for image in each.collections
+                    for image in axes.collections
                 ],
-                "patches": [[str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in each.patches],
-                "place": [*each.get_position().bounds, each.get_visible(), each.axison, str(each.get_facecolor())],
+                "patches": [[str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in axes.patches],
+                "place": [*axes.get_position().bounds, axes.get_visible(), axes.axison, str(axes.get_facecolor())],
                 "halos": [
-                    [halo._gc for halo in part.get_path_effects() or ()] for part in (*each.texts, *each.collections)
+                    [halo._gc for halo in part.get_path_effects() or ()] for part in (*axes.texts, *axes.collections)
                 ],
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
@@ -270,13 +270,13 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                 ],
                 "missing": [image.get_cmap().get_bad() for image in images if image.get_array() is not None],
                 "range": [image.get_clim() for image in images if image.get_array() is not None],
-                "legend": [text.get_text() for text in each.get_legend().get_texts()] if each.get_legend() else [],
+                "legend": [text.get_text() for text in axes.get_legend().get_texts()] if axes.get_legend() else [],
             }
         )
     words = [text.get_text() for text in figure.findobj(Text)]
-    legends = [[each.get_frame_on(), each._ncols, each._outside_loc] for each in figure.legends]
+    legends = [[legend.get_frame_on(), legend._ncols, legend._outside_loc] for legend in figure.legends]
     return {
-        "axes": axes, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word),
+        "axes": rows, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word),
         "legends": legends,
     }  # fmt: skip
 
@@ -755,8 +755,8 @@ def strongest_of_files() -> list[Any]:
 def detected_results_row() -> list[Any]:
     """Answers to results with noise that frames share, without noise, and of one frame; and what the file says."""
     scene = replace(WATCHED, faults=lp.Faults(shorted=((0, 1),), dead_rows=(5,)))
-    made = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
-    readings = replace(made, scene=scene).readings()
+    recording = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
+    readings = replace(recording, scene=scene).readings()
     cases = list[lp.CaseResult]()
     resting = readings[:3].mean()
     for name, frames in (("noisy", slice(3, 5)), ("silent", slice(0, 3)), ("one", slice(5, 6))):

@@ -90,11 +90,11 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
     """The inverse is that of L + diag(t), and no matrix over all lines is inverted for it."""
     conductance = 10.0 ** np.random.default_rng(4).uniform(-5, -2, shape)
     ties = 10.0 ** np.random.default_rng(5).uniform(-5, -2, (*shape[:-2], shape[-2] + shape[-1]))
-    whole = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
+    inverse = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
     invert = np.linalg.inv
     sizes = []
     monkeypatch.setattr(np.linalg, "inv", lambda matrix: sizes.append(matrix.shape[-1]) or invert(matrix))
-    assert_allclose(inverse_of(conductance, ties), whole, rtol=1e-10)
+    assert_allclose(inverse_of(conductance, ties), inverse, rtol=1e-10)
     assert sizes == [min(shape[-2:])]
 
 

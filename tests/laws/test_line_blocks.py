@@ -28,11 +28,11 @@ def test_the_inverse_by_blocks_equals_that_of_the_matrix(
     shape: tuple[int, int], values: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocks = blocks_of(shape, values)
-    whole = blocks.matrix()
-    vector = np.random.default_rng(3).standard_normal(len(whole))
-    expected = np.linalg.solve(whole, vector)
-    assert_allclose(whole, whole.T)
-    assert_allclose((blocks + blocks).matrix(), 2 * whole)
+    matrix = blocks.matrix()
+    vector = np.random.default_rng(3).standard_normal(len(matrix))
+    expected = np.linalg.solve(matrix, vector)
+    assert_allclose(matrix, matrix.T)
+    assert_allclose((blocks + blocks).matrix(), 2 * matrix)
     sizes = sizes_of_matrices(monkeypatch)
     assert_allclose(blocks.inverse()(vector), expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
     assert max(sizes) <= values * min(shape)

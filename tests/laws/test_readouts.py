@@ -140,10 +140,12 @@ def test_the_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None
 @every_scene
 def test_the_sensitivity_is_the_matrix_of_the_forward_product(scene: Scene) -> None:
     network = network_of(scene, cells_of(scene))
-    whole = network.sensitivity()
+    sensitivity = network.sensitivity()
     step = np.random.default_rng(4).normal(size=scene.panel.shape)
-    assert_allclose((whole @ step.ravel()).reshape(step.shape), network.forward(step), atol=1e-9 * size(whole))
-    assert_allclose(network.own_response().ravel(), np.diag(whole), atol=1e-9 * size(whole))
+    assert_allclose(
+        (sensitivity @ step.ravel()).reshape(step.shape), network.forward(step), atol=1e-9 * size(sensitivity)
+    )
+    assert_allclose(network.own_response().ravel(), np.diag(sensitivity), atol=1e-9 * size(sensitivity))
 
 
 @pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
@@ -185,9 +187,9 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
     """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand them on."""
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
-    made = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
+    simulated = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
     expected = scene.circuit.to_recorded(network_of(scene, np.log(cells)).reading(), scene)
-    assert_allclose(made, expected, atol=1e-9 * size(expected))
+    assert_allclose(simulated, expected, atol=1e-9 * size(expected))
 
 
 @every_scene
@@ -217,7 +219,7 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_the_apparent_resistance_of_a_lone_cell_is_its_resistance(kind: Any) -> None:
     cell = np.array([[700.0]])
-    readout = next(each for each in examples(kind) if fits((Panel(1, 1), each)) is not None)
+    readout = next(example for example in examples(kind) if fits((Panel(1, 1), example)) is not None)
     assert_allclose(readout.apparent_resistance(readout.exact_reading(cell)), cell, rtol=1e-6)
 
 

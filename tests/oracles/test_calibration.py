@@ -189,25 +189,25 @@ def test_calibrated_channels_lie_within_their_deviations_and_improve_the_cells()
 def test_a_calibration_without_loads_says_that_nothing_is_known(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
-    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    unloaded = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     scene = tmp_path / "scene.yaml"
-    made.save(tmp_path / "one.h5")
-    replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another"))).save(tmp_path / "two.h5")
-    ended = lampest("calibrate", "--from-recording", tmp_path / "one.h5", tmp_path / "two.h5", "--out", scene)
-    assert ended.code == 0 and ended.out.startswith("reference ") and "from 10 frames" in ended.out
-    assert "these loads determine hardly any channel" in ended.err and "rows are off by " in scene.read_text()
+    unloaded.save(tmp_path / "one.h5")
+    replace(unloaded, scene=replace(unloaded.scene, subject=MeasuredSubject(id="another"))).save(tmp_path / "two.h5")
+    completed = lampest("calibrate", "--from-recording", tmp_path / "one.h5", tmp_path / "two.h5", "--out", scene)
+    assert completed.code == 0 and completed.out.startswith("reference ") and "from 10 frames" in completed.out
+    assert "these loads determine hardly any channel" in completed.err and "rows are off by " in scene.read_text()
 
 
 def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
-    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    unloaded = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     with pytest.raises(InputError, match="names no readout"):
-        calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
+        calibrate_channels([replace(unloaded, scene=Scene(unloaded.scene.panel))])
     with pytest.raises(InputError, match="recordings tell nothing of this readout"):
-        calibrate_channels([replace(made, scene=Scene(made.scene.panel, Divider()))])
+        calibrate_channels([replace(unloaded, scene=Scene(unloaded.scene.panel, Divider()))])
     with pytest.raises(InputError, match="its scene is another"):
-        calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
+        calibrate_channels([unloaded, replace(unloaded, scene=replace(unloaded.scene, series_resistance_ohm=100.0))])
     with pytest.raises(InputError, match="no frame could be estimated"):
-        calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
+        calibrate_channels([replace(unloaded, recorded=np.full_like(unloaded.recorded, np.nan))])
 
 
 def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:

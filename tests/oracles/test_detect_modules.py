@@ -76,24 +76,24 @@ def test_a_window_equals_the_network_of_its_modules() -> None:
 @pytest.mark.slow
 def test_recognition_examines_only_changed_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 36 modules one carries a rod: one window opens, a bounded number of looks is taken, all at this module."""
-    looks = list[tuple[int, ...]]()
+    examined = list[tuple[int, ...]]()
     verdict = Detector.verdict
 
     def counted(self: Detector, frame: Observation, *given: Any) -> Any:
-        looks.append(frame.panel.shape)
+        examined.append(frame.panel.shape)
         return verdict(self, frame, *given)
 
     monkeypatch.setattr(Detector, "verdict", counted)
     scene = replace(SCENE, panel=Panel(modules=Modules(6, 6, EachModule(10, 10), 4.0)))
     rod = Rod(centre_mm=(150, 255), diameter_mm=30, mass_g=500)
     course = Course(start_s=1.0)
-    made = Simulation(schema=1, seed=6, scene=scene, frames=20, frame_period_s=0.25, loads=(rod,), course=course)
-    simulate(made).save(tmp_path / "mat.h5")
+    simulation = Simulation(schema=1, seed=6, scene=scene, frames=20, frame_period_s=0.25, loads=(rod,), course=course)
+    simulate(simulation).save(tmp_path / "mat.h5")
     progress = list[tuple[int, int]]()
     answer = detect_recording(tmp_path / "mat.h5", on_frame=lambda *counts: progress.append(counts))
     assert progress == [*((done, 23) for done in range(20)), (23, 23)]
     assert len(answer.attachments) == 1 and answer.attachments[0].distance((150, 255)) < 5
-    assert set(looks) == {(10, 10)} and len(looks) <= 5
+    assert set(examined) == {(10, 10)} and len(examined) <= 5
 
 
 @pytest.mark.slow
@@ -124,13 +124,13 @@ def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
-    whole, made, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
-    answer = answered(whole)
+    slid, mouth, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
+    answer = answered(slid)
     (attachment,) = answer.attachments
-    begin = whole.time[UNLOADED] + TOUCH_S
+    begin = slid.time[UNLOADED] + TOUCH_S
     assert answer.answer == LAMPREY and "pumping" not in answer.sentence
     assert attachment.moved_s and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
-    assert abs(attachment.place[0] - made.centres_mm[0][0]) == pytest.approx(15, abs=2.5 * attachment.x_mm[1])
+    assert abs(attachment.place[0] - mouth.centres_mm[0][0]) == pytest.approx(15, abs=2.5 * attachment.x_mm[1])
     assert attachment.x_mm[1] < 1
 
 

@@ -150,9 +150,9 @@ def test_every_readout_agrees_with_its_netlist() -> None:
 )
 def test_noise_free_readings_give_the_cells(readout: Any, formulation: Any) -> None:
     recording = panel_of(readout, 0.0)
-    done = reconstruct(recording, Estimator(LSM, formulation))
-    assert all(step.solution.solved for step in done.steps)
-    assert_allclose(done.cell_resistance, truth_of(recording), rtol=1e-4)
+    estimate = reconstruct(recording, Estimator(LSM, formulation))
+    assert all(step.solution.solved for step in estimate.steps)
+    assert_allclose(estimate.cell_resistance, truth_of(recording), rtol=1e-4)
 
 
 @every_readout
@@ -306,10 +306,10 @@ def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
     volt[:, 4] = 0.7
     recording = replace(sound, scene=replace(sound.scene, faults=Faults(dead_rows=(4,))), recorded=volt)
-    done = reconstruct(recording, Estimator(LSM, "reduced"))
-    assert all(step.solution.solved for step in done.steps)
+    estimate = reconstruct(recording, Estimator(LSM, "reduced"))
+    assert all(step.solution.solved for step in estimate.steps)
     sound_rows = np.arange(8) != 4
-    assert_allclose(done.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
+    assert_allclose(estimate.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
 
 
 def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:

@@ -336,5 +336,5 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
-    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=100)
-    assert ended.stdout == "interrupted\n", ended.stderr
+    completed = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=100)
+    assert completed.stdout == "interrupted\n", completed.stderr

@@ -131,18 +131,18 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
     """A tenth of the usable readings is withheld."""
-    whole = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
-    readings = whole.readings()
+    complete = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
+    readings = complete.readings()
     rng = np.random.default_rng(3)
-    usable = readings.plain & whole.scene.panel.present & ~impossible_readings(whole.scene.circuit, readings)
+    usable = readings.plain & complete.scene.panel.present & ~impossible_readings(complete.scene.circuit, readings)
     withheld = usable & (rng.random(usable.shape) < 0.1)
-    recording = replace(whole, recorded=np.where(withheld, np.nan, whole.recorded))
+    recording = replace(complete, recorded=np.where(withheld, np.nan, complete.recorded))
     estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
     sigma = estimate.reading_sigma
     model = np.stack([step.solution.reading[-1] for step in estimate.steps])
     assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))  # of missing ones, too
     judged = withheld & estimate.solved[:, None, None]
-    inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
+    inside = np.abs(complete.readings().value - model)[judged] < 1.96 * sigma[judged]
     assert judged.sum() > 300 and least <= inside.mean() <= 0.98
 
 

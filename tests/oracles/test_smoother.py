@@ -166,12 +166,12 @@ def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
     held = []
     tapped = []
     for seed in range(6):
-        made = panel(seed, systematic="none")
-        estimate = found_of(made)
+        recording = panel(seed, systematic="none")
+        estimate = found_of(recording)
         assert estimate.solved.all() and set(estimate.status) == {"optimum verified"}
         held.append(in_intervals(estimate))
         together.append(np.abs(log_errors(estimate)))
-        alone.append(np.abs(log_errors(found_of(made, (Misfit(),)))))
+        alone.append(np.abs(log_errors(found_of(recording, (Misfit(),)))))
         tapped.append(log_errors(estimate)[8, 4, 4])
     assert np.median(together) < 0.5 * np.median(alone)
     assert np.percentile(together, 95) < 0.6 * np.percentile(alone, 95)
@@ -204,12 +204,12 @@ def test_shared_errors_widen_the_error_bars_of_cells() -> None:
 
 def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
     """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the change's error."""
-    made = panel(5, systematic="none", resting=5)
+    recording = panel(5, systematic="none", resting=5)
     rng = np.random.default_rng(5)
     readout = TwoPointReadout()
-    ripple = 0.4 * readout.lsb_volt * rng.standard_normal((len(made.recorded), 6, 1))
-    volt = readout.volt_from_recorded(made.recorded) + ripple
-    rippled = replace(made, recorded=readout.recorded_from_volt(volt))
+    ripple = 0.4 * readout.lsb_volt * rng.standard_normal((len(recording.recorded), 6, 1))
+    volt = readout.volt_from_recorded(recording.recorded) + ripple
+    rippled = replace(recording, recorded=readout.recorded_from_volt(volt))
     together, alone = (
         np.median(np.abs(np.diff(log_errors(estimate), axis=0)))
         for estimate in (found_of(rippled), found_of(rippled, (Misfit(),)))
@@ -218,20 +218,22 @@ def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
 
 
 def test_a_frame_with_too_few_readings_is_left_out() -> None:
-    made = panel(5)
-    recorded = made.recorded.copy()
+    recording = panel(5)
+    recorded = recording.recorded.copy()
     recorded[RESTING + 2] = np.nan
-    estimate = found_of(replace(made, recorded=recorded))
+    estimate = found_of(replace(recording, recorded=recorded))
     assert estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2]
     assert np.isnan(estimate.cell_resistance[2]).all()
-    blind = found_of(replace(made, recorded=np.where(made.role[:, None, None] == 0, made.recorded, np.nan)))
+    blind = found_of(
+        replace(recording, recorded=np.where(recording.role[:, None, None] == 0, recording.recorded, np.nan))
+    )
     assert not blind.solved.any()
-    unread = replace(made, recorded=np.full(made.recorded.shape, np.nan)).readings()[:RESTING].mean()
-    stream = Stream.begin(Estimator(ROBUST, "smoother"), made.scene, 1.0, unread)
-    assert stream.push(made.readings()[RESTING])[1].solution.status is Status.UNRESTED
+    unread = replace(recording, recorded=np.full(recording.recorded.shape, np.nan)).readings()[:RESTING].mean()
+    stream = Stream.begin(Estimator(ROBUST, "smoother"), recording.scene, 1.0, unread)
+    assert stream.push(recording.readings()[RESTING])[1].solution.status is Status.UNRESTED
 
 
 def test_the_smoother_refuses_unknown_noise() -> None:
-    made = panel(0)
+    recording = panel(0)
     with pytest.raises(InputError, match="noise"):
-        found_of(replace(made, scene=Scene(made.scene.panel)))
+        found_of(replace(recording, scene=Scene(recording.scene.panel)))

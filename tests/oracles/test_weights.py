@@ -270,8 +270,8 @@ def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
 
 def test_a_held_cell_contributes_the_integral_of_its_density() -> None:
     """The cost's slope and Gauss-Newton curvature by differences, the integral by quadrature."""
-    made = bump()
-    subject_of_bump = subject(CellResistance(weight="auto"), made)
+    recording = bump()
+    subject_of_bump = subject(CellResistance(weight="auto"), recording)
     point = solve_at(subject_of_bump, 0.3, None)
     at = Evaluation.at(subject_of_bump.with_weight(0.3), subject_of_bump.data, point.cells)
     model = LinearModel(at, np.zeros(0))

@@ -81,9 +81,9 @@ def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> No
 def test_matrix_free_steps_reach_the_same_optimum() -> None:
     """Beyond 256 cells the curvature is a product; the truth is a start for neither."""
     recording = simulated(Scene(Panel(18, 16), READOUTS["two_point"], lines=Lines(1.0, 1.0)))
-    done = solved(recording)
-    assert all(step.solution.solved for step in done.steps)
-    assert np.median(np.abs(log_errors(done))) < 0.02
+    estimate = solved(recording)
+    assert all(step.solution.solved for step in estimate.steps)
+    assert np.median(np.abs(log_errors(estimate))) < 0.02
 
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
@@ -143,33 +143,33 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
     """Of cells on one crossing the sum of conductances is right; each alone has bars without end, and says so."""
     recording = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none"))
-    done = solved(recording)
-    assert all(step.solution.solved for step in done.steps)
+    solution = solved(recording)
+    assert all(step.solution.solved for step in solution.steps)
     rows = [0, 2, 4, 5, 6]
     columns = [1, 2, 3, 6, 7]
     sound = np.ix_([0, 1], rows, columns)
-    assert np.median(np.abs(log_errors(done)[sound])) < 0.01
+    assert np.median(np.abs(log_errors(solution)[sound])) < 0.01
     # With wire what touches is seen a little, and what nobody knows of it is in the bars of all others.
-    bars = done.cell_resistance_errors / done.cell_resistance
+    bars = solution.cell_resistance_errors / solution.cell_resistance
     assert np.all(bars[sound] < (0.03 if lines is None else 0.3))
     touching = np.ones(recording.scene.panel.shape, dtype=bool)
     touching[np.ix_(rows, columns)] = False
-    assert np.all(bars[:, touching] > 1) and np.all(np.isinf(done.cell_resistance_upper[:, touching]))
+    assert np.all(bars[:, touching] > 1) and np.all(np.isinf(solution.cell_resistance_upper[:, touching]))
     if lines is None:  # with wire the cells' ways are not alike, and their sum is not all that is seen
-        cells = (done.cell_resistance, recording.truth_cell_resistance[done.frame])
-        estimate, truth = ((1 / ohm[:, [1, 3]][:, :, columns]).sum(axis=1) for ohm in cells)
-        assert_allclose(estimate, truth, rtol=0.03)
+        cells = (solution.cell_resistance, recording.truth_cell_resistance[solution.frame])
+        combined, truth = ((1 / ohm[:, [1, 3]][:, :, columns]).sum(axis=1) for ohm in cells)
+        assert_allclose(combined, truth, rtol=0.03)
     ignored = solved(forgetting(recording, "faults"))
-    assert np.median(np.abs(log_errors(ignored)[sound])) > 5 * np.median(np.abs(log_errors(done)[sound]))
+    assert np.median(np.abs(log_errors(ignored)[sound])) > 5 * np.median(np.abs(log_errors(solution)[sound]))
 
 
 @pytest.mark.parametrize("term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"])
 def test_shares_determined_only_by_a_penalty_reach_their_optimum(term: Term) -> None:
     """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of them did not end."""
     recording = simulated(Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),))))
-    done = solved(recording, terms=(*LSM, term))
-    assert all(step.solution.status is Status.OPTIMUM for step in done.steps)
-    assert done.steps[0].solution.iterations < 200
+    estimate = solved(recording, terms=(*LSM, term))
+    assert all(step.solution.status is Status.OPTIMUM for step in estimate.steps)
+    assert estimate.steps[0].solution.iterations < 200
 
 
 @each_readout
@@ -196,9 +196,9 @@ def contacted(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1,
 @each_readout
 def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
     """They are the same in both frames: bars of changes are far narrower than those of cells."""
-    done = solved(contacted(readout, 5))
-    bars = done.cell_resistance_errors / done.cell_resistance
-    assert np.median(done.relative_change_errors / 100) < 0.3 * np.median(bars)
+    estimate = solved(contacted(readout, 5))
+    bars = estimate.cell_resistance_errors / estimate.cell_resistance
+    assert np.median(estimate.relative_change_errors / 100) < 0.3 * np.median(bars)
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
     """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton method."""
     recording = contacted(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
-    done = solved(recording, terms=terms)
+    solution = solved(recording, terms=terms)
     scene = recording.scene
     readings = recording.readings()[recording.role == 0].mean()
     mean = PRIOR.mean((4, 5))
@@ -222,14 +222,14 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
         misfit = np.sum(((read - readings.value) / readings.sigma) ** 2)
         return float(misfit + 1e-3 * sum(np.sum(step**2) for step in steps) + np.sum(place[20:] ** 2))
 
-    estimate = np.r_[np.log(done.baseline_resistance).ravel(), (done.contacts.mean((4, 5)) - mean) / deviation]
+    estimate = np.r_[np.log(solution.baseline_resistance).ravel(), (solution.contacts.mean((4, 5)) - mean) / deviation]
     least = cost(estimate)
     within = [(None, None)] * 20 + [(low, None) for low in -mean / deviation]  # contacts are not negative
     better = minimize(cost, estimate + 0.01, method="L-BFGS-B", bounds=within, options={"ftol": 1e-12, "gtol": 1e-3})
     assert least <= better.fun * (1 + 1e-5) + 1e-6
     assert np.abs(estimate[20:]).max() > 0.3  # equal cells do tell of contacts
     # The posterior is narrower than the prior there, and its size right: over draws in the next test.
-    assert np.all(done.contacts.deviation((4, 5)) <= deviation * (1 + 1e-9))
+    assert np.all(solution.contacts.deviation((4, 5)) <= deviation * (1 + 1e-9))
 
 
 @pytest.mark.slow
@@ -240,10 +240,10 @@ def test_errors_of_estimated_contacts_match_their_deviations(readout: Readout) -
     narrower = []
     for seed in range(15):
         recording = contacted(readout, seed, spread=0.0)
-        done = solved(recording, terms=(*LSM, Gradient(weight=1e-2)))
+        estimate = solved(recording, terms=(*LSM, Gradient(weight=1e-2)))
         truth = true_contacts(recording.scene, seed).mean((5, 6))
-        far.append((done.contacts.mean((5, 6)) - truth) / done.contacts.deviation((5, 6)))
-        narrower.append(done.contacts.deviation((5, 6)) / PRIOR.deviation((5, 6)))
+        far.append((estimate.contacts.mean((5, 6)) - truth) / estimate.contacts.deviation((5, 6)))
+        narrower.append(estimate.contacts.deviation((5, 6)) / PRIOR.deviation((5, 6)))
     assert np.median(narrower) < 0.7
     assert 0.75 < rms(far) < 1.25
 
@@ -254,17 +254,17 @@ def test_errors_of_estimated_contacts_match_their_deviations(readout: Readout) -
 def test_methods_with_a_baseline_model_contacts(terms: tuple[Term, ...]) -> None:
     """The joint first pair estimates them; later frames go on with them."""
     recording = contacted(READOUTS["two_point"], 6, frames=3)
-    done = solved(recording, terms=(*LSM, *terms))
-    assert all(step.solution.solved for step in done.steps)
-    assert done.contacts is not None and done.cell_resistance_errors is not None
-    assert rms(scores(done)) < 2
+    estimate = solved(recording, terms=(*LSM, *terms))
+    assert all(step.solution.solved for step in estimate.steps)
+    assert estimate.contacts is not None and estimate.cell_resistance_errors is not None
+    assert rms(scores(estimate)) < 2
 
 
 def test_known_contacts_are_not_estimated() -> None:
     scene = Scene(Panel(5, 6), READOUTS["two_point"], contacts=Contacts(ContactPrior((10.0, 20.0, 30.0, 40.0, 50.0))))
-    done = solved(simulate(Simulation(1, 1, scene, frames=1)))
-    assert_allclose(done.contacts.mean((5, 6))[:5], [10, 20, 30, 40, 50])
-    assert np.median(np.abs(scores(done))) < 1.5
+    estimate = solved(simulate(Simulation(1, 1, scene, frames=1)))
+    assert_allclose(estimate.contacts.mean((5, 6))[:5], [10, 20, 30, 40, 50])
+    assert np.median(np.abs(scores(estimate))) < 1.5
 
 
 def volts(readout: Readout, shape: tuple[int, ...]) -> Array:

@@ -92,16 +92,16 @@ def test_a_study_creates_its_folder(tmp_path: Path, lampest: Command, monkeypatc
     folders: list[object] = []
     monkeypatch.setattr("lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out))
     for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
-        ended = lampest(*name.split(), "--out", str(tmp_path / "new"))
-        assert ended.code == 0, ended.err
+        completed = lampest(*name.split(), "--out", str(tmp_path / "new"))
+        assert completed.code == 0, completed.err
     assert folders == [tmp_path / "new"] * len(studies) and studies
 
 
 def test_no_help_contains_an_emoji(lampest: Command) -> None:
     """Of words between two colons the help's renderer makes a picture where it knows one."""
     for name in ("compare", "plot", "export", "detect", "tare"):
-        ended = lampest(name, "--help")
-        assert ended.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", ended.out), name
+        completed = lampest(name, "--help")
+        assert completed.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", completed.out), name
 
 
 @pytest.mark.slow
@@ -115,8 +115,8 @@ def test_init_of_a_mat_writes_a_scene_of_contacts_with_a_useful_penalty(
     assert lampest("run", "run.yaml", "--jobs", "1").code == 0
     rows = {row["estimator"]: row["cell error median [%]"] for row in compare(read_results("results/run/results.h5"))}
     assert rows["smooth"] < 0.7 * rows["no_penalty"]
-    ended = lampest("compare", "results/run/results.h5", "--report", "page.html")
-    assert ended.code == 0
+    completed = lampest("compare", "results/run/results.h5", "--report", "page.html")
+    assert completed.code == 0
     headline = re.search(r'class="headline">([^<]*)', (tmp_path / "page.html").read_text())
     assert headline is not None and "no_penalty" not in headline[1]
     wrong = lampest("init", "other", "--purpose", "lamprey")
@@ -130,8 +130,8 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     monkeypatch.chdir(tmp_path)
     assert lampest("init", "start", "--purpose", "mat").code == 0
     shutil.move("start/example.h5", "data/mine.h5")
-    ended = lampest("detect", "data/mine.h5")
-    assert ended.code == 0 and ended.out.startswith("contact since ")
+    completed = lampest("detect", "data/mine.h5")
+    assert completed.code == 0 and completed.out.startswith("contact since ")
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["mine.h5"]
     written = sorted(path.name for path in (tmp_path / "results" / "mine").iterdir())
     assert written == ["detections.h5", "timeline_mine.png", "visits.csv", "visits.png"]
@@ -154,10 +154,10 @@ def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Co
 
 
 def test_version_is_printed_and_mistyped_commands_are_refused(lampest: Command) -> None:
-    ended = lampest("--version")
-    assert ended.code == 0 and re.fullmatch(r"lampest \d+\.\d+\.\d+\S*\n", ended.out)
-    ended = lampest("plto")
-    assert ended.code == 2 and "Did you mean 'plot'?" in ended.err
+    completed = lampest("--version")
+    assert completed.code == 0 and re.fullmatch(r"lampest \d+\.\d+\.\d+\S*\n", completed.out)
+    completed = lampest("plto")
+    assert completed.code == 2 and "Did you mean 'plot'?" in completed.err
     assert "--set" in lampest("run", "x.yaml", "--ste", "a=1").err
 
 
@@ -182,8 +182,8 @@ def test_exhausted_memory_gives_one_sentence(lampest: Command, monkeypatch: pyte
             raise error
 
         monkeypatch.setattr("lampest.cli._program", lambda failing=failing: failing)
-        done = lampest("info")
-        assert (done.code, done.out, done.err) == (2, "", f"lampest: not enough memory ({words})\n")
+        completed = lampest("info")
+        assert (completed.code, completed.out, completed.err) == (2, "", f"lampest: not enough memory ({words})\n")
 
 
 def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,14 +218,16 @@ def test_a_simulation_takes_overrides_and_checks_its_space_first(
         return nullcontext(lambda done, total: bars.append((done, total)))
 
     monkeypatch.setattr("lampest.cli.screen.progress", shown)
-    ended = lampest("simulate", simulation, "--set", "frames=2", "--out", tmp_path / "two.h5")
-    assert ended.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
-    assert ended.out == f"{tmp_path / 'two.h5'}\n"
+    completed = lampest("simulate", simulation, "--set", "frames=2", "--out", tmp_path / "two.h5")
+    assert completed.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
+    assert completed.out == f"{tmp_path / 'two.h5'}\n"
     assert "2 measured" in lampest("info", tmp_path / "two.h5").out
     assert lampest("simulate", simulation, "--set", "frames").code == 2
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=999))
-    ended = lampest("simulate", simulation, "--out", tmp_path / "deep" / "new.h5")
-    assert ended.code == 2 and re.search(r"new\.h5: .* may be needed on the disk, and 999 bytes are free", ended.err)
+    completed = lampest("simulate", simulation, "--out", tmp_path / "deep" / "new.h5")
+    assert completed.code == 2 and re.search(
+        r"new\.h5: .* may be needed on the disk, and 999 bytes are free", completed.err
+    )
     assert not (tmp_path / "deep").exists()
 
 
@@ -264,13 +266,13 @@ def test_plot_draws_a_given_frame_and_estimator(tmp_path: Path, lampest: Command
         (("--out", new / "x.svg"), new / "x.svg", b"<?xml"),
         (("--out", new / "x.pdf"), new / "x.pdf", b"%PDF"),
     ):
-        ended = lampest("plot", results, *words, "--frame", "5", "--estimator", "LSM")
-        assert ended.out.split() == [str(place)] and place.read_bytes().startswith(begin)
+        completed = lampest("plot", results, *words, "--frame", "5", "--estimator", "LSM")
+        assert completed.out.split() == [str(place)] and place.read_bytes().startswith(begin)
     shutil.rmtree(new)
     for wrong in (("--out", new / "x.jpg"), ("--frame", "999"), ("--estimator", "LSMx")):
-        ended = lampest("plot", results, *wrong)
-        assert ended.code == 2 and not new.exists(), wrong
-    assert "did you mean LSM?" in ended.err
+        completed = lampest("plot", results, *wrong)
+        assert completed.code == 2 and not new.exists(), wrong
+    assert "did you mean LSM?" in completed.err
 
 
 @pytest.mark.slow

@@ -144,9 +144,9 @@ except InputError as error:
 
 
 def test_a_batch_needs_no_thread_and_reports_a_failed_process_start() -> None:
-    done = subprocess.run([sys.executable, "-c", NO_THREADS], capture_output=True, text=True, timeout=60)
+    completed = subprocess.run([sys.executable, "-c", NO_THREADS], capture_output=True, text=True, timeout=60)
     sentence = "cannot start a further process (Resource temporarily unavailable); --jobs 1 needs none"
-    assert (done.stdout.splitlines(), done.stderr) == (["[1, 2]", sentence], "")
+    assert (completed.stdout.splitlines(), completed.stderr) == (["[1, 2]", sentence], "")
 
 
 def leaving_a_child(seconds: float) -> None:

@@ -136,24 +136,24 @@ def test_a_fully_damaged_journal_is_refused_and_left_unchanged(killed: Path) -> 
 
 
 def test_an_unclosed_file_is_read_unchanged_and_a_truncated_one_refused(killed: Path) -> None:
-    whole = killed.read_bytes()
+    content = killed.read_bytes()
     assert is_left_open(killed) and len(Recording.load(killed).time) == FRAMES
-    assert killed.read_bytes() == whole
-    for length in (20, 47, 48, 300, len(whole) // 2):
-        killed.write_bytes(whole[:length])
+    assert killed.read_bytes() == content
+    for length in (20, 47, 48, 300, len(content) // 2):
+        killed.write_bytes(content[:length])
         with pytest.raises(InputError, match=r"killed\.h5"):
             Recording.load(killed)
 
 
 def test_damage_of_an_unclosed_file_gives_one_sentence(killed: Path) -> None:
     """HDF5 alone waits for the right checksum without end."""
-    whole = killed.read_bytes()
+    content = killed.read_bytes()
     expected = Recording.load(killed).recorded
     refused = 0
     with h5py.File(killed.with_name("growing.h5")) as file:
         header = h5py.h5o.get_info(file["entry/two_point/resistance"].id).addr
     for place in (9, 12, header + 6, *np.random.default_rng(1).integers(0, header + 200, 60)):
-        damaged = bytearray(whole)
+        damaged = bytearray(content)
         damaged[place] ^= 16
         killed.write_bytes(damaged)
         try:

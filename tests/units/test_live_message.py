@@ -45,8 +45,8 @@ def test_an_urgent_errand_waits_only_for_urgent_ones() -> None:
 def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
     """Three unloaded frames and some measured ones."""
     course = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
-    made = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
-    return dataclasses.replace(simulate(made), name="mouth")
+    simulation = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
+    return dataclasses.replace(simulate(simulation), name="mouth")
 
 
 def news(recording: Recording) -> list[object]:

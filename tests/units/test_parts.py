@@ -97,8 +97,8 @@ def test_parts_give_the_results_of_the_whole_recording(tmp_path: Path, lampest: 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stored, "MAX_READINGS", 10**6)
         run("whole")
-    parts, whole = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
-    for actual, expected in zip(parts.cases, whole.cases, strict=True):
+    parts, complete = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
+    for actual, expected in zip(parts.cases, complete.cases, strict=True):
         assert actual.case_id == expected.case_id and actual.status == expected.status
         assert np.array_equal(actual.frame, expected.frame) and np.array_equal(actual.time, expected.time)
         np.testing.assert_allclose(actual.cell_resistance, expected.cell_resistance, rtol=1e-2)
@@ -204,8 +204,8 @@ def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
         save(folder, frames(count, scene), scene)
         (folder / "run.yaml").write_text(run)
         words = [sys.executable, "-c", SCRIPT, str(folder / "run.yaml"), str(folder / "out")]  # parts of 200 frames
-        ended = subprocess.run(words, capture_output=True, text=True, check=True)
-        peaks.append(int(ended.stdout))
+        completed = subprocess.run(words, capture_output=True, text=True, check=True)
+        peaks.append(int(completed.stdout))
     assert peaks[1] < 1.02 * peaks[0]
 
 
@@ -217,8 +217,8 @@ def test_methods_that_need_all_frames_refuse_long_recordings(tmp_path: Path, lam
         ("{tare: {}, terms: {misfit: {weighting: noise}}}", "zero is followed"),
     ):
         (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators:\n  one: {entry}\n")
-        ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
-        assert ended.code == 2 and words in ended.err and "40 frames of 20 cells" in ended.err
+        completed = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
+        assert completed.code == 2 and words in completed.err and "40 frames of 20 cells" in completed.err
         assert not os.path.lexists(tmp_path / "out")
 
 
@@ -226,8 +226,8 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     save(tmp_path, frames(30))
     (tmp_path / "run.yaml").write_text(RUN)
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1").code == 0
-    whole, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
-    for actual, expected in zip(part.cases, whole.cases, strict=True):
+    complete, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
+    for actual, expected in zip(part.cases, complete.cases, strict=True):
         assert np.array_equal(actual.cell_resistance, expected.cell_resistance[5:9])
         assert actual.status == expected.status[5:9]
         assert np.array_equal(actual.weights["misfit"], expected.weights["misfit"][5:9])
@@ -285,6 +285,6 @@ def test_commands_that_load_a_whole_recording_check_its_memory(
         ("study", "weights", "run.yaml"),
         ("tare", "long.h5", "--frames", "0:5", "--out", "tared.h5"),
     ):
-        ended = lampest(*command)
-        assert ended.code == 2 and f"long.h5: {refusal}" in ended.err
+        completed = lampest(*command)
+        assert completed.code == 2 and f"long.h5: {refusal}" in completed.err
     assert not (tmp_path / "tared.h5").exists()

@@ -81,8 +81,8 @@ for number in range(count):
 def run(text: str, *arguments: object) -> None:
     """Run a scene in a process of its own, which must end well."""
     command = [sys.executable, "-X", "faulthandler", "-c", SCENE + textwrap.dedent(text), *map(str, arguments)]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert (ended.returncode, ended.stderr) == (0, ""), f"{ended.returncode}: {ended.stderr[-3000:]}"
+    completed = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (completed.returncode, completed.stderr) == (0, ""), f"{completed.returncode}: {completed.stderr[-3000:]}"
 
 
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])

@@ -75,9 +75,9 @@ def test_the_study_of_starts_uses_the_chosen_weights(disk: SimpleNamespace) -> N
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
     words = (disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
     command = [sys.executable, "-m", "docs.studies.starts", *map(str, words)]
-    ended = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    assert "one" in ended.stdout and "pair" in ended.stdout
+    completed = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
+    assert "one" in completed.stdout and "pair" in completed.stdout
     header, *rows = (disk.folder / "out" / "starts.csv").read_text().splitlines()
     assert header == "recording,estimator,frames,best,worst_excess,most_minima,random_solved,random"
     assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
@@ -92,10 +92,10 @@ def test_a_panel_beyond_time_or_memory_is_refused_before_writing_unless_forced(
         recording_of(scene, np.full((2, size, size), 1500.0), 1).save(tmp_path / "r.h5")
         monkeypatch.setenv("LAMPEST_MEMORY", memory or "8GB")
         with mock.patch("lampest.runs.batch.run_batch", side_effect=KeyboardInterrupt) as started:
-            ended = lampest("run", run, "--out", tmp_path / "out", *words)
+            completed = lampest("run", run, "--out", tmp_path / "out", *words)
         assert started.called == (not messages)
-        assert all(message in ended.err for message in messages)
-        assert not messages or (ended.code == 2 and not (tmp_path / "out").exists())
+        assert all(message in completed.err for message in messages)
+        assert not messages or (completed.code == 2 and not (tmp_path / "out").exists())
 
 
 def test_available_memory_of_a_control_group_is_its_limit_minus_its_use(

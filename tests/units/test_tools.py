@@ -31,8 +31,8 @@ def mutants(folder: Path) -> list[Mutant]:
 
 
 def test_a_module_has_a_mutant_of_every_operator_in_every_computed_expression(tmp_path: Path) -> None:
-    made = mutants(tmp_path)
-    changes = {(mutant.operator, mutant.before, mutant.after) for mutant in made}
+    all_mutants = mutants(tmp_path)
+    changes = {(mutant.operator, mutant.before, mutant.after) for mutant in all_mutants}
     assert ("constant", "2.5", "25.0") in changes and ("constant", "3", "30") in changes
     assert ("sign", "-length", "(length)") in changes and (
         "arithmetic",
@@ -41,11 +41,11 @@ def test_a_module_has_a_mutant_of_every_operator_in_every_computed_expression(tm
     ) in changes
     assert ("extreme", "max(length, width)", "(min(length, width))") in changes
     assert ("comparison", "length < LIMIT", "(length >= LIMIT)") in changes
-    assert {mutant.operator for mutant in made} >= {"sorting", "logic", "negation", "truth"}
-    assert not any("7" in mutant.before or mutant.before == "4" for mutant in made)
-    for mutant in made:
+    assert {mutant.operator for mutant in all_mutants} >= {"sorting", "logic", "negation", "truth"}
+    assert not any("7" in mutant.before or mutant.before == "4" for mutant in all_mutants)
+    for mutant in all_mutants:
         ast.parse(mutant.apply_to(SOURCE.encode()))
-    assert {mutant.function for mutant in made} == {"", "Panel.area"}
+    assert {mutant.function for mutant in all_mutants} == {"", "Panel.area"}
 
 
 def test_a_mutant_meets_the_golden_rows_of_its_function_and_then_short_tests(

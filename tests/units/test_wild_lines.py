@@ -127,8 +127,8 @@ def test_a_line_without_valid_frames_ends_with_a_sentence_and_keeps_earlier_fram
 
 
 def test_frames_are_decoded_in_a_flood(tmp_path: Path) -> None:
-    done = recorded(flooded, tmp_path, frames=50)
-    assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
+    summary = recorded(flooded, tmp_path, frames=50)
+    assert (summary.frames, summary.lost, summary.restarts) == (50, 0, 0)
 
 
 def frame(number: int, device_ms: int) -> Frame:
@@ -305,9 +305,9 @@ def test_an_interrupted_recording_leaves_a_clean_file(tmp_path: Path, number: si
             os.kill(os.getpid(), number)
 
     with wild_board(hundred_a_second) as board:
-        done = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
-    assert done.ended_by == number.name and done.frames >= 6
-    assert len(Recording.load(tmp_path / "r.h5").time) == done.frames
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
+    assert summary.ended_by == number.name and summary.frames >= 6
+    assert len(Recording.load(tmp_path / "r.h5").time) == summary.frames
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
 
 
