@@ -52,7 +52,7 @@ def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., Non
 
 
 @dataclass(frozen=True)
-class Ended:
+class CompletedCommand:
     """An ended command: code (negative: a signal that killed it), output, errors, seconds, most bytes."""
 
     code: int
@@ -101,7 +101,7 @@ def printable(text: str) -> bool:
     return all(sign.isprintable() or sign in "\n\t" for sign in text)
 
 
-def called(*arguments: str | Path, folder: Path | None = None) -> Ended:
+def called(*arguments: str | Path, folder: Path | None = None) -> CompletedCommand:
     """Call the command within this process, in a folder, without measuring its memory."""
     from lampest import cli
 
@@ -120,7 +120,7 @@ def called(*arguments: str | Path, folder: Path | None = None) -> Ended:
         except Exception:
             code = 1
             traceback.print_exc()
-    return Ended(code, out.getvalue(), err.getvalue(), time.monotonic() - begin, 0)
+    return CompletedCommand(code, out.getvalue(), err.getvalue(), time.monotonic() - begin, 0)
 
 
 def environment(**changes: str) -> dict[str, str]:
@@ -144,7 +144,7 @@ def command(
     seconds: float = 120.0,
     without: str = "",
     memory: str | None = None,
-) -> Ended:
+) -> CompletedCommand:
     """Run the command in a process of its own, killed after some seconds.
 
     without : libraries, apart by commas, that are as if not installed. memory : the variable LAMPEST_MEMORY.
@@ -171,7 +171,7 @@ def command(
     texts = [(folder / name).read_bytes().decode("utf-8", "replace") for name in (".out", ".err")]
     for name in (".out", ".err"):
         (folder / name).unlink()
-    return Ended(process.returncode, *texts, time.monotonic() - begin, peak)
+    return CompletedCommand(process.returncode, *texts, time.monotonic() - begin, peak)
 
 
 RUN = "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: reduced}}\n"

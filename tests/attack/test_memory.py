@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Ended, Outcomes, Rng, attack, command, environment, small_folder
+from attack.attack import HELD, CompletedCommand, Outcomes, Rng, attack, command, environment, small_folder
 from fuzz.mutants import good_recordings
 
 from lampest.files import process
@@ -99,7 +99,7 @@ def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, fol
     yield completed.within(SECONDS, MEGABYTES) if sentence else completed.described("a run of a wide panel")
 
 
-def _bounded(completed: Ended, *words: str) -> str:
+def _bounded(completed: CompletedCommand, *words: str) -> str:
     return completed.refused(*words) or completed.within(SECONDS, MEGABYTES) or HELD
 
 
@@ -124,12 +124,12 @@ def test_a_run_under_an_address_limit_ends(rng: Rng, folder: Path, count: int) -
         yield _within_addresses(kibibytes * 1024, *JOBS, folder=work_folder).refused(*TOO_FEW_ADDRESSES)
 
 
-def _within_addresses(limit: int, *arguments: str, folder: Path) -> Ended:
+def _within_addresses(limit: int, *arguments: str, folder: Path) -> CompletedCommand:
     """Run the command under a limit of addresses in bytes."""
     script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
     words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
     completed = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
-    return Ended(completed.returncode, completed.stdout, completed.stderr, 0.0, 0)
+    return CompletedCommand(completed.returncode, completed.stdout, completed.stderr, 0.0, 0)
 
 
 FILLED = """

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Ended, Outcomes, Rng, attack, called, environment, small_folder
+from attack.attack import HELD, CompletedCommand, Outcomes, Rng, attack, called, environment, small_folder
 
 from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct, write_results
 
@@ -61,7 +61,7 @@ def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) 
         yield HELD if sentence and completed.plain and completed.seconds < 60 else completed.described(words[0])
 
 
-def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
+def _as_stranger(limit: int, *words: str, folder: Path) -> CompletedCommand:
     """Run the command as another user, under a limit of that user's processes and threads."""
     become = [f"--reuid={STRANGER}", f"--regid={STRANGER}", "--clear-groups"]
     become += [f"--inh-caps={READING}", f"--ambient-caps={READING}"]
@@ -75,7 +75,7 @@ def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
         text=True,
         timeout=120,
     )
-    return Ended(completed.returncode, completed.stdout, completed.stderr, time.monotonic() - begin, 0)
+    return CompletedCommand(completed.returncode, completed.stdout, completed.stderr, time.monotonic() - begin, 0)
 
 
 # Kills itself once so many files have got their names.

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, SIMULATION, Ended, Outcomes, Rng, attack, called, drawn
+from attack.attack import HELD, SIMULATION, CompletedCommand, Outcomes, Rng, attack, called, drawn
 from fuzz.batches import write_recording
 
 pytestmark = pytest.mark.slow
@@ -97,7 +97,7 @@ def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, coun
         yield from _tried(name, place, LOOKS[:1] + RUNS)
 
 
-def sensible(completed: Ended) -> str:
+def sensible(completed: CompletedCommand) -> str:
     """Return HELD where a command did its work, or said in words of the panel why not."""
     foreign = [word for word in FOREIGN if word in completed.err]
     return completed.survived() or (f"speaks of {foreign}: {completed.err[-300:]}" if foreign else HELD)

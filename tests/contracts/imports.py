@@ -33,7 +33,7 @@ def given(
     """A file, the sentences that its import says, and what is in it.
 
     content : a text, its lines, bytes, or what writes the file. expected, times, start, role : of the recording, where
-    they are checked. absent : what no sentence says. how : arguments of the import.
+    they are checked. absent : what no sentence says. options : arguments of the import.
     """
     parts = {part: options.pop(part, None) for part in ("times", "start", "role", "absent")}
     expected = options.pop("expected", FRAMES)

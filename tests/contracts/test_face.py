@@ -237,7 +237,7 @@ def test_errors_name_the_kind_of_a_file_and_a_missing_library(
 
 
 @pytest.fixture(scope="module")
-def known() -> dict[str, object]:
+def example_names() -> dict[str, object]:
     """What examples may take without a word: a small recording, also as mine.h5, and what was found of it."""
     scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     load = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
@@ -251,27 +251,29 @@ def known() -> dict[str, object]:
     "name", [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")]
 )
 def test_examples_in_docstrings_run(
-    name: str, known: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, example_names: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     if name in ("read_run", "read_results", "export_results", "plot_results", "comparison"):
-        known["recording"].save("mine.h5")
-        known["found"].save("results.h5", "LSM")
-    examples = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(known))
+        example_names["recording"].save("mine.h5")
+        example_names["found"].save("results.h5", "LSM")
+    examples = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(example_names))
     assert examples and examples[0].examples, f"{name} has no example"
     for example in examples:
         assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
 
 
-def test_progress_counts_all_frames(known: dict[str, object]) -> None:
+def test_progress_counts_all_frames(example_names: dict[str, object]) -> None:
     progress: list[tuple[int, int]] = []
-    estimate = lampest.reconstruct(known["recording"], [Misfit()], progress=lambda *frames: progress.append(frames))
+    estimate = lampest.reconstruct(
+        example_names["recording"], [Misfit()], progress=lambda *frames: progress.append(frames)
+    )
     assert progress == [(1, 2), (2, 2)] and estimate.solved.all()
-    assert lampest.reconstruct(known["recording"], [Misfit()], progress=True).solved.all()
+    assert lampest.reconstruct(example_names["recording"], [Misfit()], progress=True).solved.all()
 
 
 @pytest.fixture(scope="module")
-def few() -> Recording:
+def few_frames() -> Recording:
     """The lamprey's unloaded frames and two later ones."""
     recording = lampest.datasets.load("lamprey_35mm")
     chosen = [0, 1, 2, 14, 15]
@@ -279,16 +281,16 @@ def few() -> Recording:
     return replace(recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts})
 
 
-def test_the_automatic_weight_is_better_than_the_papers_weight(few: Recording) -> None:
+def test_the_automatic_weight_is_better_than_the_papers_weight(few_frames: Recording) -> None:
     errors = {}
     for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):
-        estimate = lampest.reconstruct(few, [Misfit(), penalty])
-        errors[name] = np.median(np.abs(estimate.cell_resistance / few.truth_cell_resistance[3:] - 1))
+        estimate = lampest.reconstruct(few_frames, [Misfit(), penalty])
+        errors[name] = np.median(np.abs(estimate.cell_resistance / few_frames.truth_cell_resistance[3:] - 1))
     assert errors["default"] < 0.3 * errors["paper"]
 
 
-def test_unknown_noise_takes_the_same_rule(few: Recording) -> None:
-    silent = replace(few, scene=Scene(few.scene.panel, None, few.scene.series_resistance_ohm))
+def test_unknown_noise_takes_the_same_rule(few_frames: Recording) -> None:
+    silent = replace(few_frames, scene=Scene(few_frames.scene.panel, None, few_frames.scene.series_resistance_ohm))
     estimate = lampest.reconstruct(silent, [Misfit(), Gradient()])
     explicit = lampest.reconstruct(silent, [Misfit(), Gradient()], auto_weight=lampest.AutoWeight(rule="risk"))
     assert estimate.solved.all() and np.array_equal(estimate.cell_resistance, explicit.cell_resistance)

@@ -89,7 +89,7 @@ def replayed(lampest: Run, receiver: str, frames: int = 6, speed: float = 10.0, 
 
 
 @contextmanager
-def beside(listen: Callable[[], None]) -> Iterator[None]:
+def in_thread(listen: Callable[[], None]) -> Iterator[None]:
     """A listener in a thread, which ends before the block does."""
     thread = threading.Thread(target=listen)
     thread.start()
@@ -147,7 +147,7 @@ def test_live_reports_a_lost_broker_and_reconnects(lampest: Run, tmp_path: Path)
             until(lambda: messages, 40)
             received.extend(messages)
 
-    with beside(renew):
+    with in_thread(renew):
         completed = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one", frames=20, speed=2.0)
     assert completed.code == 0, completed.err
     assert "the broker is gone" in completed.err and "the broker is back" in completed.err
@@ -181,7 +181,7 @@ def test_websocket_carries_the_message_to_clients_with_the_token(lampest: Run) -
             while True:
                 messages.append(json.loads(connection.recv()))
 
-    with beside(listening):
+    with in_thread(listening):
         completed = replayed(lampest, f"websocket://0.0.0.0:{port}", 20, 4.0, "--token", TOKEN)
     assert completed.code == 0 and f"ws://0.0.0.0:{port}/?token={TOKEN}\n" in completed.out
     assert messages[-1]["sequence"] == UNLOADED + 20, "who listens gets the last frame"
@@ -202,7 +202,7 @@ def test_lsl_outlet_describes_its_stream(lampest: Run) -> None:
         received["age"] = pylsl.local_clock() - stamp
         inlet.close_stream()
 
-    with beside(listening):
+    with in_thread(listening):
         assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
     info = received["info"]
     sample = np.array(received["sample"])

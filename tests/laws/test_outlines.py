@@ -20,14 +20,14 @@ from tests.outlines import OUTLINES
 READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
 
 
-def drawn(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
+def random_panel(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
     """A panel and its cells in ohm; infinite where there is none."""
     rng = np.random.default_rng(seed)
     panel = OUTLINES[outline](rng)
     return panel, np.where(panel.present, 1000 * np.exp(rng.normal(0, 0.5, panel.shape)), np.inf)
 
 
-def solved(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
+def estimate_of(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
     """Frames (frames, rows, columns) ohm as a recording of measured frames, reconstructed."""
     return lampest.reconstruct(recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings)
 
@@ -42,9 +42,9 @@ def test_a_cell_at_no_crossing_is_refused(crossing: tuple[int, int]) -> None:
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> None:
     """There are as many readings as cells, and nothing else is sought."""
-    panel, cells = drawn(outline, 1)
+    panel, cells = random_panel(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    estimate = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
+    estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
     assert estimate.status[0] == "optimum verified"
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
     assert np.all(np.isnan(estimate.cell_resistance[0][~panel.present]))
@@ -52,7 +52,7 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
 
 @pytest.mark.parametrize("outline", OUTLINES)
 def test_neighbours_connect_all_cells_and_no_absent_one(outline: str) -> None:
-    panel, _ = drawn(outline, 2)
+    panel, _ = random_panel(outline, 2)
     first, second, distance = panel.neighbours
     assert panel.present.flat[first].all() and panel.present.flat[second].all()
     x, y = panel.places_mm.reshape(2, -1)
@@ -79,38 +79,40 @@ def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
     assert pairs[0] == pairs[1]
     readings = exact_two_point_resistance(1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4))))[None]
     for term in (lampest.LogGradient(weight=1e4), lampest.TotalVariation(weight=1.0)):
-        estimates = [solved(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
+        estimates = [estimate_of(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
         np.testing.assert_allclose(estimates[0], estimates[1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
 def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
     """With log_gradient a missing reading's cell is found, and even cells stay even."""
-    panel, _ = drawn(outline, 4)
+    panel, _ = random_panel(outline, 4)
     readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
     row, column = np.argwhere(panel.present)[3]
     readings[row, column] = np.nan
-    estimate = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    estimate = estimate_of(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
     assert estimate.status[0] == "optimum verified"
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     """It is what leads round: with it a cell whose own reading is missing is found exactly."""
-    panel, cells = drawn("foot", 5)
+    panel, cells = random_panel("foot", 5)
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
     readings[row, column] = np.nan
-    estimate = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
+    estimate = estimate_of(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
 
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
     """They are written, read and drawn; an absent crossing has no number."""
-    panel, cells = drawn(outline, 7)
+    panel, cells = random_panel(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    estimate = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    estimate = estimate_of(
+        panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0)
+    )
     result = estimate.result()
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
     for kind in ("contours", "resistance"):
@@ -162,7 +164,7 @@ def test_an_impossible_reading_is_left_out() -> None:
 
 
 def test_a_frame_of_bounds_is_checked_by_the_circuit_laws_alone() -> None:
-    panel, cells = drawn("foot", 11)
+    panel, cells = random_panel("foot", 11)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
     check = Prepared(recording_of(Scene(panel, READOUT), recorded, 1)).check

@@ -34,7 +34,7 @@ class SquareCandidate(Candidate):
         edge = exp(parameters[2])
         contact = exp(parameters[3])
         (along, by_x, x_edge), (down, by_y, y_edge) = (
-            covered(centres - centre, edge / 2, patch_mm)
+            covered_share(centres - centre, edge / 2, patch_mm)
             for centres, centre in zip(panel.centres_mm(), parameters[:2], strict=True)
         )
         pressure = contact * np.outer(down, along)
@@ -51,7 +51,7 @@ class SquareCandidate(Candidate):
         return places | {"edge_mm": (edge, edge * unit[2])}
 
 
-def covered(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
+def covered_share(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
     """Share of patches about `centres` within −half and half, its slope by the square's centre and by `half`."""
     low = centres - patch_mm / 2
     high = centres + patch_mm / 2

@@ -35,7 +35,7 @@ def hessian_of(terms: tuple[Term, ...]) -> Hessian:
     return Hessian(point, Smoothing.start(point))
 
 
-def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
+def preconditioner_of(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
     """One of a kind at a point; a kind of one's own has `of(hessian)`."""
     hessian = hessian_of(terms)
     if kind is Cholesky:
@@ -47,7 +47,7 @@ def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
 def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
-    operator = made(kind, COSTS[cost])
+    operator = preconditioner_of(kind, COSTS[cost])
     rng = np.random.default_rng(5)
     for free in (EVERY, rng.random(EVERY.size) < 0.6):
         solve = operator.over(free, operator.cell_resistance)
@@ -62,7 +62,7 @@ def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditione
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
 def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: type[Preconditioner], cost: str) -> None:
     hessian = hessian_of(COSTS[cost])
-    inverses = made(kind, COSTS[cost]).over(EVERY, hessian.at.cell_resistance), lambda values: values
+    inverses = preconditioner_of(kind, COSTS[cost]).over(EVERY, hessian.at.cell_resistance), lambda values: values
     preconditioned, plain = (
         steihaug(hessian.gauss_newton_product, inverse, hessian.gradient, 1e-6) for inverse in inverses
     )

@@ -116,7 +116,7 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     return rows, chosen
 
 
-def noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
+def is_noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
     """Whether a guard fails while the copy has the mutant."""
     rows, other_tests = guards_of(mutant, tests)
     module = copy / mutant.path
@@ -205,7 +205,7 @@ def main() -> int:
         answers = Counter[bool]()
         for mutant in sampled(arguments.room, arguments.count, arguments.seed):
             begin = time.perf_counter()
-            answer = noticed(mutant, copy, tests)
+            answer = is_noticed(mutant, copy, tests)
             answers[answer] += 1
             word = "noticed" if answer else "SURVIVED"
             seconds = time.perf_counter() - begin

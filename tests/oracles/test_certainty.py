@@ -96,7 +96,7 @@ def test_a_cell_at_a_bound_is_released_separately() -> None:
         assert_allclose(variance, np.linalg.inv(precision[np.ix_(cells, cells)])[-1, -1], rtol=1e-3)
 
 
-def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
+def certainties(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
     """(error of log r, certainty, which cells are free) of estimates from noise drawn anew."""
     cells = panel_cells()
     rng = np.random.default_rng(7)
@@ -116,7 +116,7 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
 def test_intervals_contain_the_truth_at_their_stated_rate(weighting: str) -> None:
     inside = []
     standard = []
-    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):
+    for error, certainty, free in certainties((Misfit(weighting=weighting),), 0.002, 200):
         held = (error >= -certainty.above[0]) & (error <= certainty.below[0])
         inside.append(held[free])
         standard.append((error / certainty.deviation[0])[free])
@@ -127,7 +127,7 @@ def test_intervals_contain_the_truth_at_their_stated_rate(weighting: str) -> Non
 def test_an_unsuitable_penalty_leaves_wider_error_bars() -> None:
     honest = []
     blind = []
-    for error, certainty, free in drawn((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
+    for error, certainty, free in certainties((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
         honest.append((np.abs(error) <= np.where(error < 0, certainty.above[0], certainty.below[0]))[free])
         blind.append(certainty.resolution[0][free])
     assert np.mean(np.concatenate(honest)) > 0.85

@@ -144,7 +144,7 @@ def verified(point: Evaluation) -> Solution:
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
-    """Cells of the smaller kind scattered by `off`, which only their own small readings show.
+    """Cells of the smaller kind scattered by `relative_error`, which only their own small readings show.
 
     Clusters, a checkerboard, a block or stripes, up to nine decades apart.
     """

@@ -33,7 +33,7 @@ def recording(*cells: Array, noise: float = 0.0) -> Recording:
     return recording_of(Scene(Panel(*cells[0].shape)), readings, 1, sigma=exact * max(noise, 1e-6))
 
 
-def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
+def estimate_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
     estimate = reconstruct(data, Estimator(terms, method, **options))
     assert all(step.solution.solved for step in estimate.steps)
     return estimate
@@ -42,7 +42,7 @@ def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **o
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])
 def test_many_steps_reach_the_optimum(terms: tuple[Term, ...]) -> None:
     data = recording(resting((5, 6)), 1.1 * resting((5, 6)), 1.2 * resting((5, 6)), noise=1e-4)
-    reached, optimum = (found_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
+    reached, optimum = (estimate_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
     assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
 
 
@@ -53,7 +53,7 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tupl
     for size in (1e-2, 1e-3):
         data = recording(resting((6, 7)), resting((6, 7)) * np.exp(size * direction))
         linearised, optimum = (
-            found_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED)
+            estimate_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED)
         )
         errors.append(np.max(np.abs(np.log(linearised / optimum))))
     assert errors[0] < 0.1
@@ -65,7 +65,7 @@ def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
-    estimate = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
+    estimate = estimate_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
     assert estimate[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
     assert np.median(np.abs(estimate / single - 1)) < 0.01
 

@@ -183,7 +183,7 @@ BLOCKS = ((0, 1, 2, 3), (4, 5, 6, 7))
 WIDE = Panel(8, 8)
 
 
-def wrongly_told(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
+def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
     """Codes of one scene, six unloaded frames and six with three pressed cells, described by another scene."""
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))
@@ -209,7 +209,7 @@ def grouped(scene: Scene) -> Scene:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_multiplexers_in_parallel_are_named(seed: int) -> None:
-    check = Prepared(wrongly_told(grouped(TWO), TWO, seed)).check
+    check = Prepared(misdescribed(grouped(TWO), TWO, seed)).check
     assert check.better == f"readout.groups: {[list(block) for block in BLOCKS]} (read in parallel)"
 
 
@@ -217,13 +217,13 @@ def test_multiplexers_in_parallel_are_named(seed: int) -> None:
 @pytest.mark.parametrize("scene", [TWO, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
 def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
     for actual in (scene, grouped(scene)):
-        assert Prepared(wrongly_told(actual, actual, 1)).check.mark == "yes"
+        assert Prepared(misdescribed(actual, actual, 1)).check.mark == "yes"
 
 
 @pytest.mark.parametrize("memory", [0.04, 0.08])
 @pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
 def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: float) -> None:
-    check = Prepared(wrongly_told(replace(scene, converter_memory=memory), scene, 2)).check
+    check = Prepared(misdescribed(replace(scene, converter_memory=memory), scene, 2)).check
     assert check.better.startswith("converter_memory near ")
     assert float(check.better.split()[-1]) == pytest.approx(memory, rel=0.15)
 
@@ -233,7 +233,7 @@ def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: 
 )
 def test_readings_listed_column_by_column_are_named(scene: Scene) -> None:
     tall, wide = (replace(scene, panel=Panel(*shape)) for shape in ((12, 8), (8, 12)))
-    recording = wrongly_told(tall, wide, 2)
+    recording = misdescribed(tall, wide, 2)
     check = Prepared(recording).check
     other_side = "" if scene is TWO else ", readout.driven: columns"
     assert check.better == f"readings listed column by column (lampest import --transpose){other_side}"

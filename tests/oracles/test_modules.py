@@ -148,7 +148,7 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     assert_allclose([track.memory.samples, track.answers], pairs)
 
 
-def taken() -> Recording:
+def rod_on_four_modules() -> Recording:
     """A rod where four modules meet."""
     rod = lampest.Rod(centre_mm=(36, 24), diameter_mm=45, mass_g=900)
     scene = Scene(lampest.Panel(modules=COUPLED), READOUT, 140.0)
@@ -178,7 +178,7 @@ def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: f
 
 
 def test_a_penalty_without_neighbours_couples_no_modules() -> None:
-    recording = taken()
+    recording = rod_on_four_modules()
     penalty = lampest.CellResistance(weight=1e-7)
     estimate = coupled(recording, penalty)
     separate = apart(recording, penalty)
@@ -188,7 +188,7 @@ def test_a_penalty_without_neighbours_couples_no_modules() -> None:
 
 
 def test_differences_over_seams_are_weighted_by_their_distance() -> None:
-    recording = taken()
+    recording = rod_on_four_modules()
     weight = 3e4
     estimate, uncoupled = (solve(recording, lampest.LogGradient(weight=weight)) for solve in (coupled, apart))
     assert estimate.solved.all()
@@ -203,7 +203,7 @@ def test_differences_over_seams_are_weighted_by_their_distance() -> None:
 
 
 def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
-    recording = taken()
+    recording = rod_on_four_modules()
     with pytest.raises(InputError, match="have none"):
         lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient()], error_bars=True)
     wired = replace(recording.scene, lines=lampest.Lines(row_ohm_per_cell=1.0))

@@ -21,7 +21,7 @@ STATIC = Systematic(reading_error="estimated")
 WEIGHTED = Misfit(weighting="noise")
 
 
-def standing(seed: int, **keys: object) -> Recording:
+def standing_load(seed: int, **keys: object) -> Recording:
     """A load with sharp edges on a mat with an outline; it stands from the first measured frame and sways by 2 %."""
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))
@@ -43,7 +43,7 @@ def standing(seed: int, **keys: object) -> Recording:
 @pytest.mark.parametrize("keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}])
 @pytest.mark.parametrize("penalty", [LogGradient(), LogRatio()])
 def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(keys: dict, penalty: lampest.Term) -> None:
-    recording = standing(1, **keys)
+    recording = standing_load(1, **keys)
     estimate = lampest.reconstruct(recording, [WEIGHTED, penalty])
     error = np.abs(estimate.cell_resistance / recording.truth_cell_resistance[estimate.frame] - 1)
     assert np.nanmedian(error) < 0.01 and np.nanquantile(error, 0.95) < 0.025
@@ -65,14 +65,14 @@ def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(monkeypatch: p
     ):
         for name in names:
             monkeypatch.setattr(module, name, refuse)
-    estimate = lampest.reconstruct(standing(2))
+    estimate = lampest.reconstruct(standing_load(2))
     assert estimate.solved.all() and estimate.recording.scene.estimated is None
     with pytest.raises(AssertionError, match="was not asked for"):
         assert estimate.advice
 
 
 def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -> None:
-    plain = standing(3)
+    plain = standing_load(3)
     noise = Prepared(plain).noise
     np.testing.assert_array_equal(noise.readings.value, plain.readings().value)
     np.testing.assert_array_equal(noise.readings.sigma, plain.readings().sigma)
@@ -83,7 +83,7 @@ def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -
 
 
 def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
-    estimate = lampest.reconstruct(standing(4, systematic=STATIC, gain="estimated"))
+    estimate = lampest.reconstruct(standing_load(4, systematic=STATIC, gain="estimated"))
     estimate.save(tmp_path / "results.h5")
     scene = lampest.read_results(tmp_path / "results.h5").cases[0].scene
     size, deviation = scene.estimated["systematic.reading_error"]
@@ -105,7 +105,7 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     ],
 )
 def test_warnings_name_undetermined_effects_and_the_needed_recording(keys: dict, advised: str) -> None:
-    recording = standing(5, **keys)
+    recording = standing_load(5, **keys)
     loaded = replace(recording, role=np.ones_like(recording.role))
     estimate = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
     (line,) = (line for line in estimate.noise.warnings if "estimated, but" in line)
@@ -113,13 +113,13 @@ def test_warnings_name_undetermined_effects_and_the_needed_recording(keys: dict,
 
 
 def test_a_reference_tolerance_keeps_its_prior() -> None:
-    estimate = lampest.reconstruct(standing(6, systematic=Systematic(reference_tolerance="estimated")))
+    estimate = lampest.reconstruct(standing_load(6, systematic=Systematic(reference_tolerance="estimated")))
     assert any("lampest calibrate" in line for line in estimate.noise.warnings)
     assert estimate.recording.scene.systematic.reference_tolerance == 0.06
 
 
 def test_the_memory_of_a_converter_is_estimated() -> None:
-    recording = standing(7)
+    recording = standing_load(7)
     volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
     remembered = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(volt.shape)
     recorded = recording.scene.circuit.recorded_from_volt(remembered)

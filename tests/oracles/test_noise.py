@@ -42,24 +42,24 @@ def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: floa
     return np.asarray(noise - noise.mean(axis=0))
 
 
-def parts(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.Scatter:
+def scatter_of(rng: np.random.Generator, frames: int, **sizes: float) -> lampest.estimate.noise.Scatter:
     return scatter(drawn(rng, frames, **sizes), np.full((LINES, CHANNELS), 3000.0), frames - 1)
 
 
 def test_components_of_noise_are_estimated_and_absent_ones_are_not() -> None:
     for frames in (2, 3, 5, 10):
-        alone = [parts(np.random.default_rng(100 * frames + number), frames) for number in range(60)]
+        alone = [scatter_of(np.random.default_rng(100 * frames + number), frames) for number in range(60)]
         assert np.mean([noise.own for noise in alone]) == pytest.approx(1, abs=0.02)
         assert (
             sum(min(noise.gain_tail, noise.ripple_tail) < SIGNIFICANCE or noise.line_ripple.size for noise in alone)
             <= 2
         )
     rng = np.random.default_rng(1)
-    assert np.mean([parts(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(0.002, rel=0.25)
-    apart = [parts(rng, 5, offset=3.0) for _ in range(20)]
+    assert np.mean([scatter_of(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(0.002, rel=0.25)
+    apart = [scatter_of(rng, 5, offset=3.0) for _ in range(20)]
     assert np.mean([(noise.line_ripple**2).sum() / CHANNELS for noise in apart]) == pytest.approx(9, rel=0.2)
     assert np.mean([noise.own for noise in apart]) == pytest.approx(1, abs=0.06)
-    wave = [parts(rng, 10, wave=3.0) for _ in range(20)]
+    wave = [scatter_of(rng, 10, wave=3.0) for _ in range(20)]
     assert np.mean([(noise.common_ripple**2).sum() / CHANNELS for noise in wave]) == pytest.approx(4.5, rel=0.5)
 
 
@@ -170,7 +170,7 @@ def scene_of(noise: float | str | None, systematic: Systematic | str | None = No
     return Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=noise), 140.0, systematic=systematic, **keys)
 
 
-def held(recording: Recording) -> tuple[float, float]:
+def coverage_of(recording: Recording) -> tuple[float, float]:
     """Shares of the true cells and true changes within their 95 % intervals."""
     estimate = reconstruct(recording, LSM)
     cells = recording.truth_cell_resistance
@@ -210,7 +210,7 @@ def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(true: float, sp
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:
     for gain in (0.004, "estimated"):
-        assert min(held(recorded(seed, scene_of(0.7, gain=gain), gain=0.004))) > 0.85
+        assert min(coverage_of(recorded(seed, scene_of(0.7, gain=gain), gain=0.004))) > 0.85
     size, deviation = Prepared(recorded(seed, scene_of(0.7, gain="estimated"), gain=0.004)).noise.estimated["gain"]
     assert abs(size - 0.004) < 3 * deviation
     unnamed = Prepared(recorded(seed, scene_of(0.7), gain=0.004))
@@ -271,9 +271,9 @@ def test_typical_errors_cover_a_wrong_series_resistance_and_reference(series: fl
     """Each moves all cells together, so that a recording is covered or not as a whole."""
     for seed in (31, 32, 33):
         silent = recorded(seed, scene_of(0.7, "typical"), series=series, reference=reference)
-        assert min(held(silent)) > 0.85
+        assert min(coverage_of(silent)) > 0.85
     none = replace(silent, scene=scene_of(0.7))
-    assert held(none)[0] < 0.75 and not Prepared(none).noise.sentence
+    assert coverage_of(none)[0] < 0.75 and not Prepared(none).noise.sentence
 
 
 STATIC = Systematic(reading_error="estimated")
@@ -296,13 +296,13 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
     unnamed = [Prepared(recorded(seed, scene_of(0.7), static=size)) for seed in seeds[:4]]
     assert not any(prepared.noise.reading_error for prepared in unnamed)
     assert all(STATIC_LINE in {finding.line for finding in unnamed_effects(prepared)} for prepared in unnamed)
-    assert np.mean([held(recording) for recording in recordings[:4]], axis=0).min() > 0.85
+    assert np.mean([coverage_of(recording) for recording in recordings[:4]], axis=0).min() > 0.85
 
 
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
     """Of 0.2 % too little shows to advise it; 72 to 84 % were held of such recordings."""
     recordings = [recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)]
-    assert np.mean([held(recording) for recording in recordings], axis=0).min() > 0.8
+    assert np.mean([coverage_of(recording) for recording in recordings], axis=0).min() > 0.8
 
 
 @pytest.mark.parametrize("noise_lsb", [0.7, 2.5])
@@ -374,7 +374,7 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     assert gentle.estimated["systematic.series_tolerance_ohm"][0] < 1.5 * 35
     wrong = recorded(11, scene_of(0.7, SERIES), series=40)
     size, deviation = Prepared(wrong).noise.estimated["systematic.series_tolerance_ohm"]
-    assert size == pytest.approx(40, rel=0.3) and deviation < size and min(held(wrong)) > 0.85
+    assert size == pytest.approx(40, rel=0.3) and deviation < size and min(coverage_of(wrong)) > 0.85
 
 
 def test_noisy_cells_are_not_taken_for_a_static_error() -> None:

@@ -49,7 +49,7 @@ def with_errors(cells: Array, seed: int, static: float = 0.0) -> tuple[Array, Ar
     return wrong + NOISE * exact * rng.standard_normal(exact.shape), NOISE * exact
 
 
-def judged(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
+def problem_of(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
     estimator = Estimator((WEIGHTED, LogGradient(weight=1.0)), "reduced")
     scene = Scene(Panel(*cells.shape))
     readings, sigma = with_errors(cells, seed, static)
@@ -65,7 +65,7 @@ def log_error(cells: Array, truth: Array) -> float:
 def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(seed: int) -> None:
     """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and 23."""
     truth = loaded()
-    data, cost = judged(truth, seed, static=0.07)
+    data, cost = problem_of(truth, seed, static=0.07)
     scale, (estimate,) = references([data], cost)
     assert 8 <= scale.best <= 32 and scale.gain(1.0) > 6
     assert 0.4 < scale.tail / 1.96 / (0.07 / NOISE) < 1.6, "95 % of the errors"
@@ -78,7 +78,7 @@ def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_er
 @pytest.mark.parametrize("factor", [0.15, 0.5, 5.0])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(factor: float, seed: int) -> None:
-    data, cost = judged(loaded(factor=factor), seed)
+    data, cost = problem_of(loaded(factor=factor), seed)
     scale, (estimate,) = references([data], cost)
     assert scale.best == 1
     assert log_error(estimate.cells[0], loaded(factor=factor)) < 0.07
@@ -88,7 +88,7 @@ def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(fa
 def test_normal_tails_mistake_edges_for_errors_of_the_readings(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = np.full((10, 10), 3000.0) * np.exp(0.02 * np.random.default_rng(seed).standard_normal((10, 10)))
     truth[4:6, 3:5] *= 5
-    data, cost = judged(truth, seed)
+    data, cost = problem_of(truth, seed)
     assert references([data], cost)[0].best == 1
     monkeypatch.setattr(reference, "MODEL", replace(reference.MODEL, degrees_of_freedom=1e6))
     squared = references([data], cost)[0]

@@ -52,7 +52,7 @@ def panel(
     return recording_of(scene, recorded, resting, truth_cell_resistance=cells)
 
 
-def found_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimates:
+def estimate_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimates:
     return reconstruct(recording, Estimator(terms, "smoother" if terms is ROBUST else "reduced"))
 
 
@@ -167,11 +167,11 @@ def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
     tapped = []
     for seed in range(6):
         recording = panel(seed, systematic="none")
-        estimate = found_of(recording)
+        estimate = estimate_of(recording)
         assert estimate.solved.all() and set(estimate.status) == {"optimum verified"}
         held.append(in_intervals(estimate))
         together.append(np.abs(log_errors(estimate)))
-        alone.append(np.abs(log_errors(found_of(recording, (Misfit(),)))))
+        alone.append(np.abs(log_errors(estimate_of(recording, (Misfit(),)))))
         tapped.append(log_errors(estimate)[8, 4, 4])
     assert np.median(together) < 0.5 * np.median(alone)
     assert np.percentile(together, 95) < 0.6 * np.percentile(alone, 95)
@@ -192,13 +192,13 @@ def test_cells_near_a_breathing_soft_load_do_not_determine_channels() -> None:
     channels = 3 * rng.standard_normal((2, 8))
     exact = two_point_resistance(cells) + channels[0][:, None] + channels[1]
     recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
-    estimate = found_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
+    estimate = estimate_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
     assert np.mean(in_intervals(estimate)) > 0.9
 
 
 def test_shared_errors_widen_the_error_bars_of_cells() -> None:
-    specified = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
-    silent = found_of(panel(2, systematic="none"))
+    specified = estimate_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
+    silent = estimate_of(panel(2, systematic="none"))
     assert np.median(specified.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
 
 
@@ -212,7 +212,7 @@ def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
     rippled = replace(recording, recorded=readout.recorded_from_volt(volt))
     together, alone = (
         np.median(np.abs(np.diff(log_errors(estimate), axis=0)))
-        for estimate in (found_of(rippled), found_of(rippled, (Misfit(),)))
+        for estimate in (estimate_of(rippled), estimate_of(rippled, (Misfit(),)))
     )
     assert together < 0.4 * alone
 
@@ -221,10 +221,10 @@ def test_a_frame_with_too_few_readings_is_left_out() -> None:
     recording = panel(5)
     recorded = recording.recorded.copy()
     recorded[RESTING + 2] = np.nan
-    estimate = found_of(replace(recording, recorded=recorded))
+    estimate = estimate_of(replace(recording, recorded=recorded))
     assert estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2]
     assert np.isnan(estimate.cell_resistance[2]).all()
-    blind = found_of(
+    blind = estimate_of(
         replace(recording, recorded=np.where(recording.role[:, None, None] == 0, recording.recorded, np.nan))
     )
     assert not blind.solved.any()
@@ -236,4 +236,4 @@ def test_a_frame_with_too_few_readings_is_left_out() -> None:
 def test_the_smoother_refuses_unknown_noise() -> None:
     recording = panel(0)
     with pytest.raises(InputError, match="noise"):
-        found_of(replace(recording, scene=Scene(recording.scene.panel)))
+        estimate_of(replace(recording, scene=Scene(recording.scene.panel)))

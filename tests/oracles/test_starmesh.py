@@ -56,8 +56,8 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     yield "1 milliohm and 1 gigaohm", milliohm
 
 
-def many(count: int, max_lines: float, seed: int) -> Iterator[tuple[str, Array]]:
-    """Structured panels of up to `most` lines a side, 0 to 15 decades."""
+def structured_panels(count: int, max_lines: float, seed: int) -> Iterator[tuple[str, Array]]:
+    """Structured panels of up to `max_lines` lines a side, 0 to 15 decades."""
     rng = np.random.default_rng(seed)
     while count > 0:
         shape = (int(max_lines ** rng.uniform()), int(max_lines ** rng.uniform()))
@@ -76,7 +76,7 @@ def test_every_structured_panel_is_exact_to_fourteen_digits(shape: tuple[int, in
 def test_an_unsafe_inverse_is_noticed() -> None:
     """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
     unsafe = wrong = 0
-    for name, cells in many(1000, 7, 4):
+    for name, cells in structured_panels(1000, 7, 4):
         expected = in_digits(cells)
         network = FloatingNetwork.solve(1 / cells, grounding(cells))
         worst = np.max(np.abs(network.reading() / expected - 1))

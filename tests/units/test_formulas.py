@@ -18,7 +18,7 @@ from lampest.panel import compiled
 from lampest.panel.panel import Array
 
 
-def drawn(cells: int, seed: int) -> tuple[Array, Array]:
+def random_change(cells: int, seed: int) -> tuple[Array, Array]:
     """A change of still cells, and its covariance."""
     rng = np.random.default_rng(seed)
     root = 0.01 * rng.standard_normal((cells, cells)) + 0.02 * np.eye(cells)
@@ -27,7 +27,7 @@ def drawn(cells: int, seed: int) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -> None:
-    change, covariance = drawn(9, seed)
+    change, covariance = random_change(9, seed)
     columns = 0.05 * np.random.default_rng(seed + 10).standard_normal((9, 4))
     scores = scores_with_errors(change, np.linalg.inv(covariance), columns)
     for score, column in zip(scores, columns.T, strict=True):
@@ -45,7 +45,7 @@ def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> floa
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> None:
-    change, covariance = drawn(8, seed)
+    change, covariance = random_change(8, seed)
     change[[2, 5]] += -0.8, 0.1 * seed
     precision = np.linalg.inv(covariance)
     lost, moved = select_changed(precision @ change, precision, usual_starts(change))

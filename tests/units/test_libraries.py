@@ -90,7 +90,7 @@ def test_detect_writes_everything_but_pictures_without_matplotlib(
     assert "lampest[plots]" in captured.out + captured.err
 
 
-def loaded(code: str) -> set[str]:
+def loaded_modules(code: str) -> set[str]:
     """The modules that a fresh process holds after some code."""
     command = [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"]
     completed = subprocess.run(command, cwd=HOUSE, capture_output=True, text=True)
@@ -113,4 +113,4 @@ def test_a_process_imports_only_needed_libraries() -> None:
         (HELP, HEAVY),
         ("import lampest.runs.batch, lampest.runs.executors", ("dask", "distributed")),
     ):
-        assert not loaded(code) & set(absent), code
+        assert not loaded_modules(code) & set(absent), code

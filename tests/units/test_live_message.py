@@ -42,7 +42,7 @@ def test_an_urgent_errand_waits_only_for_urgent_ones() -> None:
     assert look.run() == 0
 
 
-def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
+def simulated_mouth(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
     """Three unloaded frames and some measured ones."""
     course = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
     simulation = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
@@ -59,7 +59,7 @@ def news(recording: Recording) -> list[object]:
 
 @pytest.mark.slow
 def test_live_and_detect_give_the_same_answer(tmp_path: Path) -> None:
-    recording = taken(40, (MOUTH,))
+    recording = simulated_mouth(40, (MOUTH,))
     recording.save(tmp_path / "mouth.h5")
     batch = detect_recording(tmp_path / "mouth.h5")
     live = functools.reduce(Watched.after, news(recording), Watched(recording.name)).detected
@@ -73,7 +73,7 @@ def test_live_and_detect_give_the_same_answer(tmp_path: Path) -> None:
 def test_the_watching_process_answers_and_its_death_is_reported() -> None:
     answers: list[Detected] = []
     watching = watcher("mouth", answers.append)
-    for item in news(taken(4)):
+    for item in news(simulated_mouth(4)):
         watching.ask([item])
     watching.finish()
     assert answers[-1].answer == "nothing"

@@ -45,7 +45,7 @@ def message(number: int, side: int = 64) -> Message:
     return Message(panel, picture, View("here", "LSM", "receiving", panel))
 
 
-def within(work: Callable[[], object]) -> None:
+def finish_in_time(work: Callable[[], object]) -> None:
     """Do something that must come to an end."""
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
@@ -61,7 +61,7 @@ def send_all(send: Send) -> None:
             send(message(number))
             time.sleep(0.002)
 
-    within(every)
+    finish_in_time(every)
 
 
 def small_socket() -> socket.socket:
@@ -105,7 +105,7 @@ def test_a_stalled_websocket_delays_neither_frames_nor_clients_nor_the_end() -> 
         ear = threading.Thread(target=listening, daemon=True)
         ear.start()
         send_all(send)
-        within(lambda: publishing.__exit__(None, None, None))
+        finish_in_time(lambda: publishing.__exit__(None, None, None))
         ear.join(PATIENCE_SECONDS)
         assert received[-1] == FRAMES and received == sorted(set(received)), (
             "who listens gets the newest frame, in order"
@@ -126,7 +126,7 @@ def test_a_stalled_websocket_is_disconnected(monkeypatch: pytest.MonkeyPatch) ->
                     return
                 time.sleep(0.1)
 
-        within(admitted)
+        finish_in_time(admitted)
 
 
 def test_a_stalled_broker_delays_neither_frames_nor_the_end() -> None:
@@ -150,7 +150,7 @@ def test_a_stalled_broker_delays_neither_frames_nor_the_end() -> None:
         assert sockets and all(client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for client in sockets), (
             "sent at once"
         )
-        within(lambda: publishing.__exit__(None, None, None))
+        finish_in_time(lambda: publishing.__exit__(None, None, None))
         with closing(taken[0]):
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
 

@@ -33,12 +33,14 @@ def load(since_s: float, until_s: float | None, diameter_mm: float = 35.0, sucks
     return Attachment(sucks, since_s, (40.0, 1.0), (50.0, 1.0), until_s=until_s, breath=breath, **numbers)
 
 
-def detected(*loads: Attachment, start: str | None = "2026-05-04T17:30:00+00:00", end_s: float = 7200.0) -> Detected:
+def detected_loads(
+    *loads: Attachment, start: str | None = "2026-05-04T17:30:00+00:00", end_s: float = 7200.0
+) -> Detected:
     return Detected.of("pond", loads, 4.0, start_time=start, end_s=end_s)
 
 
 def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
-    first, second = visits_of([detected(load(600.0, 900.0), load(3600.0, None, sucks=RING))])
+    first, second = visits_of([detected_loads(load(600.0, 900.0), load(3600.0, None, sucks=RING))])
     assert (first.answer, first.begin, first.duration_s, first.left) == (
         LAMPREY,
         "2026-05-04T17:40:00.000+00:00",
@@ -50,7 +52,7 @@ def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
 
 
 def test_visits_are_counted_by_day_and_by_night() -> None:
-    answer = detected(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
+    answer = detected_loads(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
     table = count_table([answer], visits_of([answer]))
     ((day, hours, lampreys, _, an_hour, hours_of_night, at_night, _, _),) = table.cells
     assert (day, hours, lampreys, an_hour, hours_of_night, at_night) == ("2026-05-04", "0.5", "1", "2", "1.5", "1")
@@ -58,17 +60,17 @@ def test_visits_are_counted_by_day_and_by_night() -> None:
 
 def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
     loads = load(0.0, 100.0, 30.0), load(200.0, 300.0, 40.0), load(400.0, 500.0, 30.5)
-    assert [visit.may_be_visit for visit in visits_of([detected(*loads)])] == [None, None, 1]
+    assert [visit.may_be_visit for visit in visits_of([detected_loads(*loads)])] == [None, None, 1]
 
 
 def test_visits_of_several_recordings_are_sorted_by_time() -> None:
-    late = detected(load(10.0, 20.0))
-    early = detected(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
+    late = detected_loads(load(10.0, 20.0))
+    early = detected_loads(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
     assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == ["2026-05-03", "2026-05-04"]
 
 
 def test_the_sentence_counts_visits() -> None:
-    sentence = detected(load(0.0, 100.0), load(200.0, 300.0), load(400.0, None)).sentence
+    sentence = detected_loads(load(0.0, 100.0), load(200.0, 300.0), load(400.0, None)).sentence
     assert sentence.startswith("3 lamprey visits; last: lamprey attached since 400.0 s")
 
 

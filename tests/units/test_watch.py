@@ -25,7 +25,7 @@ MEMORY_SHARE = 0.12  # of a load's change, which the film keeps after the load h
 Course = tuple[Shape, int, int]  # a load, the first frame with it and the first without it
 
 
-def taken(
+def recording_with(
     *courses: Course, frames: int = 20, readout: Readout = TWO_POINT, side: int = 6, memory_share: float = MEMORY_SHARE
 ) -> Recording:
     """A frame a second, the first five unloaded; of a load that leaves a film keeps a part."""
@@ -45,14 +45,14 @@ def taken(
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [2, 3])
 def test_touched_unloaded_frames_are_rejected(first: int) -> None:
-    answer = answered(taken((ROD, first, 12)))
+    answer = answered(recording_with((ROD, first, 12)))
     assert answer.answer == CANNOT_SAY and "while its unloaded frames were taken" in answer.why
 
 
 def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
     """A fiftieth of what a rod does."""
-    recording = taken((ROD, 8, 20))
-    touched = taken((ROD, 2, 20))
+    recording = recording_with((ROD, 8, 20))
+    touched = recording_with((ROD, 2, 20))
     recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
     assert answered(recording).answer == PRESSES
 
@@ -60,9 +60,9 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
 @pytest.mark.slow
 def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
     """What cells show then is like suction."""
-    answer = answered(taken((ROD, 0, 10)))
+    answer = answered(recording_with((ROD, 0, 10)))
     assert answer.answer == CANNOT_SAY and answer.why.endswith("in its unloaded frames, and left at 10.0 s")
-    second = answered(taken((ROD, 0, 10), (MOUTH, 14, 20)))
+    second = answered(recording_with((ROD, 0, 10), (MOUTH, 14, 20)))
     assert second.answer == SUCKS and len(second.attachments) == 1
 
 
@@ -75,7 +75,7 @@ def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() 
     ],
 )
 def test_a_load_in_all_unloaded_frames_is_not_called_nothing(load: Shape) -> None:
-    answer = answered(taken((load, -1, 9), frames=8, side=10))
+    answer = answered(recording_with((load, -1, 9), frames=8, side=10))
     assert answer.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in answer.why
 
 
@@ -92,7 +92,7 @@ def test_cells_of_an_uneven_film_are_not_taken_for_a_load_in_the_unloaded_frames
 
 
 def test_an_outlier_in_an_unloaded_frame_does_not_prevent_detection() -> None:
-    recording = taken((ROD, 7, 14), frames=14)
+    recording = recording_with((ROD, 7, 14), frames=14)
     recording.recorded[2, 1, 1] *= 3
     known = known_of(Prepared(recording))
     assert isinstance(known, Known) and np.max(known.watch().test.least()) < 10
@@ -105,9 +105,9 @@ def unloaded(recording: Recording) -> Unloaded:
 
 
 def test_a_load_in_the_last_frames_is_recognised() -> None:
-    answer = answered(taken((MOUTH, 18, 20)))
+    answer = answered(recording_with((MOUTH, 18, 20)))
     assert answer.answer == SUCKS and answer.attachments[0].since_s == 18.0
-    live = Watched("watched").after(news := unloaded(recording := taken((MOUTH, 17, 20))))
+    live = Watched("watched").after(news := unloaded(recording := recording_with((MOUTH, 17, 20))))
     for frame in range(len(news.scans), 20):
         live = live.after(scan_of(recording, frame))
     assert live.detected.answer == CANNOT_SAY and "touched the panel at 17.0 s" in live.detected.why
@@ -118,7 +118,7 @@ def test_a_poorly_visible_load_arrives_and_leaves() -> None:
     """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of the touch."""
     readout = LoadedColumnsReadout(polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7)
     weak = Rod(centre_mm=(26, 24), diameter_mm=22, mass_g=25)
-    answer = answered(taken((weak, 8, 14), readout=readout))
+    answer = answered(recording_with((weak, 8, 14), readout=readout))
     assert [attachment.until_s for attachment in answer.attachments] == [14.0]
 
 
@@ -126,10 +126,10 @@ def test_a_poorly_visible_load_arrives_and_leaves() -> None:
 @pytest.mark.parametrize("other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD])
 def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shape) -> None:
     mouth = OralDisc(centre_mm=(25, 68), diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10)
-    answer = answered(taken((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
+    answer = answered(recording_with((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
     assert [attachment.until_s for attachment in answer.attachments] == [30.0, None]
     moved = dataclasses.replace(mouth, centre_mm=(68, 24))  # it jumps there
-    answer = answered(taken((mouth, 8, 20), (moved, 20, 40), frames=40, side=10))
+    answer = answered(recording_with((mouth, 8, 20), (moved, 20, 40), frames=40, side=10))
     assert [attachment.until_s for attachment in answer.attachments] == [20.0, None]
     assert (
         all(attachment.sucks > 0.9 for attachment in answer.attachments)
@@ -141,7 +141,7 @@ def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shap
 def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     """At a frame a second, while the temperature sways readings by 3 % in two hours."""
     visits = ((MOUTH, 600, 2400), (ROD, 3000, 4000), (MOUTH, 4600, 5400))
-    recording = taken(*visits, frames=6000, memory_share=0.0)
+    recording = recording_with(*visits, frames=6000, memory_share=0.0)
     recording.recorded[:] *= 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
     first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
     known = known_of(Prepared(dataclasses.replace(recording, **first)))
@@ -161,7 +161,7 @@ def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
 
 @pytest.mark.slow
 def test_live_takes_a_new_zero_if_the_first_was_touched() -> None:
-    recording = taken((ROD, 3, 8))
+    recording = recording_with((ROD, 3, 8))
     live = Watched("watched").after(unloaded(recording))
     assert live.detected.answer == CANNOT_SAY and "unloaded frames" in live.detected.why
     live = live.after(UNLOADED)

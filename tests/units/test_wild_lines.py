@@ -148,7 +148,7 @@ def places(samples: list[Sample]) -> list[tuple[int, int, int]]:
     return [(sample.frame.sequence, sample.lost, sample.session) for sample in samples]
 
 
-def whole(count: int, session: int = 0) -> list[tuple[int, int, int]]:
+def complete_frames(count: int, session: int = 0) -> list[tuple[int, int, int]]:
     return [(number, 0, session) for number in range(count)]
 
 
@@ -167,35 +167,38 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
         [((2**32 - 5 + step) % 2**32, 0, 0) for step in range(9)],
         [],
     ),
-    "frames are sent again": ([*SENT, *SENT[:15], *SENT[3:9]], whole(20), []),
-    "frames are sent again, then new ones": ([*SENT, *SENT[:15], (20, 100_200)], whole(21), []),
+    "frames are sent again": ([*SENT, *SENT[:15], *SENT[3:9]], complete_frames(20), []),
+    "frames are sent again, then new ones": ([*SENT, *SENT[:15], (20, 100_200)], complete_frames(21), []),
     "numbers begin anew": (
         [(0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550)],
-        [*whole(3), *whole(3, session=1)],
+        [*complete_frames(3), *complete_frames(3, session=1)],
         [],
     ),
     "numbers begin anew after a pause": (
         [(0, 500), (1, 510), (2, 520), (0, 560), (1, 570)],
-        [*whole(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
+        [*complete_frames(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
         [],
     ),
-    "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], whole(4), []),
+    "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], complete_frames(4), []),
     "a clock is wild once": (
         [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
-        whole(5),
+        complete_frames(5),
         [2],
     ),
     "a clock is wild once, and the frame before is gone": (
         [(0, 500), (1, 510), (3, 5530), (4, 540), (5, 550)],
-        [*whole(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
+        [*complete_frames(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
         [2],
     ),
-    "scans are late": (LATE, whole(500), []),
-    **{f"a jump by {ms} ms": (ticked(30, {10: ms}), whole(30), [10]) for ms in (5_000, -5_000, 2**31, -(2**31))},
+    "scans are late": (LATE, complete_frames(500), []),
+    **{
+        f"a jump by {ms} ms": (ticked(30, {10: ms}), complete_frames(30), [10])
+        for ms in (5_000, -5_000, 2**31, -(2**31))
+    },
     **{
         f"a jump by {ms} ms where {gone} are gone": (
             ticked(30, {10: ms}, range(10, 10 + gone)),
-            [*whole(10), (10 + gone, gone, 0), *whole(30)[11 + gone :]],
+            [*complete_frames(10), (10 + gone, gone, 0), *complete_frames(30)[11 + gone :]],
             [10],
         )
         for ms in (10_000, 300, -5_000)
@@ -215,7 +218,7 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
         np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE else 1e-9, err_msg=name)
     for jumps in ADJACENT:
         _, samples = run_of(*ticked(30, jumps))
-        assert places(samples) == whole(30)
+        assert places(samples) == complete_frames(30)
         np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
 
 
@@ -223,24 +226,26 @@ def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
     for last_ms in (5_520, 100, 2**31):
         run, samples = run_of((0, 500), (1, 510), (2, last_ms))
         samples += run.rest()
-        assert places(samples) == whole(3) and samples[-1].events == (CLOCK_JUMPED,)
+        assert places(samples) == complete_frames(3) and samples[-1].events == (CLOCK_JUMPED,)
         assert samples[-1].time == pytest.approx(0.02) and not run.rest()
     for last in ((1, 510), (0, 500), (900, 515)):
         run, samples = run_of((0, 500), (1, 510), last)
-        assert not run.rest() and places(samples) == whole(2), "repeated and foreign frames are none"
+        assert not run.rest() and places(samples) == complete_frames(2), "repeated and foreign frames are none"
 
 
 def test_the_clock_limits_the_accepted_frame_number() -> None:
     """The first one; and none that its clock puts days ahead."""
     assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]
-    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == whole(3)
+    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == complete_frames(3)
     _, samples = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
     assert samples[2].session == 1 and samples[2].lost < 10_000 and samples[2].time < 100
 
 
 def test_a_stopped_clock_costs_no_frame_and_is_named_once() -> None:
     _, samples = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
-    assert places(samples) == whole(101) and np.all(np.diff([sample.time for sample in samples]) >= 0.01 - 1e-9)
+    assert places(samples) == complete_frames(101) and np.all(
+        np.diff([sample.time for sample in samples]) >= 0.01 - 1e-9
+    )
     assert [(number, sample.events) for number, sample in enumerate(samples) if sample.events] == [
         (6, (CLOCK_STOPPED,))
     ]
