@@ -42,8 +42,8 @@ TERMS = {
 CIRCUITS = {"two_point": 0.5, "loaded": 0.2, "grounded": 0.1, "grounded_one": 0.1, "virtual": 0.1}
 LOSSES = {"squared": Squared, "huber": Huber, "absolute": Absolute}
 ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
-ROUNDING = 1e-12
-LAST_BITS = 1e-14  # of ln r
+ROUNDING_ERROR = 1e-12
+MIN_STEP = 1e-14  # of ln r
 # beyond, building a nodal program takes seconds, and so does a trust region
 NODAL_CELLS = 64
 SEVERAL_CELLS = 100
@@ -180,10 +180,10 @@ class RandomProblem:
         position = np.log(estimate).ravel()
         own = self.oracle.value(position)
         with np.errstate(all="ignore"):
-            ends = [place for place in self._ends(estimate) if np.abs(place - position).max() > LAST_BITS]
+            ends = [place for place in self._ends(estimate) if np.abs(place - position).max() > MIN_STEP]
             costs = [self.oracle.value(place) for place in ends if np.all(np.isfinite(place))]
         least = min((cost for cost in costs if np.isfinite(cost)), default=np.inf)
-        return (own - least - ROUNDING * self.oracle.blank()) / own
+        return (own - least - ROUNDING_ERROR * self.oracle.blank()) / own
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
         """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and random starts."""

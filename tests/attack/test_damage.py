@@ -7,7 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, SEED, Outcomes, Rng, Tries, attack, called, small_folder
+from attack.attack import PASSED, SEED, Outcomes, Rng, Tries, attack, called, small_folder
 from fuzz.mutants import good_recordings, good_results
 from support import invented_case
 from unclosed import unclosed_recording
@@ -56,9 +56,9 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
     try:
         read = _content(reader(path))
     except InputError as error:
-        return HELD if str(error).startswith(str(path)) else f"the sentence does not name the file: {error}"
+        return PASSED if str(error).startswith(str(path)) else f"the sentence does not name the file: {error}"
     differing = [name for name in meant | read if not _same(meant.get(name), read.get(name))]
-    return f"read with another {', '.join(differing)}" if differing else HELD
+    return f"read with another {', '.join(differing)}" if differing else PASSED
 
 
 def _content(source: Any) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def test_check_names_the_dataset_with_a_flipped_bit(rng: Rng, folder: Path, coun
         words = ("small.h5", f"/{name} is damaged", "checksum")
         yield called("check", "small.h5", folder=work_folder).refused(*words)
         described = called("info", "small.h5", folder=work_folder)
-        yield HELD if described.out == meant.out else described.refused(*words)
+        yield PASSED if described.out == meant.out else described.refused(*words)
 
 
 def _place(node: h5py.Dataset) -> int:
@@ -219,7 +219,7 @@ def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, fol
     for _ in range(count):
         path.write_bytes(_harmed(rng, content))
         outcome = _outcome(path, Recording.load, _content(meant))
-        yield outcome if outcome != HELD else _repaired(path, meant)
+        yield outcome if outcome != PASSED else _repaired(path, meant)
 
 
 @attack(6, 200)
@@ -240,7 +240,7 @@ def test_repair_takes_no_frames_of_another_recording(rng: Rng, folder: Path, cou
         cut = int(rng.integers(len(content) // 4, len(content)))
         path.write_bytes(content[:cut] + tail[cut:])
         outcome = _outcome(path, Recording.load, _content(meant))
-        yield outcome if outcome != HELD else _repaired(path, meant)
+        yield outcome if outcome != PASSED else _repaired(path, meant)
 
 
 def _repaired(path: Path, meant: Recording) -> str:
@@ -248,7 +248,7 @@ def _repaired(path: Path, meant: Recording) -> str:
     try:
         frames, dropped = repair(path)
     except InputError:
-        return HELD if path.read_bytes() == damaged else "repair refused, and changed the file"
+        return PASSED if path.read_bytes() == damaged else "repair refused, and changed the file"
     recording = Recording.load(path)
     sequence = recording.acquisition.sequence
     if frames + dropped != len(meant.time) or len(sequence) != frames:
@@ -256,4 +256,4 @@ def _repaired(path: Path, meant: Recording) -> str:
     unchanged = all(
         _same(getattr(recording, name), getattr(meant, name)[sequence]) for name in ("recorded", "raw_sums", "time")
     )
-    return HELD if unchanged else "repair changed what it kept"
+    return PASSED if unchanged else "repair changed what it kept"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import HELD, CompletedCommand, Outcomes, Rng, attack, called, environment, small_folder
+from attack.attack import PASSED, CompletedCommand, Outcomes, Rng, attack, called, environment, small_folder
 
 from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct, write_results
 
@@ -42,7 +42,7 @@ def test_run_needs_no_second_thread_and_live_is_refused_without_one(
     work_folder = small_folder(tmp_path)
     monkeypatch.setattr(threading, "_start_new_thread", refused)
     assert called(*RUN, "1", folder=work_folder).code == 0
-    assert called(*LIVE, folder=work_folder).refused("ulimit -u") == HELD
+    assert called(*LIVE, folder=work_folder).refused("ulimit -u") == PASSED
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) 
         words = commands[number % 3]
         completed = _as_stranger(int(rng.integers(1, 6)), *words, folder=work_folder)
         sentence = completed.code == 0 or (completed.code == 2 and completed.err.count("\n") == 1)
-        yield HELD if sentence and completed.plain and completed.seconds < 60 else completed.described(words[0])
+        yield PASSED if sentence and completed.plain and completed.seconds < 60 else completed.described(words[0])
 
 
 def _as_stranger(limit: int, *words: str, folder: Path) -> CompletedCommand:
@@ -133,12 +133,12 @@ def test_a_killed_export_leaves_a_whole_sketch_folder(rng: Rng, folder: Path, co
         yield (
             f"{completed.returncode}, of two: {sorted(content)}"
             if mixed or completed.returncode != -signal.SIGKILL
-            else HELD
+            else PASSED
         )
         repeated = called(*EXPORT, "smooth", "--out", "sketch", folder=work_folder)
         remaining = sorted(path.name for path in (work_folder / "sketch").iterdir())
         yield (
-            HELD
+            PASSED
             if remaining == sorted(sketches[1]) and _content(work_folder / "sketch") == sketches[1]
             else repeated.described("again")
         )
@@ -177,11 +177,11 @@ def test_a_run_killed_during_verification_resumes_to_the_same_results(rng: Rng, 
                     process.kill()
             results = work_folder / out / "results.h5"
             if results.exists():
-                yield HELD if called("check", results).code == 0 else "what a kill left is damaged"
+                yield PASSED if called("check", results).code == 0 else "what a kill left is damaged"
         completed = called(*words, folder=work_folder)
         equal = completed.code == 0 and _verified(work_folder / out / "results.h5") == expected
-        yield HELD if equal else completed.described("the run that was killed has other results")
-        yield HELD if not [*(work_folder / out).rglob("*.part")] else "unfinished files are left"
+        yield PASSED if equal else completed.described("the run that was killed has other results")
+        yield PASSED if not [*(work_folder / out).rglob("*.part")] else "unfinished files are left"
 
 
 def _verified(results: Path) -> list[bytes]:

@@ -16,9 +16,9 @@ from lampest.report.live.handover import Newest
 from lampest.report.live.message import UNKNOWN, Message, Picture, View
 from lampest.report.live.publish import MAX_DATAGRAM, OscPublish, publishing
 
-SMALL = 3, 4
-LARGE = 72, 72  # three maps exceed a datagram
-ENORMOUS = 120, 120  # one map does
+SMALL_PANEL = 3, 4
+LARGE_PANEL = 72, 72  # three maps exceed a datagram
+ENORMOUS_PANEL = 120, 120  # one map does
 
 
 def frame(shape: tuple[int, int], number: int = 1) -> Message:
@@ -68,22 +68,22 @@ def test_an_absent_or_refusing_receiver_stops_nothing(host: str) -> None:
     with OscPublish(host, 9).opened(sentences.append) as (_, send):
         begin = time.monotonic()
         for number in range(50):
-            send(frame(SMALL, number))
+            send(frame(SMALL_PANEL, number))
         assert time.monotonic() - begin < 5
     assert not sentences
 
 
 def test_an_unreading_receiver_stops_nothing() -> None:
     sentences = list[str]()
-    shown = Newest(frame(LARGE).view)
+    shown = Newest(frame(LARGE_PANEL).view)
     with receiver() as place, publishing([OscPublish(port=place.getsockname()[1])], shown, sentences.append):
         for number in range(100):
-            shown.put(frame(LARGE, number).view)
+            shown.put(frame(LARGE_PANEL, number).view)
             time.sleep(0.002)
     assert not sentences
 
 
-@pytest.mark.parametrize(("shape", "count"), [(SMALL, 1), (LARGE, 2)])
+@pytest.mark.parametrize(("shape", "count"), [(SMALL_PANEL, 1), (LARGE_PANEL, 2)])
 def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], count: int) -> None:
     sentences = list[str]()
     with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
@@ -110,7 +110,7 @@ def test_a_value_too_large_for_a_datagram_is_omitted_and_named_once() -> None:
     """Maps of a panel, and the list of all that sucked during a long day: the numbers of a frame come."""
     sentences = list[str]()
     detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)
-    view = dataclasses.replace(frame(ENORMOUS).view, detected=detected)
+    view = dataclasses.replace(frame(ENORMOUS_PANEL).view, detected=detected)
     message = Message.of(view)
     assert message is not None
     with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):

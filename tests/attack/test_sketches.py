@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, drawn
+from attack.attack import PASSED, Outcomes, Rng, attack, drawn
 
 from lampest import (
     CaseResult,
@@ -92,11 +92,11 @@ def test_hostile_results_give_a_sound_header_or_are_refused(rng: Rng, _: object,
         try:
             text = header(Constants.of(case), "panel", ())
         except InputError as error:
-            yield HELD if str(error).count("\n") == 0 else f"{number}: {error}"
+            yield PASSED if str(error).count("\n") == 0 else f"{number}: {error}"
             continue
         numbers = [float(word[:-1]) for word in FLOAT.findall(text.partition("lampest_estimate.h")[2])]
         sound = all(value == 0 or 1e-37 <= abs(value) <= 3e38 for value in numbers)
-        yield HELD if sound and numbers else f"{number}: {sorted(numbers)[:2]}, {sorted(numbers)[-2:]}"
+        yield PASSED if sound and numbers else f"{number}: {sorted(numbers)[:2]}, {sorted(numbers)[-2:]}"
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, called
+from attack.attack import PASSED, Outcomes, Rng, attack, called
 
 import lampest
 from lampest.files.typed import Validated
 
-WRONG: tuple[Any, ...] = (
+WRONG_VALUES: tuple[Any, ...] = (
     None, "x", "", b"x", True, -1, 0, 10.5, 1e300, float("nan"), float("inf"), 10**400, 2 + 3j, [], {}, set(), object(),
     type, lambda: 0, ["a", None], np.array(["a"]), np.ma.masked_array([1.0, 2.0], [True, False]), np.array([1 + 2j]),
     [[1, 2], [3]], Path("x"), datetime.date(2026, 5, 4), {"kind": "x"}, lampest.Panel(2, 2),
@@ -26,7 +26,7 @@ MADE_BY_LAMPEST = {
 }
 
 
-@attack(3, len(WRONG))
+@attack(3, len(WRONG_VALUES))
 def test_every_field_of_every_public_class_refuses_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
     recording = lampest.datasets.load("rod")
     good: dict[str, dict[str, Any]] = {
@@ -40,13 +40,13 @@ def test_every_field_of_every_public_class_refuses_wrong_values(rng: Rng, folder
         kind = getattr(lampest, name)
         if not inspect.isclass(kind) or not dataclasses.is_dataclass(kind) or inspect.isabstract(kind):
             continue
-        yield HELD if issubclass(kind, Validated) or kind is lampest.Estimator else f"{name} is not checked"
+        yield PASSED if issubclass(kind, Validated) or kind is lampest.Estimator else f"{name} is not checked"
         for word in inspect.signature(kind).parameters:
-            for index in rng.permutation(len(WRONG))[:count]:
-                yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG[index]})
+            for index in rng.permutation(len(WRONG_VALUES))[:count]:
+                yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG_VALUES[index]})
 
 
-@attack(3, len(WRONG))
+@attack(3, len(WRONG_VALUES))
 def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
     for name in sorted(lampest.__all__):
         function = getattr(lampest, name)
@@ -54,9 +54,9 @@ def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int
             continue
         _, *parameters = inspect.signature(function).parameters.values()
         given = {parameter.name: None for parameter in parameters if parameter.default is parameter.empty}
-        for index in rng.permutation(len(WRONG))[:count]:
-            if not isinstance(WRONG[index], str | Path | np.ndarray):
-                yield _refused(partial(function, WRONG[index]), name, given)
+        for index in rng.permutation(len(WRONG_VALUES))[:count]:
+            if not isinstance(WRONG_VALUES[index], str | Path | np.ndarray):
+                yield _refused(partial(function, WRONG_VALUES[index]), name, given)
 
 
 @attack()
@@ -84,10 +84,10 @@ def _refused(make: Any, call: str, given: dict[str, Any], must: bool = False) ->
     try:
         make(**given)
     except ValueError as error:
-        return HELD if "\n" not in str(error) and len(str(error)) < 800 else f"{call}: {error}"
+        return PASSED if "\n" not in str(error) and len(str(error)) < 800 else f"{call}: {error}"
     except Exception as error:
         return f"{call}: {type(error).__name__}: {error}"
-    return f"{call}: is taken" if must else HELD
+    return f"{call}: is taken" if must else PASSED
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, SIMULATION, CompletedCommand, Outcomes, Rng, attack, called, drawn
+from attack.attack import PASSED, SIMULATION, CompletedCommand, Outcomes, Rng, attack, called, drawn
 from fuzz.batches import write_recording
 
 pytestmark = pytest.mark.slow
@@ -57,7 +57,7 @@ def _tried(description: str, place: Path, commands: Commands) -> Iterator[str]:
     for arguments in commands:
         if arguments[0] != "detect" or (place / arguments[1]).is_file():
             fault = sensible(called(*arguments, folder=place))
-            yield f"{description}: {' '.join(arguments)}: {fault}" if fault else HELD
+            yield f"{description}: {' '.join(arguments)}: {fault}" if fault else PASSED
 
 
 @attack(4, 60)
@@ -98,6 +98,6 @@ def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, coun
 
 
 def sensible(completed: CompletedCommand) -> str:
-    """Return HELD where a command did its work, or said in words of the panel why not."""
+    """Return PASSED where a command did its work, or said in words of the panel why not."""
     foreign = [word for word in FOREIGN if word in completed.err]
-    return completed.survived() or (f"speaks of {foreign}: {completed.err[-300:]}" if foreign else HELD)
+    return completed.survived() or (f"speaks of {foreign}: {completed.err[-300:]}" if foreign else PASSED)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
+from attack.attack import PASSED, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.recording.board.record import Journal
@@ -127,9 +127,9 @@ def test_outputs_replaced_by_links_or_pipes_are_refused_and_foreign_files_surviv
         yield _untouched(work_folder, (*run, *fresh))
     (work_folder / "out" / "cases").unlink()
     completed = called(*run, folder=work_folder)
-    yield HELD if completed.code == 0 else completed.described("the run failed")
+    yield PASSED if completed.code == 0 else completed.described("the run failed")
     untouched = [path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
-    yield HELD if len(untouched) == 2 else "an unfinished file of another is gone"
+    yield PASSED if len(untouched) == 2 else "an unfinished file of another is gone"
     (work_folder / "out" / ".lock").unlink(missing_ok=True)
     os.mkfifo(work_folder / "out" / ".lock")
     yield _untouched(work_folder, run)
@@ -141,17 +141,17 @@ def _beside_precious(folder: Path, name: str) -> Path:
 
 
 def _precious(folder: Path) -> str:
-    return HELD if (folder / "precious").read_text() == "precious" else "precious is lost"
+    return PASSED if (folder / "precious").read_text() == "precious" else "precious is lost"
 
 
 def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
-    """Return HELD where the command refuses in one sentence and leaves the folder as it is."""
+    """Return PASSED where the command refuses in one sentence and leaves the folder as it is."""
     original = everything(folder)
     completed = called(*arguments, folder=folder)
     current = everything(folder)
     changed = [name for name in original | current if original.get(name) != current.get(name)]
     fault = completed.refused(*words) or (f"{changed} changed" if changed else "")
-    return f"{' '.join(arguments)}: {fault}" if fault else HELD
+    return f"{' '.join(arguments)}: {fault}" if fault else PASSED
 
 
 def test_the_folder_of_a_new_file_is_synced_after_renaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

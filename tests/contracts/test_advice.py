@@ -15,7 +15,9 @@ SHAPE = (8, 8)
 RIGHT = lampest.LoadedColumnsReadout(
     polarity="up", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0
 )
-WRONG = lampest.GroundedReadout(sense="all", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0)
+WRONG_READOUT = lampest.GroundedReadout(
+    sense="all", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0
+)
 
 
 def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = RIGHT) -> Path:
@@ -48,7 +50,7 @@ def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> No
 
 @pytest.mark.parametrize(
     ("readout", "dead_row", "words"),
-    [pytest.param(WRONG, None, "kind: loaded_columns", marks=pytest.mark.slow), (RIGHT, 5, "dead_rows")],
+    [pytest.param(WRONG_READOUT, None, "kind: loaded_columns", marks=pytest.mark.slow), (RIGHT, 5, "dead_rows")],
     ids=["another circuit", "a dead row"],
 )
 def test_apply_writes_the_lines_into_the_scene(

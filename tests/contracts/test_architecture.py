@@ -40,7 +40,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("rich", "typer"), ("cli",)), "lazy_loader": ("",),
 }  # fmt: skip
 ROOMS = {room for rooms in FLOORS for room in rooms}
-EVERYWHERE = sys.stdlib_module_names | {"lampest", "numpy"}
+ALWAYS_PERMITTED = sys.stdlib_module_names | {"lampest", "numpy"}
 
 NAMED_TUPLE = ("_fields", "_replace", "_asdict", "_make")  # public, whatever their names say
 GENERATORS = ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox")
@@ -103,7 +103,7 @@ def doors(module: str, tree: ast.Module) -> Iterator[str]:
         library = name.split(".")[0]
         allowed = tuple(f"lampest.{door}." for door in DOORS.get(library, ()))
         face = module == "lampest" and "" in DOORS.get(library, ())
-        if library not in EVERYWHERE and not face and not f"{module}.".startswith(allowed):
+        if library not in ALWAYS_PERMITTED and not face and not f"{module}.".startswith(allowed):
             yield f"imports {name or 'relatively'}"
 
 

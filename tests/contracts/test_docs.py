@@ -54,7 +54,7 @@ NOT_PLAIN = re.compile(
     re.IGNORECASE,
 )
 NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
-MOST_WORDS = 25  # of a sentence of a page
+MAX_WORDS = 25  # of a sentence of a page
 
 
 class Fence(NamedTuple):
@@ -294,7 +294,7 @@ def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     prose = re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
     assert not [match[0] for match in NOT_PLAIN.finditer(prose)]
     every = (sentence for paragraph in paragraphs(text) for sentence in sentences(paragraph))
-    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS]
+    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MAX_WORDS]
 
 
 def test_comments_messages_and_docstrings_are_plain() -> None:

@@ -38,7 +38,7 @@ estimators:
 """
 EXTENSIONS = Path(__file__).with_name("extensions.py").read_text(encoding="utf-8")
 # A group of entry points, what a package names in it, and how the sentence begins; "terms" are asked for by a run.
-WRONG = (
+WRONG_NAMES = (
     ("terms", "addon:Even", "lampest.terms: Even of an installed package is no Term"),
     ("methods", "addon:Leash", "lampest.methods: Leash of an installed package is no Method"),
     ("terms", "addon:contrast", "lampest.terms: extra = addon:contrast of an installed package is no type"),
@@ -174,7 +174,7 @@ def test_an_installed_package_adds_its_names_to_yaml(
         assert_allclose(soft, plain, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("group", "name", "sentence"), WRONG)
+@pytest.mark.parametrize(("group", "name", "sentence"), WRONG_NAMES)
 def test_a_wrong_entry_point_gives_one_sentence(
     tmp_path: Path,
     package: Callable[..., None],

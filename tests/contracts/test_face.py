@@ -24,7 +24,7 @@ MISFIT = [Misfit()]
 NO_DATA = "gradient needs the term misfit: without it nothing reads what was measured"
 NO_RECORDING = "recording must be a Recording, such as Recording.load('mine.h5'), not "
 # What `reconstruct` is given, and what it says of it.
-WRONG: tuple[tuple[dict[str, Any], str], ...] = (
+WRONG_CALLS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"formulation": "fast"}, "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, "),
     (
         {"formulation": lampest.TruncatedMethod},
@@ -130,7 +130,7 @@ def test_a_strict_type_checker_infers_the_types_of_a_script(tmp_path: Path) -> N
     assert [number for number, (_, text) in enumerate(MISTAKES) if text not in errors.get(number, "")] == []
 
 
-@pytest.mark.parametrize(("given", "sentence"), WRONG)
+@pytest.mark.parametrize(("given", "sentence"), WRONG_CALLS)
 def test_wrong_use_gives_one_sentence(lamprey: Recording, given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError) as raised:
         lampest.reconstruct(**{"recording": lamprey, "terms": MISFIT} | given)

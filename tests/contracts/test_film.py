@@ -38,7 +38,7 @@ estimators:
 formulation: reduced
 """
 CONFIGS = Path(__file__).parents[2] / "configs"
-WRONG = {
+WRONG_LOADS = {
     "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",
     "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: must be a number, not 'heavy'",
     "rod_1,4,,10,10,30,360": "loads.csv:2: each load needs a frame in the columns first and last",
@@ -118,7 +118,7 @@ def test_yaml_and_csv_give_the_same_scene_and_it_is_printed_without_out(
 def test_impossible_loads_give_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
     path = tmp_path / "loads.csv"
     out = tmp_path / "scene.yaml"
-    for text, words in WRONG.items():
+    for text, words in WRONG_LOADS.items():
         path.write_text(f"recording,first,last,x_mm,y_mm,diameter_mm,mass_g\n{text}\n")
         completed = lampest("calibrate", rods[0], "--loads", path, "--out", out)
         assert (completed.code, completed.out, completed.err.count("\n")) == (2, "", 1)

@@ -16,7 +16,7 @@ from lampest import Faults, Panel, Simulation, simulate
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
-TOO_FEW = "too few of the frame's readings are values: the others are missing, or bounds"
+TOO_FEW_READINGS = "too few of the frame's readings are values: the others are missing, or bounds"
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
 RUN = """schema: 1
 recordings: [{}]
@@ -25,7 +25,7 @@ estimators:
   LSM: {{terms: {{misfit: {{}}}}}}
   LSR-gCR: {{terms: {{misfit: {{}}, gradient: {{weight: 1.0e-3}}}}}}
 """
-HELD = "an optimum, but only within the bounds"
+OPTIMUM_AT_BOUNDS = "an optimum, but only within the bounds"
 VERIFIED = "optimum verified"
 PLAIN = lampest.Scene(lampest.Panel(6, 6))
 LOADED = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(adc_bits=14, noise_lsb=2.0))
@@ -61,7 +61,7 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
     with h5py.File(tmp_path / "out" / "results.h5") as file:
         assert set(file["entry"]) == {"holes"}
         status = [text.decode() for text in file["entry/holes/LSM/status"]]
-        assert [text == TOO_FEW for text in status] == [False, False, True, False, False]
+        assert [text == TOO_FEW_READINGS for text in status] == [False, False, True, False, False]
         cells = file["entry/holes/LSM/cell_resistance"][()]
         assert np.isnan(cells[2]).all() and np.isfinite(cells[[0, 1, 3, 4]]).all()
         given = file["entry/holes/recording"]
@@ -99,7 +99,7 @@ def test_the_first_readable_frame_replaces_missing_unloaded_frames(terms: tuple[
     values = healthy(5)
     values[:3] = np.nan
     estimate = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
-    assert estimate.status[0] == TOO_FEW and all(estimate.solved[1:])
+    assert estimate.status[0] == TOO_FEW_READINGS and all(estimate.solved[1:])
     assert np.nanmax(np.abs(estimate.relative_change)) < 5.0
 
 
@@ -135,8 +135,8 @@ def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
     loaded = cells()
     loaded[1, 2], loaded[3, 3] = 9000.0, 300.0
     recording = exactly(PLAIN, unloaded, loaded, loaded)
-    assert all(status.startswith(HELD) for status in solved(recording, formulation, upper=8990.0))
-    assert all(status.startswith(HELD) for status in solved(recording, formulation, lower=301.0))
+    assert all(status.startswith(OPTIMUM_AT_BOUNDS) for status in solved(recording, formulation, upper=8990.0))
+    assert all(status.startswith(OPTIMUM_AT_BOUNDS) for status in solved(recording, formulation, lower=301.0))
     assert solved(recording, formulation, upper=9100.0, lower=299.0) == [VERIFIED] * 2
 
 
@@ -149,5 +149,5 @@ def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
     assert estimate.status[0] == VERIFIED and estimate.result().open_cell.sum() == 1
     apart = 2000 * 10 ** np.random.default_rng(0).uniform(-3, 3, (6, 6))
     noisy = exactly(PLAIN, unloaded, apart, sigma=0.01)
-    assert solved(noisy, "reduced")[0].startswith(HELD)
+    assert solved(noisy, "reduced")[0].startswith(OPTIMUM_AT_BOUNDS)
     assert solved(noisy, "reduced", upper="none") == [VERIFIED]

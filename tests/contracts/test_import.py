@@ -184,10 +184,10 @@ for separator, debug in itertools.product(
     times = 0.1 * np.arange(10) if "ms" in separator else None
     name = f"{debug} between rows after {separator!r}"
     codes(name, debugged(separator, debug), *skipped, expected=TEN, times=times)
-LOST = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
-del LOST[LOST.index("Frame 4 t=400 ms") + 2]
+LOST_DEBUG = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
+del LOST_DEBUG[LOST_DEBUG.index("Frame 4 t=400 ms") + 2]
 SENTENCE = "has 2 of 3 lines and is missing"
-codes("a row that was lost", LOST, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
+codes("a row that was lost", LOST_DEBUG, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
 
 # Fields beside the readings.
 
@@ -298,9 +298,15 @@ codes("words of Windows-1252", WINDOWS, "Windows-1252", "column 'Zeit (s)' in s"
 
 # Columns that a layout skips.
 
-SKIPPED = ",".join(["-", *["-", "-"], *NAMES_OF_CELLS])
-BEFORE = [f"a,{n},7,{line}" for n, line in enumerate(lines(CODES))]
-codes("skipped columns", BEFORE, "fields 1, 2, 3 left out, as `layout` says", layout=SKIPPED, absent="left out: -")
+SKIPPED_COLUMNS = ",".join(["-", *["-", "-"], *NAMES_OF_CELLS])
+NUMBERS_BEFORE = [f"a,{n},7,{line}" for n, line in enumerate(lines(CODES))]
+codes(
+    "skipped columns",
+    NUMBERS_BEFORE,
+    "fields 1, 2, 3 left out, as `layout` says",
+    layout=SKIPPED_COLUMNS,
+    absent="left out: -",
+)
 ROW_LAYOUT = [f"x,{line},{n}" for n, row, line in NUMBERED]
 codes("skipped columns beside rows", ROW_LAYOUT, "one row a line", layout="-,c0,c1,c2,c3,c4,-")
 
@@ -317,11 +323,14 @@ for pattern, first in (
     sentence = f"cells by their names, which count from {first}"
     accept(f"cells called {pattern}", [header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
 TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
-FEWER = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
+FEWER_CELLS = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
 PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))]
 accept("names of a transposed panel", TURNED, transpose=True)
 accept(
-    "a cell without a column", FEWER, "1 cell without a column, missing", expected=with_nan(FRAMES, (slice(None), 2, 4))
+    "a cell without a column",
+    FEWER_CELLS,
+    "1 cell without a column, missing",
+    expected=with_nan(FRAMES, (slice(None), 2, 4)),
 )
 accept("a data frame", PANDAS, "left out: frame", times=FOUR)
 UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
@@ -393,13 +402,13 @@ for first, swap in itertools.product((0, 1), (False, True)):
     accept(f"values from {first}, {swap}", lines(shuffled), f"indices count from {first}", transpose=swap)
     single = ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])]
     accept(f"values of a frame from {first}", single, expected=FRAMES[:1])
-AGAIN = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
+REPEATED_TABLE = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
 SENTENCE = "a new frame begins where a cell comes again"
-accept("single values without frames", AGAIN, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
+accept("single values without frames", REPEATED_TABLE, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
-OWN = lines(long_table(FRAMES)[:, [3, 2, 0, 1]])
+OWN_ORDER = lines(long_table(FRAMES)[:, [3, 2, 0, 1]])
 SENTENCE = "one value a line as frame, value, row, column"
-accept("values in a layout of one's own", OWN, SENTENCE, layout="frame, ohm, row, column")
+accept("values in a layout of one's own", OWN_ORDER, SENTENCE, layout="frame, ohm, row, column")
 accept("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
 for header, line, times in (
     ("millis,row,col,R [ohm]", "{ms},{r},{c},{v}", FOUR / 10),
@@ -467,8 +476,8 @@ INFINITE[1, 0, 0] = np.inf
 accept(
     "infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER, unit="ohm"
 )
-OPEN = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
-codes("infinity in codes", OPEN, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
+OPEN_CELL = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
+codes("infinity in codes", OPEN_CELL, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
 
 
 def lines_with(line: int, field: int, text: str) -> str:

@@ -40,7 +40,7 @@ T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
 TEN_SECONDS = datetime.timedelta(seconds=10)
 TENS = 10 * np.arange(4)
 VOLTS = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
-LAST = FRAMES.transpose(1, 2, 0)
+FRAMES_LAST = FRAMES.transpose(1, 2, 0)
 GARBAGE = np.random.default_rng(3).bytes(4000)
 
 
@@ -119,7 +119,7 @@ FILES = {
     "frames, rows, columns": array(FRAMES, "read as (frames"),
     "frames, columns, rows": array(FRAMES.transpose(0, 2, 1), "read as (frames", transpose=True),
     "one transposed frame": array(FRAMES[0].T, expected=FRAMES[:1], transpose=True),
-    "frames last": array(LAST, "read as (rows, columns, frames)"),
+    "frames last": array(FRAMES_LAST, "read as (rows, columns, frames)"),
     "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2, unit="ohm"),
     "lines with resistances of their own": array(
         FRAMES,
@@ -145,7 +145,14 @@ FILES = {
     ),
     "a packed matrix beside what is none": matrices(
         "array R read as (rows, columns, frames)",
-        arrays={"note": "text", "fs": 1.0, "s": {"a": LAST}, "z": LAST * 1j, "i": np.arange(3), "R": LAST},
+        arrays={
+            "note": "text",
+            "fs": 1.0,
+            "s": {"a": FRAMES_LAST},
+            "z": FRAMES_LAST * 1j,
+            "i": np.arange(3),
+            "R": FRAMES_LAST,
+        },
         packed=True,
     ),
     "a sheet": book(
@@ -199,7 +206,7 @@ def csv_of(path: Path, frame: np.ndarray) -> None:
     path.write_text("\n".join(lines(frame)))
 
 
-THRICE = np.concatenate([FRAMES, FRAMES, FRAMES])
+TRIPLED = np.concatenate([FRAMES, FRAMES, FRAMES])
 DATED_RECORDS = [{"time": f"2025-01-31T12:00:0{n}Z", "grid": listed(frame)} for n, frame in enumerate(FRAMES)]
 TIMED = [{"t": n / 2, "seq": 7 + n, "data": listed(frame.ravel())} for n, frame in enumerate(FRAMES)]
 LONG_RECORDS = [{"frame": f, "row": r, "col": c, "ohm": FRAMES[f, r, c]} for f, r, c in np.ndindex(FRAMES.shape)]
@@ -237,11 +244,11 @@ FILES |= {
     ),
     "Parquet of lists": given(lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2),
     "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
-    "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=THRICE),
-    "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=THRICE),
-    "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=THRICE),
+    "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=TRIPLED),
+    "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=TRIPLED),
+    "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=TRIPLED),
 }  # fmt: skip
-for axes, values in (("last", LAST), ("first", FRAMES)):
+for axes, values in (("last", FRAMES_LAST), ("first", FRAMES)):
     FILES[f"MATLAB 7.3 with frames {axes}"] = given(
         lambda path, values=values: matlab(path, R=values, t=np.arange(4.0)[None] / 2),
         name="m.mat",
@@ -293,8 +300,8 @@ def truncated(path: Path) -> None:
     os.truncate(path, 500)
 
 
-BEYOND = np.full((1, ROWS, COLUMNS), 500)
-BEYOND[0, 1, 2] = 1024
+BEYOND_CONVERTER = np.full((1, ROWS, COLUMNS), 500)
+BEYOND_CONVERTER[0, 1, 2] = 1024
 AT_RAIL = ("25 of 30 readings stand at the rail", "is readout.converter_volt, 2.5 V")
 
 
@@ -355,7 +362,7 @@ REFUSED = [
     array(FRAMES.transpose(0, 2, 1), "with `transpose` it would"),
     array(FRAMES[:, :2], "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
     array(with_value(FRAMES, -1, 3, 2, 1).transpose(1, 2, 0), "m.npy[2, 1, 3]: -1 must be a positive resistance"),
-    array(BEYOND, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"),
+    array(BEYOND_CONVERTER, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"),
     array(FRAMES, "volt values need a scene with a readout", unit="volt"),
     array(FRAMES, "`layout` is for tables", layout="row,column,value"),
     array(FRAMES, "the scene's panel has 3 × 5 cells, not 5 × 3", scene=DIVIDER, rows=5, columns=3, absent="m.npy"),

@@ -106,7 +106,7 @@ NASTY_VALUES: tuple[Any, ...] = (
     {}, {"": 1}, {"kind": "rod"}, {"uniform": [0, 1]},
     {"a.b": 1}, [None], {"misfit": {}}, {"uniform": [1e11, 9e11]},
 )  # fmt: skip
-MOST_READ = 100_000
+MAX_VALUES_READ = 100_000
 BYTES = (
     b"\0", b"\xff", b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff", struct.pack("<Q", 10**9), struct.pack("<I", 2**31),
 )  # fmt: skip
@@ -351,7 +351,7 @@ def _replaced(file: Any, name: str, data: Any = None, **options: Any) -> None:
 
 def _values(file: Any, name: str) -> Any:
     """What a dataset holds; the claims that an earlier change made are not read."""
-    if file[name].size is None or file[name].size > MOST_READ:
+    if file[name].size is None or file[name].size > MAX_VALUES_READ:
         raise ValueError(name)
     return np.asarray(file[name][()])
 
@@ -374,7 +374,9 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
         shape = (10 ** int(rng.integers(3, 13)), *shape[1:])
         dtype = choose(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else node.dtype
         _replaced(file, name, shape=shape, dtype=dtype, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
-    elif kind == 3 and node.size <= MOST_READ:  # no number, infinite, zero, negative, huge or tiny: once or everywhere
+    elif (
+        kind == 3 and node.size <= MAX_VALUES_READ
+    ):  # no number, infinite, zero, negative, huge or tiny: once or everywhere
         value = choose((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
         index = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
         node[index] = np.asarray(value).astype(node.dtype)

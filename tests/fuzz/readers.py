@@ -16,11 +16,11 @@ from fuzz.mutants import IMPORTED, KINDS, RUN, Mutant, text
 from lampest import InputError, Recording, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
 
-FINE = "taken"
+TAKEN = "taken"
 REFUSED = "refused"
-MOST_SECONDS = 5.0
-MOST_KILOBYTES = 1_200_000
-HUNG_SECONDS = 120
+MAX_SECONDS = 5.0
+MAX_KILOBYTES = 1_200_000
+HANG_SECONDS = 120
 SMALL_SIMULATION = 50_000
 
 
@@ -39,7 +39,7 @@ def receive(mutant: Mutant, folder: Path) -> str:
     path.write_bytes(mutant.content)
     initial_peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.process_time()
-    faulthandler.dump_traceback_later(HUNG_SECONDS, exit=True)
+    faulthandler.dump_traceback_later(HANG_SECONDS, exit=True)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -51,9 +51,9 @@ def receive(mutant: Mutant, folder: Path) -> str:
         raise ReceptionError(f"left {leftovers}")
     seconds = time.process_time() - begin
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - initial_peak
-    if seconds > MOST_SECONDS:
+    if seconds > MAX_SECONDS:
         raise ReceptionError(f"{seconds:.1f} s")
-    if grown > MOST_KILOBYTES:
+    if grown > MAX_KILOBYTES:
         raise ReceptionError(f"{grown // 1000} MB")
     return outcome
 
@@ -80,7 +80,7 @@ def _received(mutant: Mutant, path: Path) -> str:
         raise ReceptionError("".join(traceback.format_exception(error)[-4:])) from error
     if mutant.kind in ("recording", "results"):
         _check_command(arguments, 0)
-    return FINE
+    return TAKEN
 
 
 def _check_sentence(sentence: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from attack.attack import SEED
 from fuzz.mutants import KINDS, RUN, Corpus, Mutant, corpus
-from fuzz.readers import FINE, REFUSED, cleared, receive
+from fuzz.readers import REFUSED, TAKEN, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -80,7 +80,7 @@ def good(folder: Path) -> Corpus:
 @pytest.mark.parametrize("kind", KINDS)
 def test_good_files_are_accepted(good: Corpus, folder: Path, kind: str) -> None:
     for content in good.files[kind]:
-        assert receive(Mutant(kind, content), folder) == FINE
+        assert receive(Mutant(kind, content), folder) == TAKEN
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_mutated_files_are_accepted_or_refused(good: Corpus, folder: Path, kind:
     for number in np.random.default_rng(SEED).integers(2**31, size=count).tolist():
         mutant = good.mutant(number, kind)
         assert kind not in TEXTS or mutant == second_corpus.mutant(number, kind)
-        assert receive(mutant, folder) in (FINE, REFUSED), number
+        assert receive(mutant, folder) in (TAKEN, REFUSED), number
 
 
 @pytest.mark.parametrize("scene", KNOWN, ids=["none", "divider", "loaded"])

@@ -399,7 +399,7 @@ def of_loads() -> Rows:
         | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
         | {
             f"candidate {each.label}": partial(candidate_row, each)
-            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, BOTH)
+            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, DISC_AND_ROD)
         }
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
@@ -421,5 +421,5 @@ def of_loads() -> Rows:
     )
 
 
-BOTH = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
+DISC_AND_ROD = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
 OUTLINES = ((annulus_mm2, (10.0, 20.0)), (contact_of_weight, (300.0, 400.0)), (bearing_kpa, (-9.0, 15.0, 24.0)))

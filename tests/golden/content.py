@@ -11,12 +11,12 @@ from scipy import sparse
 
 # significant digits; numbers of an array that is stored whole, and of a longer one
 DIGITS = 9
-LONG = 40
-CHOSEN = 16
+MAX_VALUES = 40
+SAMPLE_SIZE = 16
 # of a number, and of the largest of its array
-RELATIVE = 1e-6
-ABSOLUTE = 1e-7
-MARGIN = 100.0  # factor on the differences between processors, as others differ from these
+RELATIVE_TOLERANCE = 1e-6
+ABSOLUTE_TOLERANCE = 1e-7
+TOLERANCE_FACTOR = 100.0  # factor on the differences between processors, as others differ from these
 
 
 def content(value: Any) -> Any:
@@ -45,10 +45,10 @@ def of_array(values: np.ndarray[Any, Any]) -> Any:
     flat = values.ravel().astype(float)
     if not values.ndim:
         return rounded(flat[0])
-    if flat.size <= LONG:
+    if flat.size <= MAX_VALUES:
         return [rounded(number) for number in flat]
     finite = np.isfinite(flat)
-    sample = flat[np.linspace(0, flat.size - 1, CHOSEN).astype(int)]
+    sample = flat[np.linspace(0, flat.size - 1, SAMPLE_SIZE).astype(int)]
     summary = {"shape": str(values.shape), "unknown": int((~finite).sum()), "mean": rounded(flat[finite].mean())}
     return summary | {"some": [rounded(number) for number in sample]}
 
@@ -91,8 +91,8 @@ def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = 
     far = ~np.isclose(
         current,
         reference,
-        rtol=RELATIVE,
-        atol=(tolerances.get(anywhere) or ABSOLUTE) * largest(reference),
+        rtol=RELATIVE_TOLERANCE,
+        atol=(tolerances.get(anywhere) or ABSOLUTE_TOLERANCE) * largest(reference),
         equal_nan=True,
     )
     if not far.any():
@@ -127,6 +127,6 @@ def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str,
         return
     reference = np.atleast_1d(np.array(stored, dtype=float))
     current = np.atleast_1d(np.array(computed, dtype=float))
-    share = MARGIN * largest(current - reference) / max(largest(reference), np.finfo(float).tiny)
+    share = TOLERANCE_FACTOR * largest(current - reference) / max(largest(reference), np.finfo(float).tiny)
     alike = np.array_equal(np.isfinite(reference), np.isfinite(current))
     yield place, 10.0 ** np.ceil(np.log10(share)) if alike and share < 0.1 else None

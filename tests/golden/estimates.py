@@ -210,7 +210,7 @@ def of_recording() -> Rows:
 
 # Estimates
 
-ASIDE = (
+OMITTED_FIELDS = (
     "case_id", "case_yaml", "versions", "iterations", "starts", "solve_time", "error_bar_time", "baseline_solve_time",
     "kkt_residual", "scene",
 )  # fmt: skip
@@ -256,7 +256,7 @@ def case_row(case: lp.CaseResult) -> dict[str, Any]:
     for seconds in (case.solve_time, case.error_bar_time, case.baseline_solve_time):
         taken = np.asarray(seconds, dtype=float)
         assert not np.any((taken < 0) | (taken > 600)), "a time that no solve takes"
-    names = [field.name for field in fields(case) if field.name not in ASIDE]
+    names = [field.name for field in fields(case) if field.name not in OMITTED_FIELDS]
     return {name: getattr(case, name) for name in names}
 
 

@@ -29,19 +29,19 @@ from tempfile import TemporaryDirectory
 import lampest
 from tests.golden.content import content, unsteady
 
-HERE = Path(__file__).parent
-DEFAULTS = HERE / "defaults.json"
-DATA = HERE / "data"
-CONSTANTS = HERE / "constants.json"
-TOLERANCES = HERE / "tolerances.json"
+GOLDEN_FOLDER = Path(__file__).parent
+DEFAULTS = GOLDEN_FOLDER / "defaults.json"
+DATA = GOLDEN_FOLDER / "data"
+CONSTANTS = GOLDEN_FOLDER / "constants.json"
+TOLERANCES = GOLDEN_FOLDER / "tolerances.json"
 # Other processors, as environment variables: kernels of OpenBLAS, instructions of NumPy, and a second thread
-OLD = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
+OLD_PROCESSOR = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
 PROCESSORS = (
     *({"OPENBLAS_CORETYPE": kernel} for kernel in ("Prescott", "Nehalem", "SkylakeX")),
-    *({"OPENBLAS_CORETYPE": kernel} | OLD for kernel in ("Sandybridge", "Haswell", "Cooperlake")),
+    *({"OPENBLAS_CORETYPE": kernel} | OLD_PROCESSOR for kernel in ("Sandybridge", "Haswell", "Cooperlake")),
     {"OPENBLAS_NUM_THREADS": "2"},
 )
-LONGEST = 400  # characters of a constant; longer ones are lists whose entries have rows
+MAX_LENGTH = 400  # characters of a constant; longer ones are lists whose entries have rows
 
 
 def defaults() -> dict[str, dict[str, str]]:
@@ -79,7 +79,7 @@ def constants() -> dict[str, dict[str, list[str]]]:
             named |= {f"{function.__qualname__}({name})": value.default for name, value in arguments}
         for name, value in named.items():
             text = repr(value)
-            if has_number(value) and len(text) < LONGEST and "<" not in text and text not in room.get(name, ()):
+            if has_number(value) and len(text) < MAX_LENGTH and "<" not in text and text not in room.get(name, ()):
                 room.setdefault(name, []).append(text)
     return table
 
@@ -134,7 +134,7 @@ def write_table(*rooms: str) -> None:
 
 def write_rows(path: str, *rooms: str) -> None:
     """Write the rows of rooms, or of all, as this process computes them."""
-    sys.path.insert(0, str(HERE.parent))
+    sys.path.insert(0, str(GOLDEN_FOLDER.parent))
     from golden.table import table
 
     chosen = {room: rows for room, rows in table().items() if room in rooms or not rooms}

@@ -239,12 +239,12 @@ def damaged_row() -> dict[str, Any]:
     return rows
 
 
-OWN = '"estimators.LSR-CR.terms.cell_resistance.weight": [1e-4, 1e-3, 1e-2]'
+OWN_SWEEP = '"estimators.LSR-CR.terms.cell_resistance.weight": [1e-4, 1e-3, 1e-2]'
 RUNS: dict[str, tuple[str, tuple[str, ...]]] = {
     "plain": (RUN, ()), "sweep": (
         RUN + "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n", ()
     ),
-    "own sweeps": (RUN + f"sweep: {{{OWN}, estimators.LSR-dCR.terms.relative_change.weight: [1, 10]}}\n", ()),
+    "own sweeps": (RUN + f"sweep: {{{OWN_SWEEP}, estimators.LSR-dCR.terms.relative_change.weight: [1, 10]}}\n", ()),
     "swept twice": (RUN + "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-3, 1e-2, 1e-3]}\n", ()),
     "in another order": (
         RUN.replace("  LSM: {terms: {misfit: {}}}\n", "") + "  LSM: # plain\n    terms: {misfit: {weight: 1}}\n", ()

@@ -24,12 +24,12 @@ from lampest.panel.scene import Faults, Scene, SeriesPerLine
 from lampest.runs.config import Terms
 
 KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
-EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 MEMBERS = [
     pytest.param(members, member, word, id=word) for members in unions() for member in members for word in words(member)
 ]
 
-DEEPEST = 2  # what stands deeper in an example is an example of its own
+MAX_DEPTH = 2  # what stands deeper in an example is an example of its own
 
 
 def loaded(text: str, kind: Any) -> Any:
@@ -42,7 +42,7 @@ def documents(kind: type) -> tuple[tuple[Any, Document], ...]:
     return tuple((example, parse_document(to_yaml(example), "law")) for example in examples(kind))
 
 
-@EVERY
+@EACH_KIND
 def test_examples_differ_in_every_field(kind: type) -> None:
     """Without it the laws below would say little."""
     first, *variants = examples(kind)
@@ -56,17 +56,17 @@ def test_examples_differ_in_every_field(kind: type) -> None:
         assert dataclasses.replace(variant, **{name: getattr(first, name)}) == first != variant
 
 
-@EVERY
+@EACH_KIND
 def test_a_configuration_survives_its_text(kind: type) -> None:
     for example, document in documents(kind):
         assert document.content == plain_content(example)
         assert validated(document, kind) == example, document.content
 
 
-@EVERY
+@EACH_KIND
 def test_an_unknown_key_is_refused_and_named_at_any_depth(kind: type) -> None:
     every = ((path, document) for example, document in documents(kind) for path in places(example, ()))
-    shallow = {path: document for path, document in every if len(path) <= DEEPEST}
+    shallow = {path: document for path, document in every if len(path) <= MAX_DEPTH}
     for path, document in shallow.items():
         with pytest.raises(InputError, match=r"^law:\d+:\d+: .*surplus: no such key(; there are [a-z_0-9, ]+)?$"):
             validated(document.with_value((*path, "surplus"), 1), kind)
@@ -82,11 +82,11 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
             yield from places(item, (*path, key))
 
 
-@EVERY
+@EACH_KIND
 def test_numbers_beyond_any_measurement_are_refused_at_any_depth(kind: type) -> None:
     """Every number of every example: a sentence with line, column and key, before anything computes with it."""
     every = ((path, document) for _, document in documents(kind) for path in numbers(document.content, ()))
-    shallow = {path: document for path, document in every if len(path) <= 1 + DEEPEST}
+    shallow = {path: document for path, document in every if len(path) <= 1 + MAX_DEPTH}
     for (path, document), extreme in zip(shallow.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
         with pytest.raises(InputError, match=r"^law:\d+:\d+: .*must be zero or lie between 1e-30 and 1e\+30"):
             loaded(to_yaml(replaced(document.content, path, extreme)), kind)
@@ -110,7 +110,7 @@ def replaced(content: Any, path: tuple[Any, ...], value: float) -> Any:
     return changed
 
 
-@EVERY
+@EACH_KIND
 def test_a_missing_key_is_refused_and_named(kind: type) -> None:
     content = plain_content(examples(kind)[0])
     for field in dataclasses.fields(kind):
@@ -120,7 +120,7 @@ def test_a_missing_key_is_refused_and_named(kind: type) -> None:
                 loaded(to_yaml(remaining), kind)
 
 
-@EVERY
+@EACH_KIND
 def test_a_configuration_is_frozen_and_contains_only_configurations(kind: type) -> None:
     assert kind.__dataclass_params__.frozen
     assert kind.__pydantic_config__ == {"extra": "forbid"}

@@ -18,9 +18,9 @@ SHAPE = (4, 5)
 FORMULATIONS = [name for name in MethodName.__args__ if name != "auto"]
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoother takes
 HOLES = [(1, 2), (3, 0)]
-LONG = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
+SLOW_FORMULATIONS = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
 CASES = [
-    pytest.param(kind(), name, marks=pytest.mark.slow if kind().unit == "volt" and name in LONG else ())
+    pytest.param(kind(), name, marks=pytest.mark.slow if kind().unit == "volt" and name in SLOW_FORMULATIONS else ())
     for kind in members_by_kind(AnyReadout).values()
     for name in FORMULATIONS
 ]

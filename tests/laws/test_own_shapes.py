@@ -17,7 +17,7 @@ from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate, Prior, Template, centre_priors
 
 PANEL = Panel(10, 10)
-FINE = Panel(180, 180, 0.5)
+FINE_PANEL = Panel(180, 180, 0.5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,8 +80,8 @@ class Square(Shape):
 
 def test_an_own_shape_is_simulated(tmp_path: Path) -> None:
     load = Square(centre_mm=(45.0, 45.0), edge_mm=40.0, mass_g=1500.0, tilt=0.2)
-    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
-    assert contact.sum() * FINE.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01) and not suction.any()
+    contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
+    assert contact.sum() * FINE_PANEL.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01) and not suction.any()
     simulate(Simulation(1, 1, Scene(PANEL), frames=2, loads=(load,))).save(tmp_path / "square.h5")
     recording = Recording.load(tmp_path / "square.h5")
     np.testing.assert_allclose(recording.truth_pressure[-1], load.mean_pressure(PANEL, 6.0)[0])

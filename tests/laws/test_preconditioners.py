@@ -15,7 +15,7 @@ from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, 
 from lampest.solvers.smoothing import Smoothing
 
 SHAPE = (5, 6)
-EVERY = np.ones(SHAPE[0] * SHAPE[1], dtype=bool)
+ALL_CELLS = np.ones(SHAPE[0] * SHAPE[1], dtype=bool)
 COSTS: dict[str, tuple[Term, ...]] = {
     "plain": (Misfit(),),
     "size": (Misfit(), CellResistance(weight=1e-3)),
@@ -39,7 +39,7 @@ def preconditioner_of(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Pr
     """One of a kind at a point; a kind of one's own has `of(hessian)`."""
     hessian = hessian_of(terms)
     if kind is Cholesky:
-        return preconditioner(hessian, EVERY)
+        return preconditioner(hessian, ALL_CELLS)
     operator: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)
     return operator
 
@@ -49,7 +49,7 @@ def preconditioner_of(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Pr
 def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
     operator = preconditioner_of(kind, COSTS[cost])
     rng = np.random.default_rng(5)
-    for free in (EVERY, rng.random(EVERY.size) < 0.6):
+    for free in (ALL_CELLS, rng.random(ALL_CELLS.size) < 0.6):
         solve = operator.over(free, operator.cell_resistance)
         inverse = np.column_stack([solve(unit) for unit in np.eye(int(free.sum()))])
         assert_allclose(inverse, inverse.T, atol=1e-5 * np.abs(inverse).max())  # sparse factors keep ten digits
@@ -62,7 +62,7 @@ def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditione
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
 def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: type[Preconditioner], cost: str) -> None:
     hessian = hessian_of(COSTS[cost])
-    inverses = preconditioner_of(kind, COSTS[cost]).over(EVERY, hessian.at.cell_resistance), lambda values: values
+    inverses = preconditioner_of(kind, COSTS[cost]).over(ALL_CELLS, hessian.at.cell_resistance), lambda values: values
     preconditioned, plain = (
         steihaug(hessian.gauss_newton_product, inverse, hessian.gradient, 1e-6) for inverse in inverses
     )
@@ -70,7 +70,7 @@ def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: ty
 
 
 def test_the_distance_to_another_panel_is_infinite() -> None:
-    operator = preconditioner(hessian_of(COSTS["plain"]), EVERY)
+    operator = preconditioner(hessian_of(COSTS["plain"]), ALL_CELLS)
     assert operator.distance(operator.cell_resistance) == 0
     assert operator.distance(operator.cell_resistance * 2) == pytest.approx(np.log(2))
     assert operator.distance(np.ones((1, 3, 3))) == np.inf

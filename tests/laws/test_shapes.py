@@ -23,7 +23,7 @@ from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import POINTS, Candidate, Template
 
 PANEL = Panel(10, 10)
-FINE = Panel(180, 180, 0.5)
+FINE_PANEL = Panel(180, 180, 0.5)
 SCENE = "schema: 1\nseed: 1\nscene: {panel: {rows: 10, columns: 10}}\nframes: 1\nloads:\n  - "
 SHAPES = [pytest.param(kind, id=kind.__name__) for kind in shape_types()]
 OBLONG = Panel(7, 5, 10.0)
@@ -45,8 +45,8 @@ def load_of(kind: type[Shape]) -> Shape:
 
 def sums(load: Shape) -> tuple[float, float]:
     """Forces of contact and suction in mN, on a panel without gaps."""
-    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
-    return float(contact.sum() * FINE.pitch_mm**2), float(suction.sum() * FINE.pitch_mm**2)
+    contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
+    return float(contact.sum() * FINE_PANEL.pitch_mm**2), float(suction.sum() * FINE_PANEL.pitch_mm**2)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -62,12 +62,12 @@ def test_a_shape_is_in_the_schema_and_survives_yaml(kind: type[Shape]) -> None:
 @pytest.mark.parametrize("kind", SHAPES)
 def test_a_shape_presses_or_sucks_only_within_its_reach(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=1.0, tilt_direction_deg=200.0)
-    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
-    x, y = FINE.centres_mm()
+    contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
+    x, y = FINE_PANEL.centres_mm()
     distance = np.hypot(x[None, :] - 45, y[:, None] - 45)
     assert np.all(contact >= 0) and np.all(suction <= 0)
-    assert not np.any((contact - suction)[distance > load.reach_mm + FINE.pitch_mm])
-    assert np.any((contact - suction)[distance > load.reach_mm - 2 * FINE.pitch_mm])
+    assert not np.any((contact - suction)[distance > load.reach_mm + FINE_PANEL.pitch_mm])
+    assert np.any((contact - suction)[distance > load.reach_mm - 2 * FINE_PANEL.pitch_mm])
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -83,7 +83,7 @@ def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
     level = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=0.0)
     tilted = dataclasses.replace(level, tilt=0.6, tilt_direction_deg=90.0)
     assert sums(tilted) == pytest.approx(sums(level), rel=1e-9)
-    lower, upper = np.split(tilted.mean_pressure(FINE, FINE.pitch_mm)[0], 2)
+    lower, upper = np.split(tilted.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)[0], 2)
     assert upper.sum() > 1.2 * lower.sum()
 
 

@@ -37,7 +37,7 @@ SIDE = 4
 LOADS = 8
 SPREAD = 5.0
 SPECIFIED_ERRORS = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
-OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
+POWER_RESPONSE = PowerResponse(exponent=0.8, scale_kpa=2.0)
 
 
 @dataclass(frozen=True)
@@ -219,14 +219,14 @@ def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
     for _ in range(40):
         own = np.exp(0.2 * rng.standard_normal(60))
         scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
-        change = own * scatter * OTHER.logarithm(pressure)
+        change = own * scatter * POWER_RESPONSE.logarithm(pressure)
         change += 0.01 * rng.standard_normal(pressure.shape)
         fit = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
         gain, sd = fit.gain()
         shift = np.log(own).mean()
         gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
         curve, curve_sd = fit.curve(pressure[:, 0])
-        truth = np.exp(shift) * OTHER.logarithm(pressure[:, 0])
+        truth = np.exp(shift) * POWER_RESPONSE.logarithm(pressure[:, 0])
         curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
     assert np.mean(gains) > 0.9
     assert np.mean(curves) > 0.9

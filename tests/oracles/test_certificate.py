@@ -27,36 +27,42 @@ from tests.least_cost import Circuit
 from tests.netlist import in_digits
 
 DOWN, ALONG = np.indices((6, 7))
-APART = (DOWN < 3) | (ALONG < 3)
-NOTHING = Smoothing(1.0, np.zeros(0))
-USUAL = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(DOWN.shape))
+CLUSTER_MASK = (DOWN < 3) | (ALONG < 3)
+NO_SMOOTHING = Smoothing(1.0, np.zeros(0))
+USUAL_CELLS = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(DOWN.shape))
 COLUMN = (slice(None), 4)
-FINE = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
+FINE_CONVERTER = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
 OHM = {"drive_ohm": 50.0, "sense_ohm": 20.0}
 # Each readout in volt, and the same circuit in its second statement, which inverts: down to 10⁻⁶ ohm.
 KINDS: dict[str, tuple[Readout, Circuit]] = {
-    "loaded": (LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE), Circuit("loaded", (), 50, 0, 1000, 5)),
-    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE), Circuit("grounded", (), 50, 20, 1000, 5)),
+    "loaded": (
+        LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE_CONVERTER),
+        Circuit("loaded", (), 50, 0, 1000, 5),
+    ),
+    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE_CONVERTER), Circuit("grounded", (), 50, 20, 1000, 5)),
     "one load": (
-        GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE),
+        GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE_CONVERTER),
         Circuit("grounded_one", (), 50, 20, 1000, 5),
     ),
-    "virtual ground": (VirtualGroundReadout(feedback_ohm=10.0, **OHM, **FINE), Circuit("virtual", (), 50, 20, 10, 5)),
+    "virtual ground": (
+        VirtualGroundReadout(feedback_ohm=10.0, **OHM, **FINE_CONVERTER),
+        Circuit("virtual", (), 50, 20, 10, 5),
+    ),
 }
 SHORTS: dict[str, object] = {"cell": (2, 3), "two cells": ([0, 3], [1, 4]), "row": 2, "column": COLUMN}
 
 
 def changed(place: object, factor: float | Array) -> Array:
-    cells = USUAL.copy()
+    cells = USUAL_CELLS.copy()
     cells[place] *= factor
     return cells
 
 
 def decades(count: float) -> Array:
-    return USUAL * 10 ** np.random.default_rng(4).uniform(-count / 2, count / 2, USUAL.shape)
+    return USUAL_CELLS * 10 ** np.random.default_rng(4).uniform(-count / 2, count / 2, USUAL_CELLS.shape)
 
 
-EXTREMES: dict[str, Array] = {
+EXTREME_PANELS: dict[str, Array] = {
     "open cell": changed((2, 3), 1e6),
     "open row": changed(2, 1e5),
     "open column": changed(COLUMN, 1e5),
@@ -64,10 +70,10 @@ EXTREMES: dict[str, Array] = {
     "shorted row": changed(2, 1e-6),
     "shorted column": changed(COLUMN, 1e-6),
     "open and shorted": changed(2, 1e5) * np.where(ALONG == 4, 1e-5, 1.0),
-    **{f"clusters {contrast:.0e}": changed(APART, contrast) for contrast in (1e3, 1e6, 1e9)},
+    **{f"clusters {contrast:.0e}": changed(CLUSTER_MASK, contrast) for contrast in (1e3, 1e6, 1e9)},
     **{f"checkerboard {contrast:.0e}": changed((DOWN + ALONG) % 2 == 1, contrast) for contrast in (1e3, 1e5)},
     **{f"{count} decades": decades(count) for count in (2, 5, 9)},
-    "a ramp of six decades": USUAL * np.logspace(-3, 3, len(USUAL))[:, None],
+    "a ramp of six decades": USUAL_CELLS * np.logspace(-3, 3, len(USUAL_CELLS))[:, None],
 }
 BEYOND_IPOPT = ("shorted cell", "shorted row", "shorted column", "clusters 1e+09", "checkerboard 1e+05", "9 decades")
 
@@ -79,10 +85,10 @@ def solution_of(scene: Scene, recorded: Array, formulation: str, bounds: Bounds 
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
-@pytest.mark.parametrize("name", EXTREMES)
+@pytest.mark.parametrize("name", EXTREME_PANELS)
 def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
     """Plain least squares of exact readings; the optimum has no misfit, and no large reading hides a small one."""
-    cells = EXTREMES[name]
+    cells = EXTREME_PANELS[name]
     measured = in_digits(cells)
     solution = solution_of(Scene(Panel(*cells.shape)), measured, formulation)
     if formulation == "nodal" and name in BEYOND_IPOPT and solution.status in (Status.FAINT, Status.FLAT):
@@ -113,7 +119,7 @@ def test_verified_estimates_meet_the_readings_of_shorts(kind: str, short: str, o
 
     `auto` gives what IPOPT leaves open to the reduced solver.
     """
-    cells, (readout, circuit) = USUAL.copy(), KINDS[kind]
+    cells, (readout, circuit) = USUAL_CELLS.copy(), KINDS[kind]
     place = SHORTS[short]
     cells[place] = ohm * np.exp(0.2 * np.random.default_rng(4).standard_normal(cells[place].shape))
     volt, _ = circuit.reading(cells)
@@ -182,7 +188,7 @@ def test_a_single_wrong_small_cell_is_not_verified() -> None:
     perturbed[2, 3] *= 1.1
     point = evaluation((Misfit(),), perturbed, in_digits(cells))
     assert point.kkt_residual(np.zeros(0)) < 1e-6
-    assert not certificate(Hessian(point, NOTHING)).settled
+    assert not certificate(Hessian(point, NO_SMOOTHING)).settled
     assert verified(point).status is Status.FAINT and verified(point).solved
 
 
@@ -214,10 +220,10 @@ def test_undetermined_cells_are_called_a_plateau() -> None:
 @pytest.mark.parametrize("noise", [None, 0.05])
 def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -> None:
     """Cells three millionths off are verified where the noise is ten thousand times as large, and only there."""
-    measured = in_digits(USUAL)
+    measured = in_digits(USUAL_CELLS)
     sigma = None if noise is None else noise * measured
-    point = evaluation((Misfit(),), USUAL * (1 + 3e-6), measured, sigma)
-    assert certificate(Hessian(point, NOTHING)).settled is (noise is not None)
+    point = evaluation((Misfit(),), USUAL_CELLS * (1 + 3e-6), measured, sigma)
+    assert certificate(Hessian(point, NO_SMOOTHING)).settled is (noise is not None)
 
 
 @pytest.mark.parametrize(("share", "optimum"), [(1e-3, False), (0.3, False), (1.5, True)])
@@ -225,13 +231,13 @@ def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gra
     share: float, optimum: bool
 ) -> None:
     """All cells are as before but for rounding; the readings of two loaded cells are missed by 60 percent."""
-    unloaded = USUAL * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL.shape))
+    unloaded = USUAL_CELLS * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL_CELLS.shape))
     measured = in_digits(changed(([2, 3], [3, 3]), 0.3))
-    zeros = np.zeros(USUAL.size)
+    zeros = np.zeros(USUAL_CELLS.size)
 
     def point(weight: float) -> Evaluation:
         terms = (Misfit(weighting="noise"), LogRatio(weight=weight))
-        return evaluation(terms, unloaded, measured, 1e-2 * measured, previous=USUAL)
+        return evaluation(terms, unloaded, measured, 1e-2 * measured, previous=USUAL_CELLS)
 
     largest = float(np.abs(point(1.0).log_gradient(zeros)).max())
     start = point(share * largest / 100)  # the residual is 100 ln(r / r before)

@@ -33,7 +33,7 @@ from lampest.report.detect.detection import detect_recording
 
 PANEL = Panel(9, 11, 10.0)
 CENTRE = (52.0, 37.0)
-TWO = AND.join([OralDisc.candidate.label] * 2)
+TWO_DISCS = AND.join([OralDisc.candidate.label] * 2)
 MOUTH = OralDisc(centre_mm=CENTRE, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-11, rim_kpa=85, tilt=0.2)
 LOADS: dict[str, Any] = {
     "rod": Rod(centre_mm=CENTRE, diameter_mm=40, mass_g=700),
@@ -44,11 +44,11 @@ LOADS: dict[str, Any] = {
 # Two of 25 to 36 mm, on small and on large panels; and two faint ones on a film that answers a fifth less and unevenly,
 # one of which might be a rod where they are compared coarsely.
 BENT = Unmodelled(response_loss=0.2, response_spread=0.15)
-FAINT = (
+FAINT_LOADS = (
     (27, {"pressure_kpa": -4, "rim_width_mm": 6, "unevenness": 0.25}),
     (25, {"pressure_kpa": -8, "elongation": 1.15}),
 )
-SMALL = ((25.0, {"pressure_kpa": -9, "rim_width_mm": 5}), (27.0, {"pressure_kpa": -9, "rim_width_mm": 5}))
+SMALL_MOUTHS = ((25.0, {"pressure_kpa": -9, "rim_width_mm": 5}), (27.0, {"pressure_kpa": -9, "rim_width_mm": 5}))
 UNEVEN = ((36.0, {"unevenness": 0.2}), (28.0, {"unevenness": 0.2}))
 STRONG = OralDisc(centre_mm=(37, 35), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=60)
 SMALL_ROD = Rod(centre_mm=(37, 35), diameter_mm=30, mass_g=300)
@@ -142,24 +142,24 @@ def test_a_load_is_recognised_as_its_kind(name: str) -> None:
     ("places", "forms", "panel", "unmodelled"),
     [
         (((28, 25), (76, 56)), UNEVEN, PANEL, None),
-        (((25, 30), (84, 58)), FAINT, PANEL, BENT),
-        (((22, 20), (79, 60)), FAINT, PANEL, BENT),
-        (((12, 14), (38, 37)), SMALL, Panel(6, 6), None),
-        (((25, 80), (75, 35)), SMALL, Panel(12, 12), None),
+        (((25, 30), (84, 58)), FAINT_LOADS, PANEL, BENT),
+        (((22, 20), (79, 60)), FAINT_LOADS, PANEL, BENT),
+        (((12, 14), (38, 37)), SMALL_MOUTHS, Panel(6, 6), None),
+        (((25, 80), (75, 35)), SMALL_MOUTHS, Panel(12, 12), None),
     ],
     ids=["uneven", "faint and far", "faint and near", "small panel", "large panel"],
 )
 def test_two_mouths_are_recognised_as_two(places: Any, forms: Any, panel: Panel, unmodelled: Unmodelled | None) -> None:
     mouths = [mouth(place, size, **form) for place, (size, form) in zip(places, forms, strict=True)]
     verdict = verdict_on(*mouths, panel=panel, unmodelled=unmodelled or Unmodelled())
-    assert verdict.best.candidate.label == TWO and isinstance(verdict.best.candidate, Several)
+    assert verdict.best.candidate.label == TWO_DISCS and isinstance(verdict.best.candidate, Several)
     discs = sorted(verdict.best.discs, key=lambda disc: disc.x_mm)
     if forms is UNEVEN:  # the waves of a rim leave its diameter less certain
         own = [slice(at, at + len(verdict.best.parameters) // 2) for at in (0, len(verdict.best.parameters) // 2)]
         deviations = [np.sqrt(verdict.best.covariance[part, part][2, 2]) for part in own]
         errors = [np.log(disc.diameter_mm / size) for disc, (size, _) in zip(discs, forms, strict=True)]
         assert np.all(np.abs(errors) < 2 * np.array(deviations)) and max(deviations) < 0.15
-    if forms is SMALL:  # a row of cells hardly tells its two sides apart
+    if forms is SMALL_MOUTHS:  # a row of cells hardly tells its two sides apart
         np.testing.assert_allclose([disc[:2] for disc in discs], places, atol=5.0)
 
 

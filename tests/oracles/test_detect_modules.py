@@ -21,7 +21,7 @@ from lampest.report.detect.detection import detect_recording
 
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
-SMALL = Panel(6, 6)
+SMALL_PANEL = Panel(6, 6)
 STEPS = 40000
 SCALES = (0.1, 0.4, 1.0)
 
@@ -147,8 +147,8 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
     """ln d along a random walk through e^−cost, (samples)."""
     rng = np.random.default_rng(5)
     samples = []
-    mean = fitting.candidate.mean(SMALL)
-    sd = fitting.candidate.sd(SMALL)
+    mean = fitting.candidate.mean(SMALL_PANEL)
+    sd = fitting.candidate.sd(SMALL_PANEL)
 
     def cost_at(parameters: Array) -> float:
         error = whitening @ fitting.about(parameters, whitening).residual
@@ -168,7 +168,7 @@ def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) ->
 
 @pytest.mark.slow
 def test_a_poorly_determined_diameter_has_the_width_of_its_posterior() -> None:
-    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL)
+    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL_PANEL)
     detector = Detector(6.0)
     rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
     fitting = Fitting(rod.candidate, frame, PATCH_MM)
@@ -186,7 +186,7 @@ def test_a_poorly_determined_diameter_has_the_width_of_its_posterior() -> None:
     ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
 )
 def test_diameters_of_small_rods_lie_within_their_errors(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
-    best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL).best
+    best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL_PANEL).best
     value, slopes = best.candidate.report(best.parameters)["diameter_mm"]
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0

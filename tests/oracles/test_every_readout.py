@@ -41,9 +41,11 @@ TWO_POINT = TwoPointReadout(adc_bits=12, noise_lsb=1)
 LOADED = LoadedColumnsReadout(supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1)
 LOADED_LISTS = replace(LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES)
 LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))
-ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
-ONE = replace(ALL, sense="one")
-LISTS = replace(ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS)))
+SENSED_ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
+SENSED_ONE = replace(SENSED_ALL, sense="one")
+LISTS = replace(
+    SENSED_ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS))
+)
 VIRTUAL = VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, adc_bits=12, noise_lsb=1)
 READOUTS: dict[str, Any] = {
     "two point": TWO_POINT,
@@ -55,18 +57,18 @@ READOUTS: dict[str, Any] = {
     "loaded, converter": replace(LOADED, input_ohm=50e3),
     "loaded, lists": LOADED_LISTS,
     "loaded, lists, columns down": replace(LOADED_TURNED, polarity="down"),
-    "all": ALL,
-    "one": ONE,
-    "all, columns": replace(ALL, driven="columns"),
-    "one, columns": replace(ONE, driven="columns"),
-    "all, down": replace(ALL, polarity="down"),
-    "one, columns down": replace(ONE, driven="columns", polarity="down"),
+    "all": SENSED_ALL,
+    "one": SENSED_ONE,
+    "all, columns": replace(SENSED_ALL, driven="columns"),
+    "one, columns": replace(SENSED_ONE, driven="columns"),
+    "all, down": replace(SENSED_ALL, polarity="down"),
+    "one, columns down": replace(SENSED_ONE, driven="columns", polarity="down"),
     "all, lists": LISTS,
     "one, lists": replace(LISTS, sense="one"),
-    "all, converter": replace(ALL, input_ohm=20e3),
-    "one, converter": replace(ONE, input_ohm=20e3),
-    "all, ideal": replace(ALL, drive_ohm=0.0),
-    "one, ideal": replace(ONE, drive_ohm=0.0),
+    "all, converter": replace(SENSED_ALL, input_ohm=20e3),
+    "one, converter": replace(SENSED_ONE, input_ohm=20e3),
+    "all, ideal": replace(SENSED_ALL, drive_ohm=0.0),
+    "one, ideal": replace(SENSED_ONE, drive_ohm=0.0),
     "virtual": VIRTUAL,
     "virtual, columns": replace(VIRTUAL, driven="columns"),
     "virtual, lists": replace(VIRTUAL, drive_ohm=DRIVES, sense_ohm=SENSES, feedback_ohm=SENSES[::-1]),
@@ -82,13 +84,13 @@ ONE_NETWORK: dict[str, Any] = {
     "floating, drained": replace(PULLED, idle_ohm=inf, idle_load_ohm=800.0),
 }
 # With 30 ohm, other lines held on both sides have two sets of cells that give the same readings to the last digit.
-SEVERAL: dict[str, Any] = {
+MORE_READOUTS: dict[str, Any] = {
     "held": replace(PULLED, idle_ohm=0.0),
     "held, others held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, idle_load_ohm=0.0),
     "floating, others held": replace(PULLED, idle_ohm=inf, idle_load_ohm=0.0),
     "parallel": replace(PULLED, idle_ohm=inf, groups=PAIRS),
     "parallel, loaded columns": replace(LOADED, groups=PAIRS),
-    "parallel, grounded": replace(ONE, groups=((0, 1, 2, 3), (4, 5))),
+    "parallel, grounded": replace(SENSED_ONE, groups=((0, 1, 2, 3), (4, 5))),
     "parallel, held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, groups=((0, 1), (2, 3), (4, 5)), idle_load_ohm=0.0),
     "parallel, columns down": replace(
         PULLED, driven="columns", polarity="down", groups=((0, 1, 2), (3, 4)), idle_load_ohm=2e3
@@ -101,13 +103,15 @@ SMOOTH = (*LSM, LogRatio(weight=10.0, loss=Squared()))
 SHAPE = (4, 5)
 ROW_OHM = (70.0, 75.0, 81.0, 66.0)
 COLUMN_OHM = (60.0, 68.0, 72.0, 64.0, 77.0)
-FINE = Settings(tolerance=1e-10)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
+FINE_SETTINGS = Settings(
+    tolerance=1e-10
+)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
 LED = Diode(drop_volt=1.8, at_ampere=2e-3, slope_volt=0.09)
-UNLIKE = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
+UNLIKE_READOUT = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
 NOISY = (0.6, 3.0, 1.2, 5.0)
 KINDS: tuple[Readout, ...] = (
     TwoPointReadout(adc_bits=12),
-    UNLIKE,
+    UNLIKE_READOUT,
     GroundedReadout(adc_bits=12),
     GroundedReadout(adc_bits=12, sense="one"),
     VirtualGroundReadout(adc_bits=12, sense_ohm=40.0, feedback_ohm=400.0),
@@ -133,7 +137,7 @@ def truth_of(recording: Recording) -> Array:
 
 def test_every_readout_agrees_with_its_netlist() -> None:
     bare = {"pull-downs, bare": replace(PULLED, load_ohm=inf)}
-    for name, readout in (READOUTS | SEVERAL | bare).items():
+    for name, readout in (READOUTS | MORE_READOUTS | bare).items():
         recording = panel_of(readout, 0.0)
         modelled = readout.to_recorded(readout.exact_reading(recording.truth_cell_resistance), recording.scene)
         ideal = getattr(readout, "drive_ohm", 1.0) == 0
@@ -145,7 +149,7 @@ def test_every_readout_agrees_with_its_netlist() -> None:
     [
         pytest.param(formulation, readout, id=f"{name}-{formulation}")
         for formulation in ("reduced", "nodal")
-        for name, readout in (READOUTS | (SEVERAL if formulation == "reduced" else {})).items()
+        for name, readout in (READOUTS | (MORE_READOUTS if formulation == "reduced" else {})).items()
     ],
 )
 def test_noise_free_readings_give_the_cells(readout: Any, formulation: Any) -> None:
@@ -165,9 +169,9 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
 
 
-@pytest.mark.parametrize("name", [name for name in SEVERAL if name.startswith("parallel")])
+@pytest.mark.parametrize("name", [name for name in MORE_READOUTS if name.startswith("parallel")])
 def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> None:
-    readout = SEVERAL[name]
+    readout = MORE_READOUTS[name]
     rng = np.random.default_rng(4)
     cells = 3000 * np.exp(rng.normal(size=(ROWS, COLUMNS)))
     step = rng.normal(size=(ROWS, COLUMNS))
@@ -295,7 +299,7 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     [
         LOADED,
         replace(LOADED, polarity="down"),
-        *(replace(kind, load_ohm=ohm) for kind in (ALL, ONE) for ohm in (1e3, 1e4)),
+        *(replace(kind, load_ohm=ohm) for kind in (SENSED_ALL, SENSED_ONE) for ohm in (1e3, 1e4)),
         VIRTUAL,
     ],
 )
@@ -372,7 +376,7 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("diode", [Diode(), LED], ids=["silicon", "led"])
 def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any, polarity: Any) -> None:
-    readout = replace(UNLIKE, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
+    readout = replace(UNLIKE_READOUT, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
     cells = cells_of()
     volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
     recorded = volt if polarity == "up" else 5 - volt
@@ -383,7 +387,7 @@ def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any,
     noisy = recorded + readout.sigma(recorded) * rng.normal(size=(3, *truth.shape))
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
         recording = recording_of(scene, frames, 2)
-        reduced, nodal = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
+        reduced, nodal = (reconstruct(recording, Estimator(LSM, name, FINE_SETTINGS)) for name in ("reduced", "nodal"))
         assert all(step.solution.solved for step in (*reduced.steps, *nodal.steps))
         assert_allclose(reduced.cell_resistance, nodal.cell_resistance, rtol=1e-6)
         if close is not None:
@@ -431,7 +435,7 @@ def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> 
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
-@pytest.mark.parametrize("readout", [one for one in (READOUTS | SEVERAL).values() if one.unit == "volt"])
+@pytest.mark.parametrize("readout", [one for one in (READOUTS | MORE_READOUTS).values() if one.unit == "volt"])
 def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
     cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0
@@ -443,7 +447,7 @@ def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
 
 
 def test_an_unknown_readout_is_reported_on_writing_and_reading(tmp_path: Path) -> None:
-    recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE), frames=2))
+    recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE_READOUT), frames=2))
     odd = replace(recording, scene=replace(recording.scene, readout=Divider()))
     with pytest.warns(UserWarning, match="divider is not among the readouts"):
         odd.save(tmp_path / "odd.h5")

@@ -21,11 +21,11 @@ from lampest.recording.simulation import Simulation, Unmodelled, simulate
 
 ROD = Rod(centre_mm=(35, 35), diameter_mm=40, mass_g=2000)
 COURSE = Course(approach_s=10, release_at_s=40, release_s=10)
-TRUE = Film(hysteresis=0.24, creep_per_decade=0.05)
-SLOW = Course(approach_s=10, release_at_s=30, release_s=10)
+TRUE_FILM = Film(hysteresis=0.24, creep_per_decade=0.05)
+SLOW_COURSE = Course(approach_s=10, release_at_s=30, release_s=10)
 OPEN_FILM = Film(creep_per_decade="auto")
 LAMPREY = OralDisc(centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50)
-WEAK = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
+WEAK_LAMPREY = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, outer_diameter_mm=32, pressure_kpa=-1.5)
 ARRIVES = 30
 LEAVES = 70
@@ -95,7 +95,7 @@ def test_unspecified_film_numbers_are_not_simulated() -> None:
     assert "film" in to_yaml(recorded(Film(0.1), specified=Film("auto")).scene)
 
 
-def pressed_film(truth: Film, specified: Film | None, seed: int = 3, course: Course = SLOW) -> Recording:
+def pressed_film(truth: Film, specified: Film | None, seed: int = 3, course: Course = SLOW_COURSE) -> Recording:
     """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
     rod = Rod(centre_mm=(25, 25), diameter_mm=40, mass_g=2400)
     known = {"systematic": Systematic(response_sd=0.0), "film": specified, "response": PublishedResponse()}
@@ -113,18 +113,18 @@ def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Ar
 
 def test_a_specified_film_is_corrected() -> None:
     """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames see moments only."""
-    for specified, worst in ((TRUE, 0.02), (None, np.inf)):
-        pressed, truth = of_truth(pressed_film(TRUE, specified))
+    for specified, worst in ((TRUE_FILM, 0.02), (None, np.inf)):
+        pressed, truth = of_truth(pressed_film(TRUE_FILM, specified))
         error = np.abs(pressed.pressure - truth).max() / truth.max()
         assert error < worst and (specified is not None or error > 0.24)
         error_after_load = np.abs(pressed.pressure - truth)[45:].max()
         assert error_after_load < 0.05 if specified else error_after_load > 0.15
 
 
-@pytest.mark.parametrize("told", [TRUE, replace(TRUE, deviation=0.2, cell_spread=0.2)])
+@pytest.mark.parametrize("told", [TRUE_FILM, replace(TRUE_FILM, deviation=0.2, cell_spread=0.2)])
 def test_the_memory_is_causal(told: Film) -> None:
     """Frames that come later change nothing."""
-    recording = pressed_film(TRUE, told)
+    recording = pressed_film(TRUE_FILM, told)
     (complete, _), (part, _) = of_truth(recording), of_truth(recording, end=33)
     np.testing.assert_array_equal(part.pressure, complete.pressure[:30])
 
@@ -143,7 +143,7 @@ def test_intervals_contain_deviating_films() -> None:
 
 def test_unspecified_creep_stays_unknown_without_a_release() -> None:
     open_creep = Film(hysteresis=0.24, creep_per_decade="auto", cell_spread=0.1)
-    course = replace(SLOW, release_at_s=None)
+    course = replace(SLOW_COURSE, release_at_s=None)
     recording = pressed_film(Film(0.24, 0.05, cell_spread=0.1), open_creep, course=course)
     estimates = reconstruct(recording, Estimator((Misfit(),), "reduced"))
     assert estimates.tared is None, "no zero is taken anew unless an estimator asks for it"
@@ -206,7 +206,7 @@ def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK, 1.0), (WEAK, 20.0), (CUP, 5.0)])
+@pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK_LAMPREY, 1.0), (WEAK_LAMPREY, 20.0), (CUP, 5.0)])
 @pytest.mark.parametrize("film", [None, Film(0.2, 0.05)])
 def test_an_attached_load_is_never_taken_for_the_zero(
     load: Shape, approach: float, seed: int, film: Film | None

@@ -13,7 +13,7 @@ from lampest.runs.starter import RECORDING, write_starter
 from tests.panels import Plan, recorded
 
 # All circuits, with loads that stand, sway, move, tap, jump and arrive
-CLEAN = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
+CLEAN_SEEDS = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
 PLANS = range(60)
 
 
@@ -27,7 +27,7 @@ def faulty(recording: Health) -> list[str]:
     return [finding.text for finding in recording.findings if finding.room != "readings"]
 
 
-@pytest.mark.parametrize("seeds", CLEAN, ids="{0.start}".format)
+@pytest.mark.parametrize("seeds", CLEAN_SEEDS, ids="{0.start}".format)
 def test_clean_recordings_of_all_circuits_raise_no_alarm(seeds: range) -> None:
     alarms = {seed: faults for seed in seeds if (faults := faulty(health(Plan.drawn(seed))))}
     assert not alarms

@@ -180,7 +180,7 @@ def test_an_omitted_series_resistance_is_named_beyond_linear_theory(seed: int) -
 
 
 BLOCKS = ((0, 1, 2, 3), (4, 5, 6, 7))
-WIDE = Panel(8, 8)
+WIDE_PANEL = Panel(8, 8)
 
 
 def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
@@ -198,9 +198,11 @@ def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) ->
 
 
 CONVERTER: dict[str, Any] = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
-TWO = Scene(WIDE, TwoPointReadout(**CONVERTER), 140.0, systematic="none")
-HOBBY = Scene(WIDE, LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER), systematic="none")
-ONE_LOAD = Scene(WIDE, GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER), systematic="none")
+TWO_POINT_SCENE = Scene(WIDE_PANEL, TwoPointReadout(**CONVERTER), 140.0, systematic="none")
+HOBBY = Scene(WIDE_PANEL, LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER), systematic="none")
+ONE_LOAD = Scene(
+    WIDE_PANEL, GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER), systematic="none"
+)
 
 
 def grouped(scene: Scene) -> Scene:
@@ -209,19 +211,19 @@ def grouped(scene: Scene) -> Scene:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_multiplexers_in_parallel_are_named(seed: int) -> None:
-    check = Prepared(misdescribed(grouped(TWO), TWO, seed)).check
+    check = Prepared(misdescribed(grouped(TWO_POINT_SCENE), TWO_POINT_SCENE, seed)).check
     assert check.better == f"readout.groups: {[list(block) for block in BLOCKS]} (read in parallel)"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", [TWO, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
+@pytest.mark.parametrize("scene", [TWO_POINT_SCENE, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
 def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
     for actual in (scene, grouped(scene)):
         assert Prepared(misdescribed(actual, actual, 1)).check.mark == "yes"
 
 
 @pytest.mark.parametrize("memory", [0.04, 0.08])
-@pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
+@pytest.mark.parametrize("scene", [TWO_POINT_SCENE, HOBBY], ids=["two_point", "loaded_columns"])
 def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: float) -> None:
     check = Prepared(misdescribed(replace(scene, converter_memory=memory), scene, 2)).check
     assert check.better.startswith("converter_memory near ")
@@ -229,11 +231,11 @@ def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: 
 
 
 @pytest.mark.parametrize(
-    "scene", [TWO, pytest.param(HOBBY, marks=pytest.mark.slow)], ids=["two_point", "loaded_columns"]
+    "scene", [TWO_POINT_SCENE, pytest.param(HOBBY, marks=pytest.mark.slow)], ids=["two_point", "loaded_columns"]
 )
 def test_readings_listed_column_by_column_are_named(scene: Scene) -> None:
     tall, wide = (replace(scene, panel=Panel(*shape)) for shape in ((12, 8), (8, 12)))
     recording = misdescribed(tall, wide, 2)
     check = Prepared(recording).check
-    other_side = "" if scene is TWO else ", readout.driven: columns"
+    other_side = "" if scene is TWO_POINT_SCENE else ", readout.driven: columns"
     assert check.better == f"readings listed column by column (lampest import --transpose){other_side}"

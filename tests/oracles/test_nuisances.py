@@ -20,7 +20,7 @@ ROWS = 9
 COLUMNS = 10
 UNLOADED = 5
 FRAMES = 6
-ASKED = {"leaks": "estimated", "contacts": "estimated"}
+ESTIMATED = {"leaks": "estimated", "contacts": "estimated"}
 
 
 def panel(
@@ -81,7 +81,7 @@ def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
 )
 def test_leaks_and_contacts_are_corrected_in_their_frames(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
-    dirty = Prepared(panel(1, **effect, **ASKED)).noise
+    dirty = Prepared(panel(1, **effect, **ESTIMATED)).noise
     clean = panel(1).readings()
     assert dirty.estimated and all(size > deviation for size, deviation in dirty.estimated.values())
     unnamed = Prepared(panel(1, **effect))
@@ -98,7 +98,7 @@ def test_leaks_and_contacts_are_corrected_in_their_frames(effect: dict) -> None:
 
 @pytest.mark.slow
 def test_detect_uses_frames_without_the_leak() -> None:
-    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ASKED)
+    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED)
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     frames = [value for value, _, _ in measured_frames(recording, known, np.ones(len(recording.role), dtype=bool))]
@@ -107,7 +107,7 @@ def test_detect_uses_frames_without_the_leak() -> None:
 
 
 def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:
-    recording = panel(8, contact=(3, 200.0, 0), **ASKED)
+    recording = panel(8, contact=(3, 200.0, 0), **ESTIMATED)
     prepared = Prepared(recording).effects
     assert prepared.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
 

@@ -24,18 +24,20 @@ from lampest.solvers.solution import Settings, Status, check
 from tests.least_cost import LeastCost, Penalty
 from tests.random_problem import RandomProblem
 
-SMALL = 40  # cells: problems that are solved in every way within a second
-FEW = [number for number in range(110) if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= SMALL][:40]
+MAX_SMALL_CELLS = 40  # cells: problems that are solved in every way within a second
+SMALL_PROBLEMS = [
+    number for number in range(110) if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= MAX_SMALL_CELLS
+][:40]
 # Ended without an estimate once, as (seed, number): gradients that a heavy penalty multiplies are rounding; kinks of
 # readings and of penalties at once; cells tied loosely by a heavy penalty that met their bounds one by one; a plateau
 # across which nothing but rounding is left of the gradient.
 ONCE_UNSOLVED = [(1, 17), (1, 21), (2, 19), (2, 28), (2, 35), (2, 45), (31, 28), (31, 36), (31, 183), (31, 576)]
 ONCE_UNSOLVED += [(31, 714), (31, 173), (31, 218), (53, 61)]
-PROBLEMS = [pytest.param(11, n, marks=pytest.mark.slow) for n in FEW if n != 6]
+PROBLEMS = [pytest.param(11, n, marks=pytest.mark.slow) for n in SMALL_PROBLEMS if n != 6]
 PROBLEMS += [pytest.param(*numbers, marks=pytest.mark.slow) for numbers in ONCE_UNSOLVED]
 PROBLEMS += [pytest.param(1, number, marks=pytest.mark.soak) for number in range(1000)]
 # Every term, loss and readout, holes and rails, joined rows; of relative terms first frames, which may be joint pairs.
-STATED = [1, 5, 10, 12, 16, 17, 21, 30, 31, 36, 40, 61, 62, 73, 79, 86, 172, 207]
+STATED_PROBLEMS = [1, 5, 10, 12, 16, 17, 21, 30, 31, 36, 40, 61, 62, 73, 79, 86, 172, 207]
 NO_ESTIMATE = (Status.UNREAD, Status.UNRESTED, Status.ROUNDED)
 SHAPE = (6, 5)
 CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 0.5, "supply_volt": 5.0}
@@ -50,7 +52,7 @@ CIRCUITS = {
 @pytest.mark.parametrize("joint", [False, True])
 def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool) -> None:
     """At points that are no optima; the statement's own derivatives by differences."""
-    for number in STATED:
+    for number in STATED_PROBLEMS:
         problem = replace(RandomProblem.drawn(11, number), joint=joint)
         random = np.random.default_rng(number)
         place = np.log(problem.data.uniform_start).ravel() + 0.1 * random.standard_normal(problem.data.measured.size)

@@ -18,7 +18,7 @@ from tests.netlist import two_point_resistances
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("lamprey_35mm", "lamprey_25mm", "rod", "ring")
 SHIPPED += tuple(f"cup_{medium}_{kpa}kpa" for medium in ("air", "water") for kpa in (10, 20))
-FINE = Panel(160, 160, 0.5)
+FINE_PANEL = Panel(160, 160, 0.5)
 EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
 ROD = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=30, mass_g=300)
 SIMULATED = sorted(path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole"))
@@ -72,7 +72,7 @@ def test_the_force_on_a_panel_equals_that_of_the_load() -> None:
         (SuctionCup(kind="suction_cup", centre_mm=(40, 38), pressure_kpa=-10, **circles), 0),
         (OralDisc(kind="oral_disc", centre_mm=(40, 40), diameter_mm=35, rim_width_mm=5, pressure_kpa=-15), 0),
     ):
-        contact, suction = load.mean_pressure(FINE, 0.5)
+        contact, suction = load.mean_pressure(FINE_PANEL, 0.5)
         assert (contact + suction).sum() * 0.25 == pytest.approx(force_mn, abs=2e-3 * contact.sum() * 0.25)
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
     contact, _ = rod.mean_pressure(Panel(3, 3), 6)

@@ -35,13 +35,13 @@ PANEL = Panel(8, 8)
 ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(38, 33), inner_diameter_mm=27, outer_diameter_mm=36, pressure_kpa=-9)
 NOISE = 5e-3
-NEW = [
+COMPARING_TERMS = [
     TotalVariation(weight=0.05),
     LogRatio(weight=0.1, loss=Squared()),
     LogRatio(weight=1.0),
     TotalVariationOfChange(weight=0.05),
 ]
-WIDE = Panel(10, 10)
+WIDE_PANEL = Panel(10, 10)
 NOISY = 0.01
 WEIGHTS = 10.0 ** np.arange(-2.5, -0.9, 0.5)
 WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
@@ -125,7 +125,7 @@ def test_a_term_wins_on_its_scene(claim: str) -> None:
     )
 
 
-@pytest.mark.parametrize("term", NEW, ids=lambda term: f"{term.kind}-{term.loss.kind}")
+@pytest.mark.parametrize("term", COMPARING_TERMS, ids=lambda term: f"{term.kind}-{term.loss.kind}")
 def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
     """From starts some factor of four apart. The relative change has up to three minima there and must be searched."""
     rng = np.random.default_rng(9)
@@ -200,10 +200,10 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     if kind == "panel":
         pattern = 2 + np.sin(np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6))
     else:
-        pattern = np.sum((WIDE_ROD if kind == "rod" else DISC).mean_pressure(WIDE, 10.0), axis=0)
+        pattern = np.sum((WIDE_ROD if kind == "rod" else DISC).mean_pressure(WIDE_PANEL, 10.0), axis=0)
     course = {"panel": breathing, "disc": breathing, "rod": np.ones(frames + 2), "attachment": count >= 5}[kind]
     pressure = ((count >= 0) * course)[:, None, None] * pattern
-    cells = 3050 * np.exp(0.2 * rng.standard_normal(WIDE.shape)) * ratio_from_pressure(pressure)
+    cells = 3050 * np.exp(0.2 * rng.standard_normal(WIDE_PANEL.shape)) * ratio_from_pressure(pressure)
     return recorded(cells, seed + 1000)
 
 

@@ -35,7 +35,7 @@ READOUTS = {
 TOUCHING = Faults(joined_rows=((1, 3),), joined_columns=((0, 4, 5),))
 each_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
 PRIOR = Contacts(ContactPrior(60.0, 20.0), ContactPrior(150.0, 50.0))
-FRACTION = 0.029  # seen in a real 16 × 16 skin
+MEMORY_FRACTION = 0.029  # seen in a real 16 × 16 skin
 CONVERTERS = {
     "two_point": TwoPointReadout(adc_bits=12),
     "rows": LoadedColumnsReadout(adc_bits=12, noise_lsb=1, load_ohm=3000.0, drive_ohm=100.0),
@@ -280,24 +280,26 @@ def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
     by_columns = getattr(readout, "driven", "rows") == "columns"
     for _ in range(3):
         for place, value in np.ndenumerate(volt.T if by_columns else volt):
-            remembered += (1 - FRACTION) * (value - remembered)
+            remembered += (1 - MEMORY_FRACTION) * (value - remembered)
             expected[place[::-1] if by_columns else place] = remembered
-    assert_allclose(with_memory(readout, FRACTION, volt), expected, rtol=1e-12)
-    assert_allclose(with_memory(readout, FRACTION, volt[None])[0], expected, rtol=1e-12)
+    assert_allclose(with_memory(readout, MEMORY_FRACTION, volt), expected, rtol=1e-12)
+    assert_allclose(with_memory(readout, MEMORY_FRACTION, volt[None])[0], expected, rtol=1e-12)
 
 
 @each_converter
 def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Readout) -> None:
     volt = volts(readout, (3, 5, 4))
-    recorded = readout.recorded_from_volt(with_memory(readout, FRACTION, volt))
-    freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
+    recorded = readout.recorded_from_volt(with_memory(readout, MEMORY_FRACTION, volt))
+    freed, sigma = without_memory(readout, MEMORY_FRACTION, recorded, readout.sigma(recorded))
     assert_allclose(freed, readout.recorded_from_volt(volt), rtol=1e-11)
     rng = np.random.default_rng(8)
     size = readout.sigma_code() * readout.lsb_volt
     draws = []
     for _ in range(400):
-        noisy = readout.recorded_from_volt(with_memory(readout, FRACTION, volt) + size * rng.normal(size=volt.shape))
-        draws.append(without_memory(readout, FRACTION, noisy, readout.sigma(noisy))[0])
+        noisy = readout.recorded_from_volt(
+            with_memory(readout, MEMORY_FRACTION, volt) + size * rng.normal(size=volt.shape)
+        )
+        draws.append(without_memory(readout, MEMORY_FRACTION, noisy, readout.sigma(noisy))[0])
     assert_allclose(np.std(draws, axis=0), sigma, rtol=0.2)
     assert np.mean(np.std(draws, axis=0) / sigma) == pytest.approx(1, abs=0.02)
 
@@ -305,9 +307,9 @@ def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Reado
 def test_a_missing_channel_leaves_the_remembered_voltage_unknown() -> None:
     readout = CONVERTERS["rows"]
     volt = volts(readout, (4, 4))
-    recorded = with_memory(readout, FRACTION, volt)
+    recorded = with_memory(readout, MEMORY_FRACTION, volt)
     recorded[1, 2] = np.nan
-    freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
+    freed, sigma = without_memory(readout, MEMORY_FRACTION, recorded, readout.sigma(recorded))
     known = np.isfinite(freed)
     assert np.argwhere(~known).tolist() == [[1, 2]]
     errors = np.abs(freed - volt)
@@ -318,7 +320,7 @@ def test_a_missing_channel_leaves_the_remembered_voltage_unknown() -> None:
 
 def test_a_rail_stays_a_bound() -> None:
     readout = CONVERTERS["rows"]
-    scene = Scene(Panel(3, 4), readout, converter_memory=FRACTION)
+    scene = Scene(Panel(3, 4), readout, converter_memory=MEMORY_FRACTION)
     volt = volts(readout, (3, 4))
     volt[1, 1], volt[2, 2] = readout.volt_from_code(np.array([0, 2**12 - 1]))
     side = Readings.of(scene, volt).side
@@ -327,7 +329,7 @@ def test_a_rail_stays_a_bound() -> None:
 
 @each_converter
 def test_specified_memory_gives_the_cells(readout: Readout) -> None:
-    scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=FRACTION)
+    scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=MEMORY_FRACTION)
     recording = simulate(Simulation(1, 5, scene, frames=3))
     estimate = solved(recording)
     ignored = solved(forgetting(recording, "converter_memory"))

@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[2]
 read_bench = read_settings(SolversFile)
 SOLVERS = SolverLimits().solvers
 Frames = list[BenchFrame]
-ALONE = BenchLimits(nodal=0)  # the reduced solver
+REDUCED_ALONE = BenchLimits(nodal=0)  # the reduced solver
 LSM = {"LSM": paper_methods()["LSM"]}
 
 
@@ -80,7 +80,7 @@ def test_the_gap_refers_to_the_lowest_objective_of_several_solvers(tmp_path: Pat
     assert [(entry.solver, entry.frame) for entry in frames] == [(name, frame) for frame in (0, 1) for name in names]
     for first, second in (frames[:2], frames[2:]):
         assert min(first.gap, second.gap) == 0 and (first.gap < second.gap) == (first.objective < second.objective)
-    hasty = BenchFile(1, (3,), frames=1, repeats=1, limits=ALONE, solver=Settings(max_iterations=1))
+    hasty = BenchFile(1, (3,), frames=1, repeats=1, limits=REDUCED_ALONE, solver=Settings(max_iterations=1))
     rows = bench_rows(run_bench(hasty, quiet).frames)
     assert {(row.solver, row.gap) for row in rows} == {("reduced", None)}
     assert any(row.solved < row.count for row in rows)

@@ -12,7 +12,9 @@ import lampest
 from lampest import InputError, read_results, write_results
 from lampest.runs.columns import CELLS, FRAMES, Column, positive_or_infinite
 
-LEAST = Column("least_resistance", FRAMES, "ohm", "smallest cell", lambda done: None, (positive_or_infinite,))
+LEAST_RESISTANCE = Column(
+    "least_resistance", FRAMES, "ohm", "smallest cell", lambda done: None, (positive_or_infinite,)
+)
 
 
 def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None:
@@ -23,7 +25,9 @@ def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None
         (np.zeros(3), "/entry/mouth/LSM/least_resistance must be positive"),
     ):
         with pytest.raises(InputError, match=message):
-            write_results(path, [dataclasses.replace(case, extra={"least_resistance": values})], columns=(LEAST,))
+            write_results(
+                path, [dataclasses.replace(case, extra={"least_resistance": values})], columns=(LEAST_RESISTANCE,)
+            )
     with pytest.raises(InputError, match="mouth × LSM: no column says what the extra 'least_resistance' is"):
         write_results(path, [dataclasses.replace(case, extra={"least_resistance": np.ones(3)})])
     assert not path.exists()

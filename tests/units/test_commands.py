@@ -41,10 +41,10 @@ from lampest.studies.study import Row, Study
 
 Command = Callable[..., SimpleNamespace]
 GROUPS = ("show", "study")
-TOP = get_command(app).commands
-COMMANDS = {name: command for name, command in TOP.items() if not command.hidden and name not in GROUPS}
-COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP[group].commands.items()}
-OLD = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
+TOP_COMMANDS = get_command(app).commands
+COMMANDS = {name: command for name, command in TOP_COMMANDS.items() if not command.hidden and name not in GROUPS}
+COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP_COMMANDS[group].commands.items()}
+FORMER_COMMANDS = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 KILLED = """
 import os, signal, sys
@@ -55,10 +55,10 @@ with whole_file(Path(sys.argv[1])) as unfinished:
     os.kill(os.getpid(), signal.SIGKILL)
 """
 COUNTS = {"frames": 7, "lost": 2, "restarts": 1, "clock_jumps": 0, "clock_stopped": False, "parted": 0, "behind": 0}
-ENDED: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
-RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED)
+ENDED_RECORDING: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
+RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED_RECORDING)
 # What a recording ended with, and the warning that follows.
-WARNED: tuple[tuple[dict[str, Any], str], ...] = (
+ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
     ({"clock_jumps": 1}, "1 jump of the board's clock; "),
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
@@ -138,7 +138,7 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
 
 
 def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:
-    assert {name for name, command in TOP.items() if command.hidden} == set(OLD) | set(GROUPS)
+    assert {name for name, command in TOP_COMMANDS.items() if command.hidden} == set(FORMER_COMMANDS) | set(GROUPS)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
         completed = lampest(old)
         current = lampest(*new.split())
@@ -189,7 +189,7 @@ def test_exhausted_memory_gives_one_sentence(lampest: Command, monkeypatch: pyte
 def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     requested: dict[str, Any] = {}
     words = ("record", "--port", "p", "--out", "r.h5", "--count", "7", "--baseline", "2", "--period", "0.5")
-    for ending, warning in WARNED:
+    for ending, warning in ENDS_WITH_WARNINGS:
 
         def record(*places: object, on_progress: Any, keys: Any, fields: Any = ending, **options: Any) -> Recorded:
             requested.update(options, places=places, keys=keys())

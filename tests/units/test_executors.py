@@ -29,10 +29,10 @@ from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, LostError, Processes, Serial, Tls
 
 ONE_WORKER: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
-DEATH = "__import__('os')._exit(9)"
-EVERY = [Serial(), Processes(2), Dask(workers=2)]
-NAMES = [executor.kind for executor in EVERY]
-ODD = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"  # an exception that cannot travel
+EXIT_OF_WORKER = "__import__('os')._exit(9)"
+EXECUTORS = [Serial(), Processes(2), Dask(workers=2)]
+NAMES = [executor.kind for executor in EXECUTORS]
+UNPICKLABLE_ERROR = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"  # an exception that cannot travel
 # Of a worker: whether every process of its cluster listens on the loopback address alone.
 LISTENING = (
     "{c.laddr.ip for p in (lambda top: [top, *top.children(recursive=True)])"
@@ -65,7 +65,7 @@ def test_ctrl_c_during_a_hand_over_leaves_no_busy_worker(monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+@pytest.mark.parametrize("executor", EXECUTORS[1:], ids=NAMES[1:])
 def test_results_equal_those_of_serial_even_if_a_worker_dies(
     executor: Any, disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,20 +88,22 @@ def test_results_equal_those_of_serial_even_if_a_worker_dies(
 
 def test_errors_stay_with_their_task() -> None:
     answers = {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
-    for executor in EVERY:
+    for executor in EXECUTORS:
         executor.ready()
         assert {text: str(outcome) for text, outcome in executor.results(eval, list(answers))} == answers
         assert list(executor.results(eval, [])) == []
-    ((_, outcome),) = Processes(1).results(eval, [ODD])
+    ((_, outcome),) = Processes(1).results(eval, [UNPICKLABLE_ERROR])
     assert str(outcome) == "Odd: strange"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+@pytest.mark.parametrize("executor", EXECUTORS[1:], ids=NAMES[1:])
 def test_a_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     answers = {f"{number} + 0": str(number) for number in range(6)}
-    outcomes = {text: str(outcome) for text, outcome in executor.results(eval, ["0 + 0", DEATH, *list(answers)[1:]])}
-    assert outcomes == answers | {DEATH: "its process died 4 times"}
+    outcomes = {
+        text: str(outcome) for text, outcome in executor.results(eval, ["0 + 0", EXIT_OF_WORKER, *list(answers)[1:]])
+    }
+    assert outcomes == answers | {EXIT_OF_WORKER: "its process died 4 times"}
 
 
 def half_written(mark: Path) -> str:

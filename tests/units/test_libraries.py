@@ -19,7 +19,7 @@ HOUSE = Path(__file__).parents[2]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
 EXTRAS = {"dask": "cluster", "hdmf": "export"}  # come with what an extra names
 HEAVY = ("casadi", "numpy", "scipy", "h5py", "pydantic", "ruamel", "matplotlib", "xarray", "pandas", "serial")
-READ = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
+LOAD_RECORDING = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
 HELP = (
     "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
     "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): cli.main()\n"
@@ -101,7 +101,7 @@ def loaded_modules(code: str) -> set[str]:
 @pytest.mark.slow
 def test_a_process_imports_only_needed_libraries() -> None:
     for code, absent in (
-        (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
+        (LOAD_RECORDING, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
         ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "casadi", "lampest.estimate")),
         ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),

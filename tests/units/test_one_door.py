@@ -33,7 +33,7 @@ from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording, take_sample
 
 SHAPE = (8, 9)
-WHOLE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)
+SOUND_SCENE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)
 MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=80)
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
@@ -52,15 +52,19 @@ class Case:
 
 
 CASES = {
-    "nothing": Case(WHOLE),
-    "dead row": Case(replace(WHOLE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8),
-    "dead column": Case(replace(WHOLE, faults=Faults(dead_columns=(4,))), Faults(dead_columns=(4,)), RELATIVE, 1 / 9),
-    "open cell": Case(replace(WHOLE, faults=Faults(open=((3, 4),))), Faults(open=((3, 4),))),
-    "shorted cell": Case(replace(WHOLE, faults=Faults(shorted=((5, 1),))), Faults(shorted=((5, 1),)), least=1 / 72),
-    "reading of zero": Case(WHOLE, Faults(shorted=((5, 1),)), least=1 / 72),
-    "readings at a rail": Case(replace(WHOLE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1),
-    "systematic errors": Case(replace(WHOLE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL),
-    "water": Case(replace(WHOLE, water=Water(400.0), systematic=Systematic(0.01, 3.0)), estimator=ARRIVAL),
+    "nothing": Case(SOUND_SCENE),
+    "dead row": Case(replace(SOUND_SCENE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8),
+    "dead column": Case(
+        replace(SOUND_SCENE, faults=Faults(dead_columns=(4,))), Faults(dead_columns=(4,)), RELATIVE, 1 / 9
+    ),
+    "open cell": Case(replace(SOUND_SCENE, faults=Faults(open=((3, 4),))), Faults(open=((3, 4),))),
+    "shorted cell": Case(
+        replace(SOUND_SCENE, faults=Faults(shorted=((5, 1),))), Faults(shorted=((5, 1),)), least=1 / 72
+    ),
+    "reading of zero": Case(SOUND_SCENE, Faults(shorted=((5, 1),)), least=1 / 72),
+    "readings at a rail": Case(replace(SOUND_SCENE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1),
+    "systematic errors": Case(replace(SOUND_SCENE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL),
+    "water": Case(replace(SOUND_SCENE, water=Water(400.0), systematic=Systematic(0.01, 3.0)), estimator=ARRIVAL),
 }
 
 
@@ -133,11 +137,11 @@ def test_errors_name_inconsistent_inputs() -> None:
         ((good, np.zeros(SHAPE)), r"^sigma\[0, 0\] is 0 ohm; it must be positive$"),
     ):
         with pytest.raises(InputError, match=sentence):
-            Readings.of(WHOLE, *given)
+            Readings.of(SOUND_SCENE, *given)
     with pytest.raises(InputError, match="recording must be a Recording"):
         Prepared.of("mine.h5")
     with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
-        Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
+        Recording(SOUND_SCENE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
 
 @pytest.mark.slow

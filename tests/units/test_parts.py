@@ -28,7 +28,7 @@ from lampest.runs.executors import Serial
 
 Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
-FEW = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
+SMALL_SCENE = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
 RUN = """
 schema: 1
@@ -142,7 +142,7 @@ def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(stored, "MAX_READINGS", 100)
     monkeypatch.setattr(stored, "PART_READINGS", 96)
-    save(tmp_path, frames(48, FEW), FEW)
+    save(tmp_path, frames(48, SMALL_SCENE), SMALL_SCENE)
     penalty = "gradient" if apart else "gradient_of_relative_change"
     entry = f"{{formulation: reduced, terms: {{misfit: {{}}, {penalty}: {{weight: 1e-3}}}}}}"
     (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n")

@@ -66,7 +66,7 @@ def forks(count, seconds, work):
             os._exit(0 if work(number) else 1)
         yield os.waitpid(child, 0)[1]
 """
-EQUAL = """
+COMPARISON = """
 count, ways = int(sys.argv[1]), sys.argv[2].split(",")
 estimates = {}
 def work(number):
@@ -88,7 +88,7 @@ def run(text: str, *arguments: object) -> None:
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"])
 def test_several_threads_give_the_cells_of_one_thread(count: int, ways: str) -> None:
-    run(EQUAL, count, ways)
+    run(COMPARISON, count, ways)
 
 
 @pytest.mark.slow

@@ -30,13 +30,24 @@ from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
-OWN = scene_of(IDLE, None)
-ABSURD = {"rows": (0, 255), "columns": (0, 17), "readings": (0, 65), "most_rows": (0,), "most_readings": (0,)}
-ABSURD |= {"shortest_period_us": (0,), "supply_millivolt": (0,), "reference_milliohm": (0,), "adc_bits": (0, 33, 255)}
+BOARD_SCENE = scene_of(IDLE, None)
+IMPOSSIBLE_FIELDS = {
+    "rows": (0, 255),
+    "columns": (0, 17),
+    "readings": (0, 65),
+    "most_rows": (0,),
+    "most_readings": (0,),
+}
+IMPOSSIBLE_FIELDS |= {
+    "shortest_period_us": (0,),
+    "supply_millivolt": (0,),
+    "reference_milliohm": (0,),
+    "adc_bits": (0, 33, 255),
+}
 PERIOD = 0.05
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
 SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
-AT = replace(IDLE, period_us=round(1e6 * PERIOD))
+HELLO_AT_PERIOD = replace(IDLE, period_us=round(1e6 * PERIOD))
 # Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
 # many samples come in each batch; and how many answers came since the last of them.
 RUNNING = replace(IDLE, running=True, period_us=0)
@@ -49,7 +60,7 @@ ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], in
     ([()], [None], [False], [0], 0),
 )
 # Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
-ENDS = (
+LIMITS = (
     (None, None, [2, 0, 3, 2]),
     (4, None, [2, 0, 2]),
     (5, None, [2, 0, 3]),
@@ -137,7 +148,7 @@ def frame(number: int, device_ms: int) -> Frame:
 
 def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
     """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
-    run = Scanning(replace(IDLE, period_us=10_000), OWN, 0, None)
+    run = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 0, None)
     samples = list[Sample]()
     for number, device_ms in frames:
         samples += run.take(frame(number, device_ms))
@@ -158,8 +169,10 @@ def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tu
     return [(number, ms) for number, ms in enumerate(clock) if number not in gone]
 
 
-SENT = ticked(20, {})
-LATE = [(n, int(1000 + 10 * (n + late))) for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))]
+TICKS = ticked(20, {})
+LATE_TICKS = [
+    (n, int(1000 + 10 * (n + late))) for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))
+]
 # Frames (number, ms), what is made of them (number, frames lost before it, session), and where the clock jumped.
 RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[int]]] = {
     "numbers and clock wrap": (
@@ -167,8 +180,8 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
         [((2**32 - 5 + step) % 2**32, 0, 0) for step in range(9)],
         [],
     ),
-    "frames are sent again": ([*SENT, *SENT[:15], *SENT[3:9]], complete_frames(20), []),
-    "frames are sent again, then new ones": ([*SENT, *SENT[:15], (20, 100_200)], complete_frames(21), []),
+    "frames are sent again": ([*TICKS, *TICKS[:15], *TICKS[3:9]], complete_frames(20), []),
+    "frames are sent again, then new ones": ([*TICKS, *TICKS[:15], (20, 100_200)], complete_frames(21), []),
     "numbers begin anew": (
         [(0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550)],
         [*complete_frames(3), *complete_frames(3, session=1)],
@@ -190,7 +203,7 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
         [*complete_frames(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
         [2],
     ),
-    "scans are late": (LATE, complete_frames(500), []),
+    "scans are late": (LATE_TICKS, complete_frames(500), []),
     **{
         f"a jump by {ms} ms": (ticked(30, {10: ms}), complete_frames(30), [10])
         for ms in (5_000, -5_000, 2**31, -(2**31))
@@ -215,7 +228,7 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
         assert [number for number, sample in enumerate(samples) if CLOCK_JUMPED in sample.events] == jumps, name
         period = [0.01 * (1 + lost) for _, lost, _ in expected[1:]]
         elapsed = [sample.time for sample in samples]
-        np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE else 1e-9, err_msg=name)
+        np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE_TICKS else 1e-9, err_msg=name)
     for jumps in ADJACENT:
         _, samples = run_of(*ticked(30, jumps))
         assert places(samples) == complete_frames(30)
@@ -272,7 +285,7 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
 
 def test_an_unplugged_board_loses_no_counted_frames_and_missed_ticks_are_no_jump() -> None:
     run, (*_, last) = run_of((0, 500), (1, 510))
-    resumed = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
+    resumed = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 1, replace(last, host_time=last.host_time - 60))
     (sample,) = resumed.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
     (sample,) = run.take(replace(frame(2, 5520), missed=500))
@@ -290,7 +303,7 @@ def test_a_wrongly_accepted_frame_is_doubted_after_a_silence() -> None:
 
 
 def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
-    wrong = [(field, value) for field, values in ABSURD.items() for value in values]
+    wrong = [(field, value) for field, values in IMPOSSIBLE_FIELDS.items() for value in values]
     greetings = [replace(IDLE, **{field: value}) for field, value in wrong]
     for hello, (field, value) in zip(greetings, wrong, strict=True):
         assert re.fullmatch(rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault)
@@ -374,7 +387,7 @@ def sent(number: int, at: float, arrived: float | None = None) -> Sample:
     """Frame `number` of a board whose clock began at −100 s of the host's."""
     sums = np.full((3, 4), number, np.uint16)
     frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
-    return Sample(frame, AT, OWN, at + 100, at if arrived is None else arrived, 0, 0)
+    return Sample(frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, at if arrived is None else arrived, 0, 0)
 
 
 def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
@@ -596,7 +609,7 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
     fit, misshapen = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
     unfit = (Garbage(3), misshapen, misshapen, Garbage(1), Garbage(2), idle, idle, idle, idle)
     for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
-        samples, finished = line._taken(Scanning(idle, OWN, 0, None), messages)
+        samples, finished = line._taken(Scanning(idle, BOARD_SCENE, 0, None), messages)
         assert (samples, finished) == ((), over)
     counts = {"pieces that are no message": 6, "frames of another size": 4, "answers": 9}
     assert line._unfit == counts
@@ -605,7 +618,7 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
     kinds = "9 answers, 6 pieces that are no message, 4 frames of another size"
     with pytest.raises(InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"):
         line.check(1.0)
-    run = Scanning(idle, OWN, 0, None)
+    run = Scanning(idle, BOARD_SCENE, 0, None)
     samples, finished = line._taken(run, (fit, fit))
     assert len(samples) == 1 and not finished and line._unfit == {"frames out of order": 1}
     assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
@@ -614,7 +627,7 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
 def test_a_frame_has_the_estimate_sent_before_it() -> None:
     """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a line up."""
     line = stream._Line("url", None, None, lambda: False)
-    run = Scanning(replace(IDLE, running=True), OWN, 0, None)
+    run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
     change = np.arange(12, dtype=np.float32).reshape(3, 4)
     frames = [Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)]
     messages = (
@@ -650,7 +663,7 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
         board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
         board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
         line = stream._Line("url", None, None, ends.__next__)
-        batches = line._run(board, RUNNING, OWN)
+        batches = line._run(board, RUNNING, BOARD_SCENE)
         taken = [*itertools.islice(batches, len(sizes))]
         assert [len(batch) for batch in taken] == sizes
         assert all(sample.session == 0 for batch in taken for sample in batch)
@@ -661,11 +674,11 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     board.messages = [(FIT,)].pop
     board.identify = lambda: IDLE
     line._ending = lambda: False
-    assert [sample.session for batch in line._run(board, RUNNING, OWN) for sample in batch] == [5]
+    assert [sample.session for batch in line._run(board, RUNNING, BOARD_SCENE) for sample in batch] == [5]
 
 
 def test_a_recording_ends_after_its_frames_or_seconds() -> None:
-    for frames, seconds, sizes in ENDS:
+    for frames, seconds, sizes in LIMITS:
         assert [len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)] == sizes
 
 
