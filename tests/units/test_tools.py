@@ -86,7 +86,7 @@ def scaled(factor: float) -> Callable[[h5py.Dataset], None]:
     return set_to(lambda entry: factor * entry)
 
 
-def remove(dataset: h5py.Dataset) -> None:
+def gone(dataset: h5py.Dataset) -> None:
     del dataset.file[dataset.name]
 
 
@@ -96,15 +96,15 @@ def remove(dataset: h5py.Dataset) -> None:
         ("cell_resistance", scaled(1 + 1e-11), False),
         ("cell_resistance", scaled(1 + 1e-13), True),
         ("cell_resistance", set_to(np.nan), False),
-        ("cell_resistance", remove, False),
-        ("baseline_resistance", remove, False),
+        ("cell_resistance", gone, False),
+        ("baseline_resistance", gone, False),
         ("open_cell", set_to(lambda flag: 1 - flag), False),
         ("at_lower_bound", set_to(lambda flag: 1 - flag), False),
         ("status", set_to(b"another", 2), False),
-        ("status", remove, False),
+        ("status", gone, False),
         ("solved", lambda dataset: dataset.write_direct(np.zeros(3, np.uint8)), False),
         ("solve_time", lambda dataset: dataset.write_direct(np.ones(3)), True),
-        ("cost/misfit", remove, True),
+        ("cost/misfit", gone, True),
     ],
 )
 def test_a_difference_of_cells_or_statuses_counts(
