@@ -13,6 +13,7 @@ from lampest.recording.board.record import Journal, record
 
 FRAMES = 300  # of three seconds
 FROZEN_S = 2.0
+FROZEN_CALL = 20  # the write to the disk that takes so long
 
 
 @pytest.mark.slow
@@ -23,7 +24,7 @@ def test_a_disk_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: p
 
     def stalled(journal: Journal, *arguments: Any) -> None:
         calls.append(0)
-        if len(calls) == 20:
+        if len(calls) == FROZEN_CALL:
             time.sleep(FROZEN_S)
         append(journal, *arguments)
 
@@ -31,6 +32,6 @@ def test_a_disk_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: p
     with wild_board(hundred_a_second) as board:
         summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
     recording = Recording.load(tmp_path / "r.h5")
-    assert (summary.frames, summary.lost) == (FRAMES, 0) and len(calls) > 20
+    assert (summary.frames, summary.lost) == (FRAMES, 0) and len(calls) > FROZEN_CALL
     assert recording.acquisition is not None
     assert recording.acquisition.sequence.tolist() == list(range(FRAMES))

@@ -19,6 +19,7 @@ from lampest.report.live.publish import MAX_DATAGRAM, OscPublish, publishing
 SMALL_PANEL = 3, 4
 LARGE_PANEL = 72, 72  # three maps exceed a datagram
 ENORMOUS_PANEL = 120, 120  # one map does
+MAX_SECONDS = 5.0  # for fifty frames: sending waits for no answer
 
 
 def frame(shape: tuple[int, int], number: int = 1) -> Message:
@@ -69,7 +70,7 @@ def test_an_absent_or_refusing_receiver_stops_nothing(host: str) -> None:
         begin = time.monotonic()
         for number in range(50):
             send(frame(SMALL_PANEL, number))
-        assert time.monotonic() - begin < 5
+        assert time.monotonic() - begin < MAX_SECONDS
     assert not sentences
 
 

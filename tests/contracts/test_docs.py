@@ -185,7 +185,7 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
     """Blocks of YAML that begin with estimators, sweep or executor stand in a run's file."""
     blocks = (block for page in PAGES for language, block in fences(page) if language == "yaml")
     entries = [block for block in blocks if re.match("estimators:|sweep:|executor:", block)]
-    assert len(entries) > 6
+    assert len(entries) > 6, "the pages have such blocks"
     for block in entries:
         for named in re.findall(r"_file: ([\w.-]+)", block):
             (tmp_path / named).touch()
@@ -220,7 +220,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     )
     assert completed.returncode == 0, completed.stderr
     pages = [path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")]
-    assert len(pages) > 15
+    assert len(pages) > 15, "the site has its pages"
     assert not [
         reference for page in pages for reference in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)
     ]
@@ -247,7 +247,7 @@ def test_architecture_names_every_module_once_in_its_room() -> None:
 def test_the_glossary_names_where_things_are_defined() -> None:
     glossary = (DOCS / "theory" / "glossary.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\|.*\| `(lampest/[\w./]+)`(?:: (.+?))? \|$", glossary, re.MULTILINE)
-    assert len(rows) > 40
+    assert len(rows) > 40, "the table of the glossary was read"
     for path, names in rows:
         text = (REPOSITORY / path).read_text(encoding="utf-8")
         for name in re.findall(r"`([^`]+)`", names):

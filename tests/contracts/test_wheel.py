@@ -113,7 +113,7 @@ def test_the_lock_pins_all_requirements_within_the_constraints_with_hashes(name:
         versions = {str(each.specifier) for each in constraints if plain(each.name) == package}
         assert not versions or f"=={version}" in versions, f"{package}: run make lock"
     blocks = re.split(r"\n(?=\S)", (ROOT / name).read_text().strip())
-    assert len(blocks) > 20
+    assert len(blocks) > 20, "the packages of the lock were read"
     for block in blocks:
         first, *hashes = [line.strip().removesuffix("\\").strip() for line in block.splitlines()]
         assert re.fullmatch(r"[A-Za-z0-9_.\[\]-]+==\S+( ;.*)?", first), first

@@ -11,6 +11,7 @@ import pytest
 from laws.recognised import verdict_on
 
 from lampest import Array, Panel, Recording, Rod, Scene, Shape, Simulation, simulate
+from lampest.files.levels import MAX_MEAN_SQUARE
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.shapes.disc import Disc, contact_of_weight
 from lampest.loads.shapes.kinds import RoundCandidate
@@ -93,7 +94,7 @@ def test_an_own_shape_is_simulated(tmp_path: Path) -> None:
 def test_an_own_candidate_is_recognised_instead_of_a_disc() -> None:
     loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
     verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)
-    assert verdict.best.candidate.label == "square" and verdict.goodness < 1.4
+    assert verdict.best.candidate.label == "square" and verdict.goodness < MAX_MEAN_SQUARE
     reported = verdict.best.candidate.report(verdict.best.parameters)
     for name, true in {"x_mm": 45.5, "y_mm": 44.5, "edge_mm": 50.0}.items():
         value, slopes = reported[name]

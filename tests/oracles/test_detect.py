@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 from docs.studies.attachments import recording as attached
 from lampest import Array, Block, Film, OralDisc, Panel, Recording, Ring, Rod, Scene, Shape, SuctionCup, TwoPointReadout
+from lampest.files.levels import MAX_MEAN_SQUARE
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.candidates import AND, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
@@ -131,7 +132,7 @@ def test_a_load_is_recognised_as_its_kind(name: str) -> None:
     load, label, tolerance, panel = SINGLE[name]
     verdict = verdict_on(load, panel=panel)
     disc = disc_of(verdict)
-    assert verdict.best.candidate.label == label and verdict.goodness < 1.4
+    assert verdict.best.candidate.label == label and verdict.goodness < MAX_MEAN_SQUARE
     assert verdict.sucks_at(None) > 0.99 if label == SUCKS else verdict.sucks_at(None) < 0.01
     assert disc.diameter_mm == pytest.approx(load.disc().diameter_mm, abs=tolerance)
     assert name not in LOADS or np.hypot(disc.x_mm - CENTRE[0], disc.y_mm - CENTRE[1]) < 1
@@ -170,11 +171,11 @@ def test_static_errors_of_readings_are_allowed_for(reading_error: float) -> None
     recording = recorded(MOUTH, unmodelled=Unmodelled(reading_error=0.05), frames=1)
     verdict = verdicts_of(frames_of(recording, errors=ModelErrors(reading_error=reading_error)))[-1]
     if reading_error:
-        assert verdict.best.candidate.label == "lamprey or cup" and verdict.goodness < 1.4
+        assert verdict.best.candidate.label == "lamprey or cup" and verdict.goodness < MAX_MEAN_SQUARE
         assert verdict.sucks_at(None) > 0.5
         assert disc_of(verdict).diameter_mm == pytest.approx(MOUTH.diameter_mm, abs=3)
     else:
-        assert verdict.goodness > 1.4 or verdict.sucks_at(None) < 0.5
+        assert verdict.goodness > MAX_MEAN_SQUARE or verdict.sucks_at(None) < 0.5
 
 
 @pytest.mark.slow

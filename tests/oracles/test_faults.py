@@ -18,6 +18,7 @@ SIGMA = 0.01
 LSM = (Misfit(),)
 READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
 HOLED = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
+MIN_COVERAGE = 0.9  # of 95 % intervals: a missing reading moves all cells of a panel together
 
 
 def cells() -> Array:
@@ -74,7 +75,7 @@ def test_intervals_contain_read_cells_despite_missing_readings(terms: list[objec
         read = np.isfinite(estimate.recording.recorded[2:])
         held.append(in_intervals(estimate)[read].mean())
         widths.append(np.median((estimate.cell_resistance_upper / estimate.cell_resistance_lower - 1)[read]))
-    assert np.mean(held) > 0.9 and np.median(widths) < 0.3
+    assert np.mean(held) > MIN_COVERAGE and np.median(widths) < 0.3
 
 
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
@@ -91,7 +92,7 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
     recording = recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
     estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
     read = np.isfinite(readings[2:])
-    assert in_intervals(estimate)[read].mean() > 0.9
+    assert in_intervals(estimate)[read].mean() > MIN_COVERAGE
     assert np.median(np.abs(log_errors(estimate))) < 0.005
 
 

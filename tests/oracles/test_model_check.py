@@ -137,8 +137,8 @@ def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None
     sigma = 0.03 * exact
     noisy = (exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE) for seed in range(120))
     tails = [fitted(scene, Readings.of(scene, readings, sigma), patient=True).tail for readings in noisy]
-    # 120 draws: a share of 0.05 has a standard deviation of 0.02.
-    assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * 0.02
+    standard_error = 0.02  # of a share of 0.05 in 120 draws
+    assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * standard_error
     assert np.min(tails) > 1e-4
 
 

@@ -29,6 +29,7 @@ from tests.estimates import in_intervals, log_errors, recording_of
 LINES = 10
 CHANNELS = 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
+MIN_COVERAGE = 0.85  # of 95 % intervals: the errors of a recording are shared, so that few recordings scatter
 
 
 def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0) -> Array:
@@ -210,7 +211,7 @@ def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(true: float, sp
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:
     for gain in (0.004, "estimated"):
-        assert min(coverage_of(recorded(seed, scene_of(0.7, gain=gain), gain=0.004))) > 0.85
+        assert min(coverage_of(recorded(seed, scene_of(0.7, gain=gain), gain=0.004))) > MIN_COVERAGE
     size, deviation = Prepared(recorded(seed, scene_of(0.7, gain="estimated"), gain=0.004)).noise.estimated["gain"]
     assert abs(size - 0.004) < 3 * deviation
     unnamed = Prepared(recorded(seed, scene_of(0.7), gain=0.004))
@@ -271,7 +272,7 @@ def test_typical_errors_cover_a_wrong_series_resistance_and_reference(series: fl
     """Each moves all cells together, so that a recording is covered or not as a whole."""
     for seed in (31, 32, 33):
         silent = recorded(seed, scene_of(0.7, "typical"), series=series, reference=reference)
-        assert min(coverage_of(silent)) > 0.85
+        assert min(coverage_of(silent)) > MIN_COVERAGE
     none = replace(silent, scene=scene_of(0.7))
     assert coverage_of(none)[0] < 0.75 and not Prepared(none).noise.sentence
 
@@ -296,7 +297,7 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
     unnamed = [Prepared(recorded(seed, scene_of(0.7), static=size)) for seed in seeds[:4]]
     assert not any(prepared.noise.reading_error for prepared in unnamed)
     assert all(STATIC_LINE in {finding.line for finding in unnamed_effects(prepared)} for prepared in unnamed)
-    assert np.mean([coverage_of(recording) for recording in recordings[:4]], axis=0).min() > 0.85
+    assert np.mean([coverage_of(recording) for recording in recordings[:4]], axis=0).min() > MIN_COVERAGE
 
 
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
@@ -374,7 +375,7 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     assert gentle.estimated["systematic.series_tolerance_ohm"][0] < 1.5 * 35
     wrong = recorded(11, scene_of(0.7, SERIES), series=40)
     size, deviation = Prepared(wrong).noise.estimated["systematic.series_tolerance_ohm"]
-    assert size == pytest.approx(40, rel=0.3) and deviation < size and min(coverage_of(wrong)) > 0.85
+    assert size == pytest.approx(40, rel=0.3) and deviation < size and min(coverage_of(wrong)) > MIN_COVERAGE
 
 
 def test_noisy_cells_are_not_taken_for_a_static_error() -> None:

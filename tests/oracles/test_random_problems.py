@@ -47,6 +47,7 @@ CIRCUITS = {
     "grounded": GroundedReadout(drive_ohm=70.0, sense_ohm=70.0, load_ohm=1000.0, **CONVERTER),
     "virtual": VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=3000.0, **CONVERTER),
 }
+MAX_EXCESS = 1e-6  # share of the cost of an estimate that another solver may save
 
 
 @pytest.mark.parametrize("joint", [False, True])
@@ -79,7 +80,7 @@ def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
     except InputError:
         return
     if solution.solved:
-        assert problem.excess(solution) <= 1e-6, problem.about
+        assert problem.excess(solution) <= MAX_EXCESS, problem.about
     else:
         assert solution.status in NO_ESTIMATE, (solution.status, problem.about)
 
@@ -91,7 +92,8 @@ def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
     cost = problem.estimator.cost(problem.scene, 2, partial=problem.data.partial)
     start = evaluated(cost, problem.data, problem.data.uniform_start)
     solution = solved_from(ProjectedNewton(cost, problem.estimator.solver), start)
-    assert solution.optimum and solution.iterations < 150
+    max_iterations = 150  # all 300 were taken once
+    assert solution.optimum and solution.iterations < max_iterations
 
 
 def pressed(noise: float) -> tuple[Array, Array]:
@@ -179,7 +181,8 @@ def test_absolute_losses_of_a_large_panel_take_no_more_steps(side: int, loss: Sq
     cost = estimator.cost(scene, 1, partial=data.partial)
     start = Evaluation.at(cost, data, data.uniform_start)
     solution = check(start, ProjectedNewton(cost, Settings()).solve(data, start))
-    assert solution.status is Status.OPTIMUM and solution.iterations < 60
+    max_iterations = 60  # a fifth of what it took once
+    assert solution.status is Status.OPTIMUM and solution.iterations < max_iterations
 
 
 @pytest.mark.slow

@@ -10,6 +10,8 @@ from lampest.panel.panel import Array
 TIMES = np.arange(0, 8, 0.25)
 READINGS = 40
 BLOCKS = np.arange(0, 480, BLOCK_S)
+ANSWER_LOG_ODDS = np.log(9)  # nine in ten is the level of an answer
+CLEAR_LOG_ODDS = 3.0  # twenty to one
 
 
 def window(
@@ -52,7 +54,7 @@ def window(
 @pytest.mark.parametrize("uneven", [0.0, 0.1, 0.25])
 def test_suction_swinging_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
     shown = window(own=0.08, seed=seed, uneven=uneven)
-    assert shown.odds > 3 and shown.suction > 0.95
+    assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.95
     assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
     assert abs(shown.depth[0] - 0.08) < 2.5 * shown.depth[1] < 0.05
 
@@ -88,7 +90,7 @@ def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
     assert window(seed=seed).odds < 0 > window(waves=3.0, seed=seed).odds
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
         shown = window(**hiding, seed=seed)
-        assert shown.odds > 3 and shown.suction > 0.9
+        assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
 
 
 def test_a_pull_keeps_the_odds_of_earlier_windows() -> None:
@@ -116,7 +118,7 @@ def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
 def test_the_depth_of_breath_is_relative_to_the_pulled_suction() -> None:
     level = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
     shown = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
-    assert shown.odds > 3 and shown.depth[0] == pytest.approx(0.05, rel=0.2)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.depth[0] == pytest.approx(0.05, rel=0.2)
 
 
 def test_part_of_a_window_suffices_to_detect_breath() -> None:
@@ -124,7 +126,7 @@ def test_part_of_a_window_suffices_to_detect_breath() -> None:
     pull = TIMES > 3.75
     wild = 0.5 * pull * np.random.default_rng(5).standard_normal(len(TIMES))
     shown = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
-    assert shown.odds > 3 and shown.hertz[0] == pytest.approx(1.1, abs=0.15)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.hertz[0] == pytest.approx(1.1, abs=0.15)
 
 
 def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:
@@ -147,8 +149,8 @@ def pumped(period_s: float, loss: float) -> Array:
 def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed: int) -> None:
     """Within five pumps, the published intervals: 20 to 200 s."""
     odds = followed(pumped(period_s, loss), seed=seed)
-    assert np.max(odds) > np.log(9), "nine in ten is the answer's level"
-    assert BLOCKS[np.argmax(odds > np.log(9))] < 5.5 * period_s
+    assert np.max(odds) > ANSWER_LOG_ODDS, "nine in ten is the answer's level"
+    assert BLOCKS[np.argmax(odds > ANSWER_LOG_ODDS)] < 5.5 * period_s
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -167,7 +169,7 @@ def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed
 )
 def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int) -> None:
     odds = followed(course, seed=seed)
-    assert np.max(odds) < np.log(9) and odds[-1] < 0.5
+    assert np.max(odds) < ANSWER_LOG_ODDS and odds[-1] < 0.5
 
 
 @pytest.mark.slow
@@ -179,7 +181,7 @@ def test_rare_and_frequent_bumps_are_not_pumping() -> None:
         for count in (10, 30):
             at = rng.uniform(0, BLOCKS[-1], count)
             size = rng.normal(0, 0.2, count)
-            passed.append(followed(size @ (at[:, None] <= BLOCKS), seed=seed)[-1] > np.log(9))
+            passed.append(followed(size @ (at[:, None] <= BLOCKS), seed=seed)[-1] > ANSWER_LOG_ODDS)
     assert np.mean(passed) <= 0.1
 
 
@@ -192,7 +194,7 @@ def test_a_rested_mouth_is_recognised_within_minutes() -> None:
     for number in range(1, 100):
         value = float(pumped(45.0, 0.3)[number])
         long = long.after(np.full((3, 1), value), began + number * BLOCK_S)
-    assert long.odds > np.log(9) > MIN_LOG_ODDS
+    assert long.odds > ANSWER_LOG_ODDS > MIN_LOG_ODDS
 
 
 def test_a_moved_mouth_keeps_its_odds() -> None:
@@ -200,4 +202,4 @@ def test_a_moved_mouth_keeps_its_odds() -> None:
     for time, value in zip(BLOCKS[:100], pumped(45.0, 0.3), strict=False):
         track = track.after(np.full((3, 1), value), float(time))
     restarted = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
-    assert restarted.odds == pytest.approx(track.odds) and restarted.odds > np.log(9)
+    assert restarted.odds == pytest.approx(track.odds) and restarted.odds > ANSWER_LOG_ODDS

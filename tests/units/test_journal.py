@@ -161,4 +161,4 @@ def test_damage_of_an_unclosed_file_gives_one_sentence(killed: Path) -> None:
         except InputError as error:
             assert str(error).startswith(str(killed))
             refused += 1
-    assert refused > 10
+    assert refused > 10, "some of the flipped bits do damage"
