@@ -199,7 +199,9 @@ def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Co
 CIRCUITS = ["two_mux", "parallel_mux", "pull_ups", "pull_downs", "grounded", "grounded_one", "amplifiers", "diodes"]
 
 
-@pytest.mark.parametrize("circuit", ["grounded", *(pytest.param(one, marks=pytest.mark.slow) for one in CIRCUITS)])
+@pytest.mark.parametrize(
+    "circuit", ["grounded", *(pytest.param(circuit, marks=pytest.mark.slow) for circuit in CIRCUITS)]
+)
 def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_errors(
     circuit: str, tmp_path: Path, lampest: Command
 ) -> None:

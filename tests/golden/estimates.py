@@ -300,23 +300,23 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def resistors_row(scene: lp.Scene, more: float = 0.0) -> dict[str, Any]:
+def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
     """Known resistors of several values on every cell, with other circuit numbers than the scene has."""
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
-    calibration = calibrate_resistors([on_resistors(scene, printed, more)], [printed], tolerance=1e-3)
+    calibration = calibrate_resistors([on_resistors(scene, printed, shift)], [printed], tolerance=1e-3)
     return calibration_row(calibration) | {
         "numbers": [(number.label, number.value, number.sigma, number.lines) for number in calibration.numbers]
     }  # fmt: skip
 
 
 def on_resistors(
-    scene: lp.Scene, printed: lp.Array, more: float = 0.0, spread: float = 9.0, **true: Any
+    scene: lp.Scene, printed: lp.Array, shift: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
     """Six frames of known resistors, infinite where there is none, with other channels and these other parts."""
     actual = replace(scene, **true)
     memory = true.get("converter_memory")
-    rows = np.linspace(-spread, spread, 4) + more
-    columns = np.linspace(-4, 8, 5) + more
+    rows = np.linspace(-spread, spread, 4) + shift
+    columns = np.linspace(-4, 8, 5) + shift
     if scene.circuit.unit == "volt" and "readout" not in true:
         actual = replace(actual, readout=replace(actual.circuit, drive_ohm=90.0))
     volt = actual.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), actual, rows, columns)

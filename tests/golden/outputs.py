@@ -408,11 +408,11 @@ def published_row() -> dict[str, Any]:
     shown: Any = SimpleNamespace(after=lambda number: News(number + 1, news[number]) if number < len(news) else None)
     publish._forward(shown, send_sometimes, "here", sentences.append)
     return {
-        "outlets": [each.parts if isinstance(each, Element) else repr(each) for each in outlets], "said": sentences,
+        "outlets": [part.parts if isinstance(part, Element) else repr(part) for part in outlets], "said": sentences,
         "tried": tried, "attempts": attempts, "waited": waited,
         "broker": [[call.args[0], call.kwargs] for call in client.publish.mock_calls],
         "client": [
-            each.call_args.args for each in (
+            mocked.call_args.args for mocked in (
                 client.connect, client.username_pw_set, client.reconnect_delay_set, connected.setsockopt,
             )
         ],
@@ -508,14 +508,14 @@ def live_words_row() -> dict[str, Any]:
         open_cell = np.zeros((4, 5), dtype=bool)
         for cell, factor in change.items():
             ratio[cell] = factor
-        resting, loaded = (lp.Readings.of(scene, lp.two_point_resistance(each)) for each in (cells, cells * ratio))
+        resting, loaded = (lp.Readings.of(scene, lp.two_point_resistance(ohm)) for ohm in (cells, cells * ratio))
         ratio[3, 4], open_cell[3, 4] = (1e6, True) if broken else (1.0, False)
         verdicts.append(verdict_of(loaded, resting, ratio, open_cell))
-    left = replace(LAMPREY, until_s=9.0)
+    past = replace(LAMPREY, until_s=9.0)
     later = replace(LAMPREY, since_s=20.0)
     view = View("here", "LSM", "receiving", lp.Panel(2, 3))
     alarms = []
-    for loads, confirmed in (((CUP,), 0), ((LAMPREY,), 0), ((left,), 0), ((), 1), ((left,), 0), ((LAMPREY, later), 0)):
+    for loads, confirmed in (((CUP,), 0), ((LAMPREY,), 0), ((past,), 0), ((), 1), ((past,), 0), ((LAMPREY, later), 0)):
         view = with_detected(view, Detected.of("here", loads, 4.0))
         alarms.append((view.alarm, sorted(view.acknowledged)))
         view = acknowledged(view) if confirmed else view
@@ -525,8 +525,8 @@ def live_words_row() -> dict[str, Any]:
         view = with_picture(view, picture)
     scans: list[Any] = [Unloaded(simulated().scene, ()), *(Scan(map_, None, float(number), 0.0) for number in range(6))]
     with patch.object(watcher, "MAX_WAITING", 4):
-        waiting = [[scans.index(each) for each in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
-        waiting += [[scans.index(each) for each in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
+        waiting = [[scans.index(scan) for scan in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
+        waiting += [[scans.index(scan) for scan in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
     scene = lp.Scene(lp.Panel(3, 4), lp.TwoPointReadout(), 140.0)
     still = np.full((3, 4), 1000.0)
     resting, unreadable = (lp.Readings.of(scene, factor * still) for factor in (1.0, np.nan))
@@ -534,22 +534,22 @@ def live_words_row() -> dict[str, Any]:
     states = [PanelState.begin(LIVE[name], scene, 1.0, resting, hasty=hasty) for name, hasty in methods]
     arrivals = (1, resting), (2, resting), (1, unreadable)
     states.append(PanelState.begin(ESTIMATORS["auto"], scene, 1.0, resting, hasty=True))
-    states += [replace(each, missing=count).after(zero, None, 1.0) for each in states for count, zero in arrivals]
-    states += [each.after(resting, None, 2.0) for each in states if each.missing]
+    states += [replace(state, missing=count).after(zero, None, 1.0) for state in states for count, zero in arrivals]
+    states += [state.after(resting, None, 2.0) for state in states if state.missing]
     for coupled in (True, False):
         scene = lp.Scene(lp.Panel(modules=Modules(1, 2, EachModule(3, 2), coupled=coupled)))
         states.append(PanelState.begin(LIVE["smooth"], scene, 1.0, lp.Readings.of(scene, still), hasty=True))
     engine = Engine("here", "LSM", ESTIMATORS["auto"], 2)
     engines = list[Any]()
-    for each, engine._beside in product(states, (None, SimpleNamespace(gone=False), SimpleNamespace(gone=True))):
-        updated = engine._with_findings(each)
+    for state, engine._beside in product(states, (None, SimpleNamespace(gone=False), SimpleNamespace(gone=True))):
+        updated = engine._with_findings(state)
         engines.append((updated.stream.keeps_weights, updated.track is None, updated.stream.track is None))
     listed = lp.Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0)))
     panels = (lp.Panel(1, 2, 8.0), listed, lp.Panel(modules=Modules(1, 2, EachModule(2, 3, 5.0), 4.0)))
     return {
         "states": [
-            (each.missing, each.zeroed, len(each.recent), each.track is None, each.stream.track is None,
-             each.stream.keeps_weights) for each in states
+            (state.missing, state.zeroed, len(state.recent), state.track is None, state.stream.track is None,
+             state.stream.keeps_weights) for state in states
         ],
         "engines": engines, "methods": [(name, method.terms, method.method) for name, method in LIVE.items()],
         "chosen": [chosen(name, None)[0] for name in (None, "LSM")], "unknown": refusal(chosen, "LSX", None),
@@ -559,7 +559,7 @@ def live_words_row() -> dict[str, Any]:
         "again": json.loads(view_text(view, 0.0, HISTORY_FRAMES + 2))["picture"],
         "panels": [json.loads(view_text(View("here", "LSM", "on", panel), 0.0))["panel"] for panel in panels],
         "addresses": [
-            refusal(publish_at, each) if each in PLACES[-3:] else vars(publish_at(each, "key")) for each in PLACES
+            refusal(publish_at, url) if url in PLACES[-3:] else vars(publish_at(url, "key")) for url in PLACES
         ],
         "signatures": [Message.of(replace(view, alarm=alarm)).signature for alarm in ("", "an alarm")],
     }  # fmt: skip
@@ -796,13 +796,13 @@ def variants_row() -> list[Any]:
             for factor in (1.03, 1.0)
         ),
         *(
-            [len(axes.collections) for axes in lp.ContourPlot().draw((each,)).axes]
-            for each in (replace(square, scene=lp.Scene(panel)) for panel in apart)
+            [len(axes.collections) for axes in lp.ContourPlot().draw((shown,)).axes]
+            for shown in (replace(square, scene=lp.Scene(panel)) for panel in apart)
         ),
         drawn_row(maps.maps_figure(tiles, square.scene.panel, maps.change_scale([ones], "a"))),
         drawn_row(lp.ContourPlot(6).draw(invented()[:3])), drawn_row(lp.PressurePlot(6).draw((single,))),
         [refusal(plots.picture, (single,), lp.PressurePlot(frame)) for frame in (6, 99)],
-        *(drawn_row(lp.ContourPlot().draw((invented_case(shape=each),))) for each in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),
+        *(drawn_row(lp.ContourPlot().draw((invented_case(shape=size),))) for size in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),
     ]  # fmt: skip
 
 

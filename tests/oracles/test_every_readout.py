@@ -394,7 +394,7 @@ def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any,
             assert_allclose(reduced.cell_resistance[0], close, rtol=1e-4)
 
 
-@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
+@pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
     """Codes that are simulated scatter as σ says, line by line; of many readings each."""
@@ -414,7 +414,7 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
+@pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
     """All channels and the reference drawn anew for every panel: errors in units of the error bars."""
     cells = cells_of()
@@ -435,7 +435,9 @@ def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> 
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
-@pytest.mark.parametrize("readout", [one for one in (READOUTS | MORE_READOUTS).values() if one.unit == "volt"])
+@pytest.mark.parametrize(
+    "readout", [readout for readout in (READOUTS | MORE_READOUTS).values() if readout.unit == "volt"]
+)
 def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
     cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0

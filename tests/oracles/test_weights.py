@@ -181,12 +181,12 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(name: str, level: str, chosen: bool) -> None:
     """Of 2,880 cells; of half as many where the weight is chosen, and 40 draws are 40 weights."""
     drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, 40 if chosen else 80, 7)
-    half, most, nearly_all = drawn.coverage
+    coverage_50, coverage_80, coverage_95 = drawn.coverage
     if chosen:
-        assert 0.42 < half < 0.62 and 0.72 < most < 0.93 and nearly_all > 0.88
+        assert 0.42 < coverage_50 < 0.62 and 0.72 < coverage_80 < 0.93 and coverage_95 > 0.88
         assert np.quantile(drawn.weights, 0.1) < 2 and np.quantile(drawn.weights, 0.9) > 0.5
     else:
-        assert abs(half - 0.5) < 0.05 and abs(most - 0.8) < 0.04 and abs(nearly_all - 0.95) < 0.02
+        assert abs(coverage_50 - 0.5) < 0.05 and abs(coverage_80 - 0.8) < 0.04 and abs(coverage_95 - 0.95) < 0.02
         assert np.allclose(drawn.weights, 1)
     assert min(drawn.uniformity) > 1e-3
 
