@@ -18,7 +18,7 @@ FROZEN_CALL = 20  # the write to the disk that takes so long
 
 @pytest.mark.slow
 def test_a_disk_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds had the same end."""
+    """Frames wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds ended the same."""
     append: Callable[..., None] = Journal.append
     calls = list[int]()
 

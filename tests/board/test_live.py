@@ -258,7 +258,7 @@ def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
-    """With the unloaded frames first, into the folder where lampest was begun; a second one is another file."""
+    """Recordings begin with the unloaded frames and go to the working folder; a second one is another file."""
     cells, _ = truth_of(LAMPREY)
     script = "return document.getElementById('recorded').innerText"
     press = "document.getElementById('record').click()"

@@ -71,7 +71,7 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
 
 @pytest.mark.slow
 def test_errors_and_coverage_count_intact_cells(tmp_path: Path, lampest: Command) -> None:
-    """Of a panel with a hole, an open and a shorted cell and a dead row; the report compares two estimators on it."""
+    """A report compares two estimators on a panel with a hole, an open and a shorted cell and a dead row."""
     places = tuple((*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0))
     broken = Faults(open=((1, 1),), shorted=((2, 3),), dead_rows=(5,))
     scene = dataclasses.replace(LOADED, panel=Panel(6, 6, cells=places), faults=broken)

@@ -158,7 +158,7 @@ def test_an_endless_file_as_a_run_is_refused() -> None:
 def test_a_recording_that_claims_many_frames_is_refused(
     good: Corpus, folder: Path, names: tuple[str, ...], frames: int
 ) -> None:
-    """It is refused, and nothing of that size is touched."""
+    """No memory of that size is touched."""
     stream = io.BytesIO(good.files["recording"][0])
     with h5py.File(stream, "a") as file:
         for name in (f"entry/two_point/{name}" for name in names):

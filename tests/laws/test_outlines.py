@@ -41,7 +41,7 @@ def test_a_cell_at_no_crossing_is_refused(crossing: tuple[int, int]) -> None:
 @pytest.mark.parametrize("outline", OUTLINES)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> None:
-    """There are as many readings as cells, and nothing else is sought."""
+    """Without noise as many readings as cells determine every cell."""
     panel, cells = random_panel(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
@@ -85,7 +85,7 @@ def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
 
 @pytest.mark.parametrize("outline", OUTLINES)
 def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
-    """With log_gradient a missing reading's cell is found, and even cells stay even."""
+    """With log_gradient the cell of a missing reading is estimated, and even cells stay even."""
     panel, _ = random_panel(outline, 4)
     readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
     row, column = np.argwhere(panel.present)[3]
@@ -96,7 +96,7 @@ def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
-    """It is what leads round: with it a cell whose own reading is missing is found exactly."""
+    """With that reading a cell whose own reading is missing is determined exactly."""
     panel, cells = random_panel("foot", 5)
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
@@ -107,7 +107,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
-    """They are written, read and drawn; an absent crossing has no number."""
+    """Results are written, read and drawn; an absent crossing has no number."""
     panel, cells = random_panel(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(
@@ -121,7 +121,7 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
 
 @pytest.mark.slow
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
-    """On a finger of the hand: simulated, found and pressed there, not where lines cross on a full rectangle."""
+    """A load on a finger of the hand is estimated there, not where lines cross on a full rectangle."""
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
     cells = Cells(3000, 0.1, 6)
@@ -172,7 +172,7 @@ def test_a_frame_of_bounds_is_checked_by_the_circuit_laws_alone() -> None:
 
 
 def test_the_error_names_a_table_line_without_numbers(tmp_path: Path) -> None:
-    """Its first line may be a header."""
+    """The first line of the table may be a header."""
     (tmp_path / "cells.csv").write_text("row,column\n0,0\n0,x\n")
     (tmp_path / "scene.yaml").write_text("panel: {rows: 2, columns: 2, cells: cells.csv}\n")
     with pytest.raises(lampest.InputError, match=r"cells\.csv:3: 0, x are not all numbers"):

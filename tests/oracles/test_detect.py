@@ -217,7 +217,7 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
 @pytest.mark.parametrize("place", [(4, 6), (3, 5), (1, 1)])
 @pytest.mark.parametrize("ohm", [20.0, 160.0])
 def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) -> None:
-    """Nor do last bits, where it lies under the mouth."""
+    """Neither do the last bits of readings, where the outlier lies under the mouth."""
     recording = recorded(MOUTH, frames=1)
     diameters = []
     for last_bits in (0.0, 1e-12):

@@ -75,7 +75,7 @@ def test_a_window_equals_the_network_of_its_modules() -> None:
 
 @pytest.mark.slow
 def test_recognition_examines_only_changed_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 36 modules one carries a rod: one window opens, a bounded number of looks is taken, all at this module."""
+    """One of 36 modules carries a rod: one window opens, and a bounded number of looks examines this module alone."""
     examined = list[tuple[int, ...]]()
     verdict = Detector.verdict
 

@@ -304,7 +304,7 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     ],
 )
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
-    """Its cells are open, and the voltage of its readings says nothing, not even to bounds and starts of others."""
+    """The cells of a dead line are open; its voltages affect neither bounds nor starts of other cells."""
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])

@@ -211,7 +211,7 @@ def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None
 def test_an_attached_load_is_never_taken_for_the_zero(
     load: Shape, approach: float, seed: int, film: Film | None
 ) -> None:
-    """Of the true cells, which drift, with noise of 0.7 %; a load that has reached 0.1 kPa somewhere is there."""
+    """True cells drift and have noise of 0.7 %; a load is attached once it has reached 0.1 kPa anywhere."""
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
     plain = Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film)

@@ -118,7 +118,7 @@ def test_modules_in_parallel_threads_give_the_same_bytes(monkeypatch: pytest.Mon
     "panel", ["modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}", "rows: 3, columns: 4"]
 )
 def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
-    """Also through samples; a dead module has none."""
+    """The arrays pass through samples, too; a dead module has none."""
     dead = "faults: {dead_modules: [[0, 1]]}\n" if "modules" in panel else ""
     recording = simulated(scene_of(f"panel: {{{panel}}}\n{SCENE[SCENE.index('readout') :]}{dead}"))
     estimator = Estimator((Misfit(), RelativeChange(weight=1e-3)), "reduced")

@@ -301,7 +301,7 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
 
 
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
-    """Of 0.2 % too little shows to advise it; 72 to 84 % were held of such recordings."""
+    """An error of 0.2 % is too small to be advised; intervals of such recordings contained 72 to 84 %."""
     recordings = [recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)]
     assert np.mean([coverage_of(recording) for recording in recordings], axis=0).min() > 0.8
 

@@ -120,7 +120,7 @@ def test_the_size_of_a_leak_is_estimated_and_a_converter_curve_is_not_taken_for_
 
 
 def test_the_edge_of_a_large_load_is_not_taken_for_a_contact() -> None:
-    """It covers whole columns, the last of which it presses little, and breathes."""
+    """The load covers whole columns, presses the last one little, and breathes."""
     block = Block(centre_mm=(17.5, 45.0), length_mm=35.0, width_mm=90.0, mass_g=4000.0)
     course = Course(start_s=-0.08, approach_s=0.06, attachment_s=0.9316, breathing_hz=0.80338, breathing_depth=0.1)
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)

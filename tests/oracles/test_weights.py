@@ -179,7 +179,7 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 @pytest.mark.parametrize("level", SETTINGS)
 @pytest.mark.parametrize("name", PRIORS)
 def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(name: str, level: str, chosen: bool) -> None:
-    """Of 2,880 cells; of half as many where the weight is chosen, and 40 draws are 40 weights."""
+    """2,880 cells are drawn, half as many where the weight is chosen; 40 draws have 40 weights."""
     drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, 40 if chosen else 80, 7)
     coverage_50, coverage_80, coverage_95 = drawn.coverage
     if chosen:

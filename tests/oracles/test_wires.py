@@ -195,7 +195,7 @@ def contacted(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1,
 
 @each_readout
 def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
-    """They are the same in both frames: bars of changes are far narrower than those of cells."""
+    """Contacts are equal in both frames: error bars of changes are far narrower than those of cells."""
     estimate = solved(contacted(readout, 5))
     bars = estimate.cell_resistance_errors / estimate.cell_resistance
     assert np.median(estimate.relative_change_errors / 100) < 0.3 * np.median(bars)

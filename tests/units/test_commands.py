@@ -98,7 +98,7 @@ def test_a_study_creates_its_folder(tmp_path: Path, lampest: Command, monkeypatc
 
 
 def test_no_help_contains_an_emoji(lampest: Command) -> None:
-    """Of words between two colons the help's renderer makes a picture where it knows one."""
+    """The renderer of the help turns known words between two colons into a picture."""
     for name in ("compare", "plot", "export", "detect", "tare"):
         completed = lampest(name, "--help")
         assert completed.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", completed.out), name

@@ -195,7 +195,7 @@ def hanging(seconds: float) -> float:
 
 
 def test_workers_end_with_their_killed_command() -> None:
-    """They hold its output, so that whoever reads it would wait forever."""
+    """Workers hold the output of the command open, so that its reader would wait forever."""
     script = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
     script += "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
     completed = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, timeout=60)
@@ -283,7 +283,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_local_cluster_listens_only_on_the_loopback_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its loggers are as before once it has ended."""
+    """Loggers are restored when the cluster has ended."""
     log = logging.getLogger("distributed.scheduler")
     monkeypatch.setattr(log, "level", logging.ERROR)
     outcomes = Dask(workers=1).results(eval, [LISTENING])

@@ -91,7 +91,7 @@ def test_a_forked_child_renews_only_the_locks_of_cached_properties(monkeypatch: 
 
 
 def test_levels_have_their_stated_false_alarm_rate() -> None:
-    """Of a normal distribution, on both sides; once in so many numbers."""
+    """Both tails of a normal distribution exceed a level once in the stated count of numbers."""
 
     def once_in(sigmas: float) -> float:
         return float(1 / (2 * norm.sf(sigmas)))

@@ -268,7 +268,7 @@ def test_live_pressure_excludes_the_memory_of_the_film() -> None:
 
 
 def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the page's button, and by `out`; the second of three frames lost two before it."""
+    """The button of the page and `out` record; two frames before the second of three were lost."""
     hello = dataclasses.replace(IDLE, readings=64, period_us=500_000)
     sums = np.full((4, 3, 4), 64 * 700, np.uint16)
     sums[2:, 1, 2] = 64 * 720
@@ -318,7 +318,7 @@ def test_a_stream_retains_no_past_frames() -> None:
 
 @pytest.mark.slow
 def test_the_live_page_retains_only_its_history() -> None:
-    """Its history is full after 1,800 frames."""
+    """The history is full after 1,800 frames."""
     early, late = live_figures((2 * FRAMES, 3 * FRAMES))
     assert late.allocated - early.allocated < LEAK_BYTES_PER_FRAME * (late.frames - early.frames)
     assert late.open_files <= early.open_files and late.threads == early.threads

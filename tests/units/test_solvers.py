@@ -65,7 +65,7 @@ def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_second_derivatives_are_factored_once_and_reused(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
-    """Of the third frame of a recording: evaluations of the cost, products with ∇²φ, and its factors."""
+    """Evaluations of the cost, products with ∇²φ and factorisations are counted in the third frame."""
     bench = BenchFile(schema=1, sizes=(8,))
     counts = dict[str, int]()
     recording = bench.recording((8, 8), number)

@@ -117,7 +117,7 @@ def test_a_folder_without_a_recording_is_refused(tmp_path: Path, lampest: Callab
 
 
 def test_a_failed_recognition_is_repeated_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The load is recognised by the next one, and the recording is told to its end."""
+    """The next attempt recognises the load, and the recording is evaluated to its end."""
     recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
@@ -138,7 +138,7 @@ def test_a_failed_recognition_is_repeated_with_the_next_frames(monkeypatch: pyte
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
 def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
-    """By 3 % at a breathing rate; no cell has risen."""
+    """The ring trembles by 3 % at a breathing rate; no cell has risen."""
     recording, *_ = attached("trembling ring", 4.0, 8100 + number)
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
@@ -176,7 +176,7 @@ def test_few_cells_becoming_even_are_not_taken_for_a_departed_load() -> None:
 
 
 def test_a_wave_at_half_the_frame_rate_has_the_depth_of_a_breath() -> None:
-    """Its sine is hardly sampled: amplitudes come from the prior, and not from a division by nothing."""
+    """The sine of the wave is hardly sampled: the prior bounds the amplitude, and nothing is divided by zero."""
     times = np.arange(0, 8, 0.25)
     rise = np.repeat([-2.0, 1.0], 20)
     slopes = np.repeat([-300.0, 90.0], 20)

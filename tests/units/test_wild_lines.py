@@ -441,7 +441,7 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
 
 
 def test_a_returning_board_is_shown_at_any_phase() -> None:
-    """Its frames arrive after those of the leading board, which must wait for them again."""
+    """Frames of the returning board arrive after those of the leading one, which must wait for them again."""
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
         delivered = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
