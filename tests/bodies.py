@@ -18,8 +18,8 @@ def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
     *fields, wiring, drive, _ = vars(hello).values()
     fields[6], fields[13] = hello.firmware[0] << 8 | hello.firmware[1], ACROSS.index(hello.measured_across)
-    more = b"" if wiring == "two_point" else protocol._HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
-    return protocol._HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields) + more
+    wiring_fields = b"" if wiring == "two_point" else protocol._HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
+    return protocol._HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields) + wiring_fields
 
 
 def frame_body(frame: Frame) -> bytes:

@@ -16,9 +16,9 @@ os.environ.update({name: value for name, value in ONE_THREAD.items() if name not
 sys.path.insert(0, str(Path(__file__).parent))
 
 
-FEW = 2  # variants of a test that `make test` runs where there are many
+FAST_VARIANTS = 2  # variants of a test that `make test` runs where there are many
 THINNED = ("board", "oracles", "units")  # laws and contracts keep all of theirs
-WHOLE = "test_table.py"  # the golden table keeps all of its rows with `--variants`, too
+UNTHINNED = "test_table.py"  # the golden table keeps all of its rows with `--variants`, too
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -28,13 +28,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Of a test with many variants all but FEW, spread over them, carry the mark `slow`; `soak` runs when asked for."""
+    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow; leave `soak` out unless requested."""
     if "soak" not in config.getoption("-m"):
         config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("soak")])
         items[:] = [item for item in items if not item.get_closest_marker("soak")]
     chosen = config.getoption("--variants")
-    thinned = [item for item in items if item.path.name != WHOLE and (chosen or item.path.parent.name in THINNED)]
-    for item in surplus(thinned, chosen or FEW):
+    thinned = [item for item in items if item.path.name != UNTHINNED and (chosen or item.path.parent.name in THINNED)]
+    for item in surplus(thinned, chosen or FAST_VARIANTS):
         item.add_marker(pytest.mark.slow)
 
 

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from lampest import Array, Estimates, Recording, Scene
 
 
-def recording_of(scene: Scene, recorded: Array, unloaded: int = 0, **more: object) -> Recording:
+def recording_of(scene: Scene, recorded: Array, unloaded: int = 0, **fields: object) -> Recording:
     """A frame a second, the first ones unloaded."""
     time = np.arange(float(len(recorded)))
-    return Recording(scene, recorded, time, (time >= unloaded).astype(np.uint8), **more)
+    return Recording(scene, recorded, time, (time >= unloaded).astype(np.uint8), **fields)
 
 
 def log_errors(estimate: Estimates) -> Array:

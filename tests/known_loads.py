@@ -46,8 +46,8 @@ class Bench:
         for group in loads:
             simulation = replace(plain, loads=tuple(group))
             under = cells_under(simulation, still)
-            again = np.exp(self.repeat * rng.standard_normal(self.panel.shape))
-            cells.append(under[:1] * (under[RESTING:] / under[:1]) ** again)
+            repetition = np.exp(self.repeat * rng.standard_normal(self.panel.shape))
+            cells.append(under[:1] * (under[RESTING:] / under[:1]) ** repetition)
             pressure.append(pressure_at(simulation, still - RESTING)[RESTING:])
         resting = np.repeat(under[:1], RESTING, axis=0)
         truth = {"truth_cell_resistance": np.concatenate([resting, *cells])}

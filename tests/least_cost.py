@@ -37,8 +37,8 @@ class Circuit:
             node[list(group)] = group[0]
         ends = np.stack([np.repeat(node[:rows], columns), np.tile(node[rows:], rows)])
         matrix = np.zeros((rows + columns, rows + columns))
-        for one, other, sign in ((0, 0, 1), (1, 1, 1), (0, 1, -1), (1, 0, -1)):
-            np.add.at(matrix, (ends[one], ends[other]), sign * conductance.ravel())
+        for first, second, sign in ((0, 0, 1), (1, 1, 1), (0, 1, -1), (1, 0, -1)):
+            np.add.at(matrix, (ends[first], ends[second]), sign * conductance.ravel())
         for line, tie in enumerate(self._ties(rows, columns)):
             matrix[node[line], node[line]] += tie
         used = np.unique(node)
@@ -65,24 +65,24 @@ class Circuit:
         row = np.repeat(np.arange(rows), columns)
         column = rows + np.tile(np.arange(columns), rows)
         own = impedance[row, row]
-        other = impedance[column, column]
+        column_impedance = impedance[column, column]
         mutual = impedance[row, column]
-        one = np.ones_like(own)
+        ones = np.ones_like(own)
         zero = np.zeros_like(own)
         total = self.sense + self.load
         if self.kind == "two_point":
-            value = own + other - 2 * mutual
-            slopes = (one, one, -2 * one)
+            value = own + column_impedance - 2 * mutual
+            slopes = (ones, ones, -2 * ones)
         elif self.kind == "loaded":
             value = self.supply * mutual / (self.drive + own)
             slopes = (-value / (self.drive + own), zero, self.supply / (self.drive + own))
         elif self.kind == "virtual":
             gain = self.supply * self.load / (self.drive * self.sense)
             value = gain * mutual
-            slopes = (zero, zero, gain * one)
+            slopes = (zero, zero, gain * ones)
         else:
             gain = self.supply * self.load / (self.drive * total)
-            loaded = 1 + other / total if self.kind == "grounded_one" else one
+            loaded = 1 + column_impedance / total if self.kind == "grounded_one" else ones
             value = gain * mutual / loaded
             slopes = (zero, -value / loaded / total * (self.kind == "grounded_one"), gain / loaded)
         drop = impedance[:, row] - impedance[:, column]
@@ -108,7 +108,7 @@ def edges(rows: int, columns: int) -> Array:
     number = np.arange(rows * columns).reshape(rows, columns)
     pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:])]
     unit = np.eye(number.size)
-    return np.concatenate([unit[after.ravel()] - unit[before.ravel()] for before, after in pairs])
+    return np.concatenate([unit[second.ravel()] - unit[first.ravel()] for first, second in pairs])
 
 
 @dataclass(frozen=True)
@@ -156,10 +156,10 @@ class LeastCost:
         given = data.given
         shape = data.measured.shape
         side = np.zeros(shape) if given.side is None else given.side
-        seen = np.ones(shape) if given.seen is None else given.seen
+        observed = np.ones(shape) if given.seen is None else given.seen
         faulty = np.zeros(shape[1:], dtype=bool) if faulty is None else faulty
         baseline = given.previous if given.baseline is None else given.baseline
-        readings = (given.measured, given.sigma, side, seen, data.lower, data.upper)
+        readings = (given.measured, given.sigma, side, observed, data.lower, data.upper)
         return cls(circuit, terms, *readings, faulty, given.previous, baseline, given.previous_deviation)
 
     def blocks(self, position: Array) -> Iterator[tuple[Penalty, Array, Array]]:
@@ -179,13 +179,13 @@ class LeastCost:
                 if compares and shape[0] == 2 and frame == 0:
                     continue
                 if compares:
-                    before = places[0] if shape[0] == 2 else np.log(self._reference(term)).ravel()
-                    ratio = np.exp(place - before)
+                    reference = places[0] if shape[0] == 2 else np.log(self._reference(term)).ravel()
+                    ratio = np.exp(place - reference)
                 else:
-                    before = np.zeros(count)
+                    reference = np.zeros(count)
                     ratio = cells
                 log = term.kind in ("log_ratio", "total_variation", "total_variation_of_change", "arrival")
-                value, inner = (place - before, np.ones(count)) if log else (ratio - compares, ratio)
+                value, inner = (place - reference, np.ones(count)) if log else (ratio - compares, ratio)
                 factor, operator = self._operator(term)
                 sound = ~np.any((operator != 0) & self.faulty.ravel(), axis=1)
                 operator = factor * operator[sound]
@@ -217,9 +217,9 @@ class LeastCost:
 
     def _misfit(self, term: Penalty, frame: int, reading: Array, response: Array) -> tuple[Array, Array]:
         parts = (self.measured, self.sigma, self.side, self.seen)
-        measured, sigma, side, seen = (part[frame].ravel() for part in parts)
+        measured, sigma, side, observed = (part[frame].ravel() for part in parts)
         difference = reading - measured
-        counts = seen * np.where(side == 0, 1.0, side * difference < 0)
+        counts = observed * np.where(side == 0, 1.0, side * difference < 0)
         scale = counts / (sigma if term.scaled else 1.0)
         return difference * scale, response * scale[:, None]
 
@@ -248,17 +248,17 @@ class LeastCost:
             slopes.append(np.sqrt(term.weight) * (np.sign(x) * np.sign(slope) * np.abs(half))[:, None] * rows)
         return np.concatenate(residuals), np.concatenate(slopes)
 
-    def minimised(self, start: Array, most: int = 100) -> Array:
+    def minimised(self, start: Array, max_steps: int = 100) -> Array:
         """u from SciPy's trust-region reflective method; absolute losses less and less rounded."""
         place = np.clip(start, np.log(self.lower).ravel(), np.log(self.upper).ravel())
         rough = [float(np.abs(x).max(initial=0)) for term, x, _ in self.blocks(place) if term.loss == "absolute"]
         if not rough:
-            return self._nearer(place, 0.0, most)
+            return self._nearer(place, 0.0, max_steps)
         for smooth in max(rough) * 10.0 ** -np.arange(1, 9):
-            place = self._nearer(place, float(smooth), max(most // 8, 10))
+            place = self._nearer(place, float(smooth), max(max_steps // 8, 10))
         return place
 
-    def descended(self, start: Array, most: int = 300) -> Array:
+    def descended(self, start: Array, max_iterations: int = 300) -> Array:
         """u from SciPy's L-BFGS-B, which asks for gradients alone; absolute losses hardly rounded."""
         bounds = list(zip(np.log(self.lower).ravel(), np.log(self.upper).ravel(), strict=True))
         rough = [float(np.abs(x).max(initial=0)) for term, x, _ in self.blocks(start) if term.loss == "absolute"]
@@ -268,32 +268,32 @@ class LeastCost:
             residuals, slopes = self.as_squares(place, smooth)
             return float(residuals @ residuals), 2 * residuals @ slopes
 
-        options = {"maxiter": most, "maxcor": 30, "ftol": 1e-15, "gtol": 0.0}
+        options = {"maxiter": max_iterations, "maxcor": 30, "ftol": 1e-15, "gtol": 0.0}
         return np.asarray(minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
 
-    def _nearer(self, place: Array, smooth: float, most: int) -> Array:
+    def _nearer(self, place: Array, smooth: float, max_evaluations: int) -> Array:
         """One run of it; cells that bounds leave no room stay."""
         low = np.log(self.lower).ravel()
         high = np.log(self.upper).ravel()
         free = high > low + 1e-12
-        whole = place.copy()
+        position = place.copy()
         low = low[free]
         high = high[free]
         last: list[Any] = []
 
         def both(part: Array) -> tuple[Array, Array]:
             if not last or not np.array_equal(last[0], part):
-                whole[free] = part
-                value, slope = self.as_squares(whole, smooth)
+                position[free] = part
+                value, slope = self.as_squares(position, smooth)
                 last[:] = part.copy(), (value, slope[:, free])
             pair: tuple[Array, Array] = last[1]
             return pair
 
         start = np.clip(place[free], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-        options = {"bounds": (low, high), "ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14, "max_nfev": most}
-        found = least_squares(lambda part: both(part)[0], start, lambda part: both(part)[1], **options)
-        whole[free] = found.x
-        return whole
+        options = {"bounds": (low, high), "ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14, "max_nfev": max_evaluations}
+        fit = least_squares(lambda part: both(part)[0], start, lambda part: both(part)[1], **options)
+        position[free] = fit.x
+        return position
 
 
 def loss(term: Penalty, x: Array, smooth: float) -> tuple[Array, Array]:

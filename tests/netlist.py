@@ -105,7 +105,7 @@ def in_digits(cells: Array, digits: int = 50) -> Array:
     return np.array([float(resistance) for resistance in between]).reshape(cells.shape)
 
 
-def each(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
+def per_line(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
     return ohm if isinstance(ohm, tuple) else (ohm,) * lines
 
 
@@ -128,12 +128,12 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     volt = potentials(network, {"high": high, "low": low})
     if isinstance(readout, VirtualGroundReadout):
         through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
-        return each(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
+        return per_line(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
     return volt[("load", sensed) if ("load", sensed) in volt else ("s", sensed)]
 
 
 def cells_between(matrix: Array) -> list[Resistor]:
-    return [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
+    return [(("d", line), ("s", sense_line), ohm) for (line, sense_line), ohm in np.ndenumerate(matrix)]
 
 
 def divider(
@@ -151,22 +151,22 @@ def divider(
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
     """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
-    lines, others = (range(count) for count in matrix.shape)
+    lines, sense_lines = (range(count) for count in matrix.shape)
     if isinstance(readout, DrivenReadout) or getattr(readout, "groups", None) is not None:
         return network_of_states(matrix, readout, driven, sensed)
     floating = isinstance(readout, LoadedColumnsReadout)
-    drive = each(readout.drive_ohm, len(lines))
+    drive = per_line(readout.drive_ohm, len(lines))
     network = cells_between(matrix)
     network += [
         (("d", line), "high" if line == driven else "low", drive[line])
         for line in lines
         if line == driven or not floating
     ]
-    channels = (0.0,) * len(others) if floating else each(readout.sense_ohm, len(others))
+    channels = (0.0,) * len(sense_lines) if floating else per_line(readout.sense_ohm, len(sense_lines))
     if isinstance(readout, VirtualGroundReadout):
-        return [*network, *((("s", line), "low", channels[line]) for line in others)]
-    loads = each(readout.load_ohm, len(others))
-    for line in [sensed] if getattr(readout, "sense", "all") == "one" else others:
+        return [*network, *((("s", line), "low", channels[line]) for line in sense_lines)]
+    loads = per_line(readout.load_ohm, len(sense_lines))
+    for line in [sensed] if getattr(readout, "sense", "all") == "one" else sense_lines:
         network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
         network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
     return network
@@ -174,24 +174,24 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
 
 def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
     """The same of a circuit that names what idle lines have, or whose sensed lines are behind multiplexers."""
-    count, others = matrix.shape
-    drive = each(readout.drive_ohm, count)
-    idle = each(getattr(readout, "idle_ohm", np.inf if isinstance(readout, LoadedColumnsReadout) else drive), count)
+    count, sense_count = matrix.shape
+    drive = per_line(readout.drive_ohm, count)
+    idle = per_line(getattr(readout, "idle_ohm", np.inf if isinstance(readout, LoadedColumnsReadout) else drive), count)
     network = cells_between(matrix)
     network += [
         (("d", line), "high" if line == driven else "low", (drive if line == driven else idle)[line])
         for line in range(count)
     ]
-    groups = readout.groups or [range(others)]
+    groups = readout.groups or [range(sense_count)]
     turn = next(list(group).index(sensed) for group in groups if sensed in group)
     read = [group[turn] for group in groups if turn < len(group)]
-    loads = each(readout.load_ohm, others)
-    channels = each(getattr(readout, "sense_ohm", 0.0), others)
+    loads = per_line(readout.load_ohm, sense_count)
+    channels = per_line(getattr(readout, "sense_ohm", 0.0), sense_count)
     stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
-    for line in range(others):
+    for line in range(sense_count):
         if line in read or stays:
             network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
             network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
         elif getattr(readout, "idle_load_ohm", None) is not None:
-            network.append((("s", line), "low", each(readout.idle_load_ohm, others)[line]))
+            network.append((("s", line), "low", per_line(readout.idle_load_ohm, sense_count)[line]))
     return [(first, second, ohm) for first, second, ohm in network if ohm < np.inf]

@@ -96,10 +96,10 @@ class Plan:
 
     def volts(self, scene: Scene | None = None) -> Array:
         """Exact voltages at the converter, (frames, rows, columns); by a scene with other faults, if given."""
-        made = scene or self.scene
+        actual = scene or self.scene
         cells = self.loaded()
-        circuit = made.circuit
-        recorded = circuit.to_recorded(circuit.exact_reading(cells, made.wiring), made)
+        circuit = actual.circuit
+        recorded = circuit.to_recorded(circuit.exact_reading(cells, actual.wiring), actual)
         return np.asarray(self.scene.circuit.volt_from_recorded(recorded))
 
     def recording(self, volts: Array | None = None, scene: Scene | None = None) -> Recording:

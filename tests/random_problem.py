@@ -42,8 +42,8 @@ TERMS = {
 CIRCUITS = {"two_point": 0.5, "loaded": 0.2, "grounded": 0.1, "grounded_one": 0.1, "virtual": 0.1}
 LOSSES = {"squared": Squared, "huber": Huber, "absolute": Absolute}
 ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")
-ROUNDING = 1e-12
-LAST_BITS = 1e-14  # of ln r
+ROUNDING_ERROR = 1e-12
+MIN_STEP = 1e-14  # of ln r
 # beyond, building a nodal program takes seconds, and so does a trust region
 NODAL_CELLS = 64
 SEVERAL_CELLS = 100
@@ -91,7 +91,10 @@ class RandomProblem:
         pushed = int(random.integers(0, 3))
         scene = Scene(Panel(*shape), readout, faults=faults)
         words = [f"{shape[0]}×{shape[1]}", kind, f"noise {noise:.1e}" + ("" if known else " untold")]
-        words += [f"{one.kind}({one.weight:.1e}, {one.loss}{', σ' if one.scaled else ''})" for one in penalties]
+        words += [
+            f"{penalty.kind}({penalty.weight:.1e}, {penalty.loss}{', σ' if penalty.scaled else ''})"
+            for penalty in penalties
+        ]
         words += [("resting", "first frame", "second frame")[pushed], *troubles, "" if faults is None else "faults"]
         about = ", ".join(filter(None, words))
         return cls(seed, number, circuit, scene, penalties, cells, recorded, sigma if known else None, pushed, about)
@@ -100,16 +103,16 @@ class RandomProblem:
     def estimator(self) -> Estimator:
         """The reduced one."""
         terms = []
-        for one in self.penalties:
-            loss = Huber(corner=one.corner) if one.loss == "huber" else LOSSES[one.loss]()
-            more: dict[str, Any] = {"weight": one.weight, "loss": loss}
-            if one.kind == "misfit":
-                terms.append(Misfit(weighting="noise" if one.scaled else "plain", loss=loss))
+        for penalty in self.penalties:
+            loss = Huber(corner=penalty.corner) if penalty.loss == "huber" else LOSSES[penalty.loss]()
+            options: dict[str, Any] = {"weight": penalty.weight, "loss": loss}
+            if penalty.kind == "misfit":
+                terms.append(Misfit(weighting="noise" if penalty.scaled else "plain", loss=loss))
                 continue
-            if one.kind in ("log_ratio", "total_variation_of_change"):
-                more["reference"] = one.against
-            terms.append(term_types()[one.kind](**more))
-        bars = any(one.kind == "arrival" for one in self.penalties)
+            if penalty.kind in ("log_ratio", "total_variation_of_change"):
+                options["reference"] = penalty.against
+            terms.append(term_types()[penalty.kind](**options))
+        bars = any(penalty.kind == "arrival" for penalty in self.penalties)
         bounds = Bounds() if self.sigma is not None else Bounds(upper="none")
         return Estimator(tuple(terms), OptimalMethod("reduced", joint=self.joint), bounds=bounds, error_bars=bars)
 
@@ -124,7 +127,7 @@ class RandomProblem:
         return [Readings.of(self.scene, *pair) for pair in zip(self.recorded, sigmas, strict=True)]
 
     @cached_property
-    def asked(self) -> tuple[Stream, Readings] | None:
+    def requested(self) -> tuple[Stream, Readings] | None:
         """The stream before the frame that is asked for, and that frame; None where it is the baseline."""
         stream = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0])
         if self.pushed == 0 and stream.baseline is not None:
@@ -136,30 +139,30 @@ class RandomProblem:
     @cached_property
     def data(self) -> Data:
         """What that solve is given."""
-        if self.asked is None:
+        if self.requested is None:
             state = Stream(self.estimator, self.scene, 1.0, self._readings[0]).without_comparisons()
             return self.estimator.method.given(state, self._readings[0])[0]
-        stream, readings = self.asked
+        stream, readings = self.requested
         return stream.given(readings)[0]
 
     @cached_property
     def cost(self) -> Cost:
         """The cost of that solve."""
-        estimator = self.alone if self.asked is None else self.estimator
+        estimator = self.alone if self.requested is None else self.estimator
         return estimator.cost(self.scene, len(self.data.measured), partial=self.data.partial)
 
     def solved(self) -> Step:
         """That solve."""
-        if self.asked is None:
+        if self.requested is None:
             baseline = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0]).baseline
             return baseline
-        stream, readings = self.asked
+        stream, readings = self.requested
         return stream.push(readings)[1]
 
     @cached_property
     def oracle(self) -> LeastCost:
         """The same problem in the second statement."""
-        alone = self.asked is None
+        alone = self.requested is None
         faults = self.scene.faults
         terms = (penalty for penalty in self.penalties if not alone or penalty.kind in ABSOLUTE)
         panel = self.scene.panel
@@ -177,10 +180,10 @@ class RandomProblem:
         position = np.log(estimate).ravel()
         own = self.oracle.value(position)
         with np.errstate(all="ignore"):
-            ends = [place for place in self._ends(estimate) if np.abs(place - position).max() > LAST_BITS]
+            ends = [place for place in self._ends(estimate) if np.abs(place - position).max() > MIN_STEP]
             costs = [self.oracle.value(place) for place in ends if np.all(np.isfinite(place))]
         least = min((cost for cost in costs if np.isfinite(cost)), default=np.inf)
-        return (own - least - ROUNDING * self.oracle.blank()) / own
+        return (own - least - ROUNDING_ERROR * self.oracle.blank()) / own
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
         """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and random starts."""
@@ -242,15 +245,15 @@ def _faults(random: np.random.Generator, shape: tuple[int, int]) -> Faults | Non
     """One or two of what a scene may tell; none on panels that are too small for it."""
     if min(shape) < 3:
         return None
-    which = random.choice(["open", "shorted", "dead", "joined"])
+    fault = random.choice(["open", "shorted", "dead", "joined"])
     first = random.choice(shape[0], 2, replace=False)
     second = random.choice(shape[1], 2, replace=False)
     pairs = tuple((int(row), int(column)) for row, column in zip(first, second, strict=True))
-    if which == "joined":
+    if fault == "joined":
         return Faults(joined_rows=(tuple(int(row) for row in sorted(first)),))
-    if which == "dead":
+    if fault == "dead":
         return Faults(dead_rows=(int(first[0]),), dead_columns=(int(second[0]),) if random.random() < 0.5 else ())
-    return Faults(open=pairs) if which == "open" else Faults(shorted=pairs[:1])
+    return Faults(open=pairs) if fault == "open" else Faults(shorted=pairs[:1])
 
 
 def _with_faults(cells: Array, faults: Faults | None) -> Array:
@@ -277,8 +280,8 @@ def _circuit(
         return circuit, LoadedColumnsReadout(drive_ohm=drive, load_ohm=load, **converter)
     if kind == "virtual":
         return circuit, VirtualGroundReadout(drive_ohm=drive, sense_ohm=sense, feedback_ohm=load, **converter)
-    one = "one" if kind == "grounded_one" else "all"
-    return circuit, GroundedReadout(drive_ohm=drive, sense_ohm=sense, load_ohm=load, sense=one, **converter)
+    sensed = "one" if kind == "grounded_one" else "all"
+    return circuit, GroundedReadout(drive_ohm=drive, sense_ohm=sense, load_ohm=load, sense=sensed, **converter)
 
 
 def _troubled(random: np.random.Generator, recorded: Array, circuit: Circuit) -> list[str]:

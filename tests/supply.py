@@ -37,8 +37,8 @@ and is in no wheel.
 
 def locked(path: Path) -> dict[str, str]:
     """Name → newest version of everything that a lock pins."""
-    found = re.findall(r"^([A-Za-z0-9_.-]+)==([^\s;\\]+)", path.read_text(), re.MULTILINE)
-    return {plain(name): version for name, version in found}
+    pins = re.findall(r"^([A-Za-z0-9_.-]+)==([^\s;\\]+)", path.read_text(), re.MULTILINE)
+    return {plain(name): version for name, version in pins}
 
 
 def plain(name: str) -> str:
@@ -57,43 +57,43 @@ def lock() -> int:
     return 0
 
 
-def compiled(command: list[str], wanted: str) -> str:
+def compiled(command: list[str], requirements: str) -> str:
     """What uv resolves; its own sentence where it cannot."""
-    done = subprocess.run(command, cwd=ROOT, input=wanted + "\n", capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"lock: {done.stderr.strip()}")
-    return done.stdout
+    completed = subprocess.run(command, cwd=ROOT, input=requirements + "\n", capture_output=True, text=True)
+    if completed.returncode:
+        sys.exit(f"lock: {completed.stderr.strip()}")
+    return completed.stdout
 
 
 def licences() -> int:
     """Write the list of licences of everything that lampest needs at run time."""
-    here = {plain(found.name) for found in metadata.distributions()}
-    wanted = sorted(set(locked(ROOT / "requirements.lock")) & here)
+    installed = {plain(distribution.name) for distribution in metadata.distributions()}
+    licensed = sorted(set(locked(ROOT / "requirements.lock")) & installed)
     command = [sys.executable, "-m", "piplicenses", "--from=mixed", "--format=markdown", "--with-urls", "--order=name"]
-    done = subprocess.run([*command, "--packages", *wanted], capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"licences: {done.stderr.strip()}")
-    LICENCES.write_text(HEAD + re.sub(r"[ \t]{2,}", " ", done.stdout))
+    completed = subprocess.run([*command, "--packages", *licensed], capture_output=True, text=True)
+    if completed.returncode:
+        sys.exit(f"licences: {completed.stderr.strip()}")
+    LICENCES.write_text(HEAD + re.sub(r"[ \t]{2,}", " ", completed.stdout))
     return 0
 
 
 def audit() -> int:
     """0 where every package was looked up and none has a known vulnerability; else 1 and what is wrong."""
     with tempfile.TemporaryDirectory() as folder:
-        wanted = Path(folder) / "wanted.txt"
-        found = Path(folder) / "found.json"
+        requirements = Path(folder) / "wanted.txt"
+        report = Path(folder) / "found.json"
         pins = {**locked(ROOT / "requirements.lock"), **locked(ROOT / "requirements-dev.lock")}
-        wanted.write_text("".join(f"{name}=={version}\n" for name, version in sorted(pins.items())))
-        command = [sys.executable, "-m", "pip_audit", "--requirement", str(wanted), "--no-deps", "--disable-pip"]
-        command += ["--progress-spinner", "off", "--format", "json", "--output", str(found)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        answer: Any = json.loads(found.read_text()) if found.is_file() and found.read_text() else None
-    reason = done.stderr.strip().splitlines()[-1:] or ["no answer"]
-    return told(answer, reason[0].partition(":")[0])
+        requirements.write_text("".join(f"{name}=={version}\n" for name, version in sorted(pins.items())))
+        command = [sys.executable, "-m", "pip_audit", "--requirement", str(requirements), "--no-deps", "--disable-pip"]
+        command += ["--progress-spinner", "off", "--format", "json", "--output", str(report)]
+        completed = subprocess.run(command, capture_output=True, text=True)
+        answer: Any = json.loads(report.read_text()) if report.is_file() and report.read_text() else None
+    reason = completed.stderr.strip().splitlines()[-1:] or ["no answer"]
+    return audit_verdict(answer, reason[0].partition(":")[0])
 
 
-def told(answer: Any, reason: str) -> int:
-    """Say what the database answered; None where it was not reached. What it does not know was not checked."""
+def audit_verdict(answer: Any, reason: str) -> int:
+    """Print what the database answered and return an exit code; None: not reached. Unknown packages are not checked."""
     packages = [] if answer is None else answer["dependencies"]
     known = [package for package in packages if "skip_reason" not in package]
     if not known:

@@ -39,7 +39,7 @@ class WildBoard:
         commands = b""
         answers = b""
         current = b""
-        begun = False
+        started = False
         due = 0.0
         while not self._ended.is_set():
             if self._plan is not None and not current:
@@ -48,27 +48,27 @@ class WildBoard:
             if not self._spoken_to:
                 answers += message(hello_body(self.hello)) if time.monotonic() >= due and not answers else b""
                 due = time.monotonic() + 0.1 if time.monotonic() >= due else due
-            ripe = current if begun or time.monotonic() >= due else b""
-            outgoing = current if begun else answers or ripe
+            ripe = current if started or time.monotonic() >= due else b""
+            outgoing = current if started else answers or ripe
             pause = 0.02 if not current else min(0.02, max(0.0, due - time.monotonic()))
             waiting, seconds = ([line], 0.02) if outgoing else ([], pause)
             readable, writable, _ = select.select([line], waiting, [], seconds)
             if writable:
                 taken = os.write(line, outgoing[:512])
-                if begun or not answers:
+                if started or not answers:
                     current = current[taken:]
                     self.sent = self.sent + taken
-                    begun = bool(current)
+                    started = bool(current)
                 else:
                     answers = answers[taken:]
             if readable:
                 *pieces, commands = (commands + os.read(line, 4096)).split(b"\0")
                 for piece in filter(None, pieces):
                     self._spoken_to = True
-                    before = self._plan
+                    previous = self._plan
                     answers += self._obey(piece, script)
-                    if self._plan is not before:
-                        current = current if begun else b""
+                    if self._plan is not previous:
+                        current = current if started else b""
                         due = time.monotonic()
 
     def _obey(self, piece: bytes, script: Script) -> bytes:

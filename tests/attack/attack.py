@@ -23,7 +23,7 @@ from lampest import write_results
 
 HOUSE = Path(__file__).parents[2]
 MAX_SENTENCE = 1_000
-HELD = ""
+PASSED = ""
 SEED = int(os.environ.get("ATTACK_SEED", "1"))  # another one chooses other damage
 
 Rng = np.random.Generator
@@ -32,7 +32,7 @@ Tries = Callable[[Rng, Path, int], Outcomes]
 
 
 def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., None]]:
-    """Make a test of tries (generator, empty folder, count), each HELD or a sentence on the failure.
+    """Make a test of tries (generator, empty folder, count), each PASSED or a sentence on the failure.
 
     quick : count in `make test`; 0: none. full : count under the mark `soak`.
     """
@@ -42,7 +42,7 @@ def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., Non
         @pytest.mark.parametrize("count", counts[: 2 if full > quick else 1] if quick else counts[1:])
         def test(tmp_path: Path, count: int) -> None:
             outcomes = list(tries(np.random.default_rng([SEED, *tries.__name__.encode()]), tmp_path, count))
-            fallen = [outcome for outcome in outcomes if outcome != HELD]
+            fallen = [outcome for outcome in outcomes if outcome != PASSED]
             assert outcomes and not fallen, f"{len(fallen)} of {len(outcomes)} fell: {fallen[:5]}"
 
         test.__doc__ = tries.__doc__
@@ -52,7 +52,7 @@ def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., Non
 
 
 @dataclass(frozen=True)
-class Ended:
+class CompletedCommand:
     """An ended command: code (negative: a signal that killed it), output, errors, seconds, most bytes."""
 
     code: int
@@ -62,18 +62,18 @@ class Ended:
     peak: int
 
     def refused(self, *words: str) -> str:
-        """Return HELD where it was refused: code 2, one line that holds the words."""
+        """Return PASSED where it was refused: code 2, one line that holds the words."""
         sentence = self.err.startswith("lampest: ") and self.err.count("\n") == 1 and self.err.endswith("\n")
         if self.code != 2 or not sentence or self.out or len(self.err) > MAX_SENTENCE or not printable(self.err):
             return self.described("was not refused in one sentence")
         missing = [word for word in words if word not in self.err]
-        return self.described(f"does not say {missing}") if missing else HELD
+        return self.described(f"does not say {missing}") if missing else PASSED
 
     def survived(self) -> str:
-        """Return HELD where it took the input, refused it, or reported that some cases failed."""
+        """Return PASSED where it took the input, refused it, or reported that some cases failed."""
         if self.code == 2:
             return self.refused()
-        return HELD if self.code in (0, 3) and self.plain else self.described("ended badly")
+        return PASSED if self.code in (0, 3) and self.plain else self.described("ended badly")
 
     @property
     def plain(self) -> bool:
@@ -81,9 +81,9 @@ class Ended:
         return printable(self.out) and printable(self.err) and "Traceback" not in self.err
 
     def within(self, seconds: float, megabytes: float) -> str:
-        """Return HELD where it took no more time and memory than that."""
+        """Return PASSED where it took no more time and memory than that."""
         if self.seconds <= seconds and self.peak <= megabytes * 1e6:
-            return HELD
+            return PASSED
         return self.described(f"took {self.seconds:.1f} s and {self.peak / 1e6:.0f} MB")
 
     def described(self, fault: str) -> str:
@@ -101,7 +101,7 @@ def printable(text: str) -> bool:
     return all(sign.isprintable() or sign in "\n\t" for sign in text)
 
 
-def called(*arguments: str | Path, folder: Path | None = None) -> Ended:
+def called(*arguments: str | Path, folder: Path | None = None) -> CompletedCommand:
     """Call the command within this process, in a folder, without measuring its memory."""
     from lampest import cli
 
@@ -120,7 +120,7 @@ def called(*arguments: str | Path, folder: Path | None = None) -> Ended:
         except Exception:
             code = 1
             traceback.print_exc()
-    return Ended(code, out.getvalue(), err.getvalue(), time.monotonic() - begin, 0)
+    return CompletedCommand(code, out.getvalue(), err.getvalue(), time.monotonic() - begin, 0)
 
 
 def environment(**changes: str) -> dict[str, str]:
@@ -144,7 +144,7 @@ def command(
     seconds: float = 120.0,
     without: str = "",
     memory: str | None = None,
-) -> Ended:
+) -> CompletedCommand:
     """Run the command in a process of its own, killed after some seconds.
 
     without : libraries, apart by commas, that are as if not installed. memory : the variable LAMPEST_MEMORY.
@@ -171,7 +171,7 @@ def command(
     texts = [(folder / name).read_bytes().decode("utf-8", "replace") for name in (".out", ".err")]
     for name in (".out", ".err"):
         (folder / name).unlink()
-    return Ended(process.returncode, *texts, time.monotonic() - begin, peak)
+    return CompletedCommand(process.returncode, *texts, time.monotonic() - begin, peak)
 
 
 RUN = "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: reduced}}\n"

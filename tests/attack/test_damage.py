@@ -7,7 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, SEED, Outcomes, Rng, Tries, attack, called, small_folder
+from attack.attack import PASSED, SEED, Outcomes, Rng, Tries, attack, called, small_folder
 from fuzz.mutants import good_recordings, good_results
 from support import invented_case
 from unclosed import unclosed_recording
@@ -22,26 +22,31 @@ pytestmark = pytest.mark.slow
 HARMS = ("bits", "bits", "end", "gap", "twice", "zeros")
 
 
-def _harmed(rng: Rng, whole: bytes) -> bytes:
+def _harmed(rng: Rng, content: bytes) -> bytes:
     """Some bits are turned, the end is cut off, or pages are lost, doubled or zero."""
-    harm, begin, length = str(rng.choice(HARMS)), int(rng.integers(len(whole))), int(rng.choice((1, 17, 512, 4096)))
+    harm, begin, length = str(rng.choice(HARMS)), int(rng.integers(len(content))), int(rng.choice((1, 17, 512, 4096)))
     if harm != "bits":
-        rest = whole[begin + length :]
-        parts = {"end": b"", "gap": rest, "twice": whole[begin:], "zeros": bytes(len(whole[begin:]) - len(rest)) + rest}
-        return whole[:begin] + parts[harm]
-    damaged = bytearray(whole)
-    for bit in rng.integers(0, 8 * len(whole), int(rng.choice((1, 1, 1, 2, 8)))):
+        following = content[begin + length :]
+        parts = {
+            "end": b"",
+            "gap": following,
+            "twice": content[begin:],
+            "zeros": bytes(len(content[begin:]) - len(following)) + following,
+        }
+        return content[:begin] + parts[harm]
+    damaged = bytearray(content)
+    for bit in rng.integers(0, 8 * len(content), int(rng.choice((1, 1, 1, 2, 8)))):
         damaged[bit // 8] ^= 1 << (bit % 8)
     return bytes(damaged)
 
 
 def _damaged(reader: Callable[[Path], Any], make: Callable[[Path], bytes]) -> Tries:
     def tries(rng: Rng, folder: Path, count: int) -> Outcomes:
-        whole, path = make(folder), folder / "a.h5"
-        path.write_bytes(whole)
+        content, path = make(folder), folder / "a.h5"
+        path.write_bytes(content)
         meant = _content(reader(path))
         for _ in range(count):
-            path.write_bytes(_harmed(rng, whole))
+            path.write_bytes(_harmed(rng, content))
             yield _outcome(path, reader, meant)
 
     return tries
@@ -51,9 +56,9 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
     try:
         read = _content(reader(path))
     except InputError as error:
-        return HELD if str(error).startswith(str(path)) else f"the sentence does not name the file: {error}"
+        return PASSED if str(error).startswith(str(path)) else f"the sentence does not name the file: {error}"
     differing = [name for name in meant | read if not _same(meant.get(name), read.get(name))]
-    return f"read with another {', '.join(differing)}" if differing else HELD
+    return f"read with another {', '.join(differing)}" if differing else PASSED
 
 
 def _content(source: Any) -> dict[str, Any]:
@@ -87,21 +92,21 @@ test_damage_of_results_is_noticed = attack(70, 2900)(_damaged(read_results, good
 
 
 @attack()
-def test_a_flipped_bit_in_any_dataset_is_named(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made, places = small_folder(folder / "work"), dict[str, int]()
-    with h5py.File(made / "small.h5") as file:
+def test_check_names_the_dataset_with_a_flipped_bit(rng: Rng, folder: Path, count: int) -> Outcomes:
+    work_folder, places = small_folder(folder / "work"), dict[str, int]()
+    with h5py.File(work_folder / "small.h5") as file:
         file.visititems(
             lambda name, node: places.update({name: _place(node)}) if isinstance(node, h5py.Dataset) else None
         )
-    whole, meant = (made / "small.h5").read_bytes(), called("info", "small.h5", folder=made)
+    content, meant = (work_folder / "small.h5").read_bytes(), called("info", "small.h5", folder=work_folder)
     for name, place in places.items():
-        damaged = bytearray(whole)
+        damaged = bytearray(content)
         damaged[place] ^= 16
-        (made / "small.h5").write_bytes(damaged)
+        (work_folder / "small.h5").write_bytes(damaged)
         words = ("small.h5", f"/{name} is damaged", "checksum")
-        yield called("check", "small.h5", folder=made).refused(*words)
-        described = called("info", "small.h5", folder=made)
-        yield HELD if described.out == meant.out else described.refused(*words)
+        yield called("check", "small.h5", folder=work_folder).refused(*words)
+        described = called("info", "small.h5", folder=work_folder)
+        yield PASSED if described.out == meant.out else described.refused(*words)
 
 
 def _place(node: h5py.Dataset) -> int:
@@ -129,27 +134,27 @@ def _results(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
 
 
 @attack(8, 100)
-def test_zeroed_exchanged_and_foreign_chunks_are_named(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_names_zeroed_exchanged_and_foreign_chunks(rng: Rng, folder: Path, count: int) -> Outcomes:
     """HDF5's own checksums pass them: a Fletcher sum of zeros is zero, and it knows no position."""
     for number in range(count):
         make, load = ((_long_recording, Recording.load), (_results, read_results))[number % 2]
         rows, columns = rng.integers(2, 11, 2).tolist()
         shape = (int(rng.uniform(2, 3) * hdf5.CHUNK / (rows * columns)), rows, columns)
-        path, other = make(folder / "a.h5", rng, shape), make(folder / "b.h5", rng, shape)
+        path, foreign_path = make(folder / "a.h5", rng, shape), make(folder / "b.h5", rng, shape)
         meant = _content(load(path))
-        with h5py.File(path, "r+") as file, h5py.File(other) as foreign:
+        with h5py.File(path, "r+") as file, h5py.File(foreign_path) as foreign:
             name = _harmed_chunk(rng, file, foreign)
         yield called("check", path).refused(name) or _outcome(path, load, meant)
 
 
-def _harmed_chunk(rng: Rng, file: h5py.File, other: h5py.File) -> str:
+def _harmed_chunk(rng: Rng, file: h5py.File, foreign: h5py.File) -> str:
     """Zero, exchange or replace a chunk with a right Fletcher sum, and return the path of its dataset."""
     nodes = dict(nodes_below(file, "/"))
     long = [name for name, node in nodes.items() if getattr(node, "chunks", None) and np.any(node[-1])]
     harms = [(name, harm) for name in long for harm in ("zeroed", "exchanged", "foreign")]
     while True:
         name, harm = harms[rng.integers(len(harms))]
-        node, before = nodes[name], nodes[name][()]
+        node, original = nodes[name], nodes[name][()]
         places = [node.id.get_chunk_info(index).chunk_offset for index in range(node.id.get_num_chunks())]
         first, last = places[int(rng.integers(len(places)))], places[-1]
         if harm == "zeroed":  # with the sum alone, because zeros cannot be unpacked
@@ -162,10 +167,10 @@ def _harmed_chunk(rng: Rng, file: h5py.File, other: h5py.File) -> str:
             for place, (mask, values) in zip((last, first), held, strict=True):
                 node.id.write_direct_chunk(place, values, mask)
         else:
-            mask, values = other[name].id.read_direct_chunk(first)
+            mask, values = foreign[name].id.read_direct_chunk(first)
             node.id.write_direct_chunk(first, values, mask)
         try:
-            if np.array_equal(node[()], before):
+            if np.array_equal(node[()], original):
                 continue
         except OSError:  # noticed by HDF5 itself
             pass
@@ -173,11 +178,11 @@ def _harmed_chunk(rng: Rng, file: h5py.File, other: h5py.File) -> str:
 
 
 @attack(4, 40)
-def test_exchanged_and_foreign_datasets_are_noticed(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_notices_exchanged_and_foreign_datasets(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Each is as it was written, but not all of them together."""
     for _ in range(count):
-        path, other = (_long_recording(folder / name, rng, (20, 3, 4)) for name in ("a.h5", "b.h5"))
-        with h5py.File(path, "r+") as file, h5py.File(other) as foreign:
+        path, foreign_path = (_long_recording(folder / name, rng, (20, 3, 4)) for name in ("a.h5", "b.h5"))
+        with h5py.File(path, "r+") as file, h5py.File(foreign_path) as foreign:
             group = file["entry/two_point"]
             if rng.random() < 0.5:
                 group.move("x", "z")
@@ -189,36 +194,36 @@ def test_exchanged_and_foreign_datasets_are_noticed(rng: Rng, folder: Path, coun
         yield called("check", path).refused("datasets were added, removed or exchanged")
 
 
-def test_what_cannot_be_verified_is_named(tmp_path: Path) -> None:
+def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:
     """Files of older versions are read; `check` says what their checksums do not notice."""
     path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
     with h5py.File(path, "r+") as file:
         for _, node in nodes_below(file, "/"):
             for name in {BLOCKS, DATASETS} & {*node.attrs}:
                 del node.attrs[name]
-    told = called("check", path)
-    assert told.code == 0 and "as written" not in told.out
-    assert "neither zeroed nor exchanged values (no digests: /entry/scene, " in told.out
+    completed = called("check", path)
+    assert completed.code == 0 and "as written" not in completed.out
+    assert "neither zeroed nor exchanged values (no digests: /entry/scene, " in completed.out
     assert len(Recording.load(path).time) == 20
     with h5py.File(path, "r+") as file:
         file["entry/mine"] = 1.0
-    told = called("check", path)
-    assert told.code == 0 and "readable, but without checksums" in told.out and "/entry/mine" in told.out
+    completed = called("check", path)
+    assert completed.code == 0 and "readable, but without checksums" in completed.out and "/entry/mine" in completed.out
 
 
 @attack(20, 400)
-def test_a_damaged_unclosed_recording_is_refused_or_read_as_it_was(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
     path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
-    whole, meant = path.read_bytes(), Recording.load(path)
+    content, meant = path.read_bytes(), Recording.load(path)
     for _ in range(count):
-        path.write_bytes(_harmed(rng, whole))
+        path.write_bytes(_harmed(rng, content))
         outcome = _outcome(path, Recording.load, _content(meant))
-        yield outcome if outcome != HELD else _repaired(path, meant)
+        yield outcome if outcome != PASSED else _repaired(path, meant)
 
 
 @attack(6, 200)
-def test_frames_of_another_recording_are_not_repaired_into_a_journal(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_repair_takes_no_frames_of_another_recording(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The end of a journal is that of another one of the same scene, as old blocks of a disk may be."""
     scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
     for number in range(count):
@@ -226,16 +231,16 @@ def test_frames_of_another_recording_are_not_repaired_into_a_journal(rng: Rng, f
         places = [folder / f"{number}{name}" for name in "ab"]
         for place in places:
             place.mkdir()
-        path, other = (
+        path, foreign_path = (
             unclosed_recording(place / "e.h5", scene, frames, unloaded=3, seed=seed)
             for seed, place in enumerate(places)
         )
         meant = Recording.load(path)
-        whole, tail = path.read_bytes(), other.read_bytes()
-        cut = int(rng.integers(len(whole) // 4, len(whole)))
-        path.write_bytes(whole[:cut] + tail[cut:])
+        content, tail = path.read_bytes(), foreign_path.read_bytes()
+        cut = int(rng.integers(len(content) // 4, len(content)))
+        path.write_bytes(content[:cut] + tail[cut:])
         outcome = _outcome(path, Recording.load, _content(meant))
-        yield outcome if outcome != HELD else _repaired(path, meant)
+        yield outcome if outcome != PASSED else _repaired(path, meant)
 
 
 def _repaired(path: Path, meant: Recording) -> str:
@@ -243,10 +248,12 @@ def _repaired(path: Path, meant: Recording) -> str:
     try:
         frames, dropped = repair(path)
     except InputError:
-        return HELD if path.read_bytes() == damaged else "repair refused, and changed the file"
-    found = Recording.load(path)
-    kept = found.acquisition.sequence
-    if frames + dropped != len(meant.time) or len(kept) != frames:
+        return PASSED if path.read_bytes() == damaged else "repair refused, and changed the file"
+    recording = Recording.load(path)
+    sequence = recording.acquisition.sequence
+    if frames + dropped != len(meant.time) or len(sequence) != frames:
         return f"repair kept {frames} and dropped {dropped} of {len(meant.time)} frames"
-    same = all(_same(getattr(found, name), getattr(meant, name)[kept]) for name in ("recorded", "raw_sums", "time"))
-    return HELD if same else "repair changed what it kept"
+    unchanged = all(
+        _same(getattr(recording, name), getattr(meant, name)[sequence]) for name in ("recorded", "raw_sums", "time")
+    )
+    return PASSED if unchanged else "repair changed what it kept"

@@ -13,24 +13,25 @@ from lampest.recording.board.record import Journal, record
 
 FRAMES = 300  # of three seconds
 FROZEN_S = 2.0
+FROZEN_CALL = 20  # the write to the disk that takes so long
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds had the same end."""
+def test_a_disk_frozen_for_seconds_costs_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds ended the same."""
     append: Callable[..., None] = Journal.append
     calls = list[int]()
 
     def stalled(journal: Journal, *arguments: Any) -> None:
         calls.append(0)
-        if len(calls) == 20:
+        if len(calls) == FROZEN_CALL:
             time.sleep(FROZEN_S)
         append(journal, *arguments)
 
     monkeypatch.setattr(Journal, "append", stalled)
     with wild_board(hundred_a_second) as board:
-        done = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
-    found = Recording.load(tmp_path / "r.h5")
-    assert (done.frames, done.lost) == (FRAMES, 0) and len(calls) > 20
-    assert found.acquisition is not None
-    assert found.acquisition.sequence.tolist() == list(range(FRAMES))
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
+    recording = Recording.load(tmp_path / "r.h5")
+    assert (summary.frames, summary.lost) == (FRAMES, 0) and len(calls) > FROZEN_CALL
+    assert recording.acquisition is not None
+    assert recording.acquisition.sequence.tolist() == list(range(FRAMES))

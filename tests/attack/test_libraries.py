@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, command, drawn, small_folder
+from attack.attack import PASSED, Outcomes, Rng, attack, command, drawn, small_folder
 from openpyxl import Workbook
 
 # Command → the library without which it is refused; other commands are tried without it, too.
-NEEDED: tuple[tuple[str, tuple[str, ...]], ...] = (
+NEEDING_COMMANDS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("serial", ("record", "--list")),
     ("matplotlib", ("plot", "results.h5")),
     ("jinja2", ("compare", "results.h5", "--report", "page.html")),
@@ -19,7 +19,7 @@ NEEDED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("distributed", ("run", "run.yaml", "--set", "executor={kind: dask}", "--out", "out")),
     ("mpmath", ("study", "extremes", "--out", "atlas")),
 )
-SPARED = (
+INDEPENDENT_COMMANDS = (
     ("info", "small.h5"),
     ("check", "small.h5"),
     ("tare", "small.h5", "--frames", "0:1", "--out", "tared.h5"),
@@ -31,18 +31,16 @@ SPARED = (
 pytestmark = pytest.mark.slow
 
 
-@attack(2, len(NEEDED))
-def test_commands_name_a_missing_library_that_they_need_and_work_without_all_others(
-    rng: Rng, folder: Path, count: int
-) -> Outcomes:
-    made, book = small_folder(folder / "work"), Workbook()
+@attack(2, len(NEEDING_COMMANDS))
+def test_commands_name_a_missing_library_and_work_without_unneeded_ones(rng: Rng, folder: Path, count: int) -> Outcomes:
+    work_folder, book = small_folder(folder / "work"), Workbook()
     for values in np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2).tolist():
         book.active.append(values)
-    book.save(made / "sheet.xlsx")
-    for _, (library, arguments) in drawn(rng, NEEDED, count):
-        ended = command(*arguments, folder=made, without=library)
-        yield ended.refused(library, "is not installed; pip install")
-    missing = ",".join(library for library, _ in NEEDED)
-    for arguments in SPARED[: count - 1]:
-        ended = command(*arguments, folder=made, without=missing)
-        yield HELD if ended.code == 0 else ended.described(f"{' '.join(arguments)} without {missing}")
+    book.save(work_folder / "sheet.xlsx")
+    for _, (library, arguments) in drawn(rng, NEEDING_COMMANDS, count):
+        completed = command(*arguments, folder=work_folder, without=library)
+        yield completed.refused(library, "is not installed; pip install")
+    missing = ",".join(library for library, _ in NEEDING_COMMANDS)
+    for arguments in INDEPENDENT_COMMANDS[: count - 1]:
+        completed = command(*arguments, folder=work_folder, without=missing)
+        yield PASSED if completed.code == 0 else completed.described(f"{' '.join(arguments)} without {missing}")

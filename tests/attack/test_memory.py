@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Ended, Outcomes, Rng, attack, command, environment, small_folder
+from attack.attack import PASSED, CompletedCommand, Outcomes, Rng, attack, command, environment, small_folder
 from fuzz.mutants import good_recordings
 
 from lampest.files import process
@@ -19,12 +19,12 @@ ULIMITS = 450_000, 500_000, 512_000, 600_000  # KiB of addresses
 TOO_FEW_ADDRESSES = "not enough memory", "of addresses are needed", "ulimit -v"
 JOBS = "run", "run.yaml", "--jobs", "2", "--out", "out"
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
-WIDE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 0.7}\n"
+WIDE_SCENE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 0.7}\n"
 TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 
 
 @attack()
-def test_one_long_text_repeated_in_a_file_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_file_that_repeats_a_long_text_is_refused(rng: Rng, folder: Path, count: int) -> Outcomes:
     path = folder / "small.h5"
     path.write_bytes(good_recordings(folder)[0])
     with h5py.File(path, "a") as file:
@@ -33,19 +33,19 @@ def test_one_long_text_repeated_in_a_file_is_refused(rng: Rng, folder: Path, cou
         texts = group.create_dataset("event_label", (20_000,), h5py.string_dtype())
         texts[0] = "x" * 300_000
         group["event_time"] = np.zeros(20_000)
-    whole = bytearray(path.read_bytes())
-    place = _place(whole, 300_000)
-    reference = bytes(whole[place : place + 16])
-    whole[place : place + 16 * 20_000] = reference * 20_000
-    path.write_bytes(whole)
+    content = bytearray(path.read_bytes())
+    place = _place(content, 300_000)
+    reference = bytes(content[place : place + 16])
+    content[place : place + 16 * 20_000] = reference * 20_000
+    path.write_bytes(content)
     yield _bounded(command("info", "small.h5", folder=folder, seconds=SECONDS), "small.h5")
 
 
-def _place(whole: bytearray, length: int) -> int:
+def _place(content: bytearray, length: int) -> int:
     """Where the first reference to a text of that length stands, 19 999 empty ones behind it."""
-    place = whole.find(struct.pack("<I", length))
-    while any(whole[place + 16 : place + 160]):
-        place = whole.find(struct.pack("<I", length), place + 1)
+    place = content.find(struct.pack("<I", length))
+    while any(content[place + 16 : place + 160]):
+        place = content.find(struct.pack("<I", length), place + 1)
         assert place > 0
     return place
 
@@ -70,7 +70,7 @@ IMPORTED = {
 
 
 @attack(len(IMPORTED), len(IMPORTED))
-def test_small_files_that_unfold_are_not_imported(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_small_files_that_expand_are_not_imported(rng: Rng, folder: Path, count: int) -> Outcomes:
     for name, write in IMPORTED.items():
         write(folder / name)
         yield _bounded(command("import", name, *TABLE, folder=folder, seconds=SECONDS), name)
@@ -78,56 +78,58 @@ def test_small_files_that_unfold_are_not_imported(rng: Rng, folder: Path, count:
 
 @attack()
 def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
-    scene = "\n".join(f"  {line}" for line in WIDE.splitlines())
-    (made / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
-    with h5py.File(made / "wide.h5", "w") as file:
-        file["entry/scene"] = np.bytes_(WIDE)
+    work_folder = small_folder(folder / "work")
+    scene = "\n".join(f"  {line}" for line in WIDE_SCENE.splitlines())
+    (work_folder / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
+    with h5py.File(work_folder / "wide.h5", "w") as file:
+        file["entry/scene"] = np.bytes_(WIDE_SCENE)
         file["entry/two_point/resistance"] = np.full((2, 1, 60001), 1500.0)
         file["entry/two_point/role"] = np.array([0, 1], dtype=np.uint8)
-    run = (made / "run.yaml").read_text()
-    (made / "run.yaml").write_text(run.replace("small.h5", "wide.h5"))
+    run = (work_folder / "run.yaml").read_text()
+    (work_folder / "run.yaml").write_text(run.replace("small.h5", "wide.h5"))
     for arguments in (("simulate", "wide.yaml"), ("calibrate", "wide.h5", "--known", "1000")):
-        ended = command(*arguments, folder=made, seconds=SECONDS, memory="4GB")
-        yield _bounded(ended, "60001", "GiB of memory are needed", "there are 4.0 GiB")
-    looked = command("info", "wide.h5", folder=made, seconds=SECONDS, memory="4GB")
+        completed = command(*arguments, folder=work_folder, seconds=SECONDS, memory="4GB")
+        yield _bounded(completed, "60001", "GiB of memory are needed", "there are 4.0 GiB")
+    looked = command("info", "wide.h5", folder=work_folder, seconds=SECONDS, memory="4GB")
     yield looked.within(SECONDS, MEGABYTES) if looked.code == 0 else looked.described("a look at a wide panel")
-    ended = command(*("run", "run.yaml", "--out", "out", "--jobs", "1"), folder=made, seconds=SECONDS, memory="4GB")
-    sentence = ended.code == 3 and "there are 4.0 GiB" in ended.err and "Traceback" not in ended.err
-    yield ended.within(SECONDS, MEGABYTES) if sentence else ended.described("a run of a wide panel")
+    completed = command(
+        *("run", "run.yaml", "--out", "out", "--jobs", "1"), folder=work_folder, seconds=SECONDS, memory="4GB"
+    )
+    sentence = completed.code == 3 and "there are 4.0 GiB" in completed.err and "Traceback" not in completed.err
+    yield completed.within(SECONDS, MEGABYTES) if sentence else completed.described("a run of a wide panel")
 
 
-def _bounded(ended: Ended, *words: str) -> str:
-    return ended.refused(*words) or ended.within(SECONDS, MEGABYTES) or HELD
+def _bounded(completed: CompletedCommand, *words: str) -> str:
+    return completed.refused(*words) or completed.within(SECONDS, MEGABYTES) or PASSED
 
 
 @attack(2, 40)
-def test_a_tight_limit_of_addresses_is_one_sentence_and_never_a_wait(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_tight_address_limit_gives_one_sentence_without_waiting(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they are not loaded."""
-    made = small_folder(folder / "work")
+    work_folder = small_folder(folder / "work")
     commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))
     for number in range(count):
         limit = int(rng.integers(100, 900)) * 2**20
-        ended = _within_addresses(limit, *commands[number % 3], folder=made)
-        enough = limit >= process.ADDRESS_SPACE
-        yield ended.survived() if enough else ended.refused(*TOO_FEW_ADDRESSES)
+        completed = _within_addresses(limit, *commands[number % 3], folder=work_folder)
+        sufficient = limit >= process.ADDRESS_SPACE
+        yield completed.survived() if sufficient else completed.refused(*TOO_FEW_ADDRESSES)
 
 
 @attack(len(ULIMITS), len(ULIMITS))
-def test_a_run_under_a_limit_of_addresses_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
-    with (made / "run.yaml").open("a") as run:
+def test_a_run_under_an_address_limit_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
+    work_folder = small_folder(folder / "work")
+    with (work_folder / "run.yaml").open("a") as run:
         run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")  # two cases, so that there are two processes
     for kibibytes in ULIMITS:
-        yield _within_addresses(kibibytes * 1024, *JOBS, folder=made).refused(*TOO_FEW_ADDRESSES)
+        yield _within_addresses(kibibytes * 1024, *JOBS, folder=work_folder).refused(*TOO_FEW_ADDRESSES)
 
 
-def _within_addresses(limit: int, *arguments: str, folder: Path) -> Ended:
+def _within_addresses(limit: int, *arguments: str, folder: Path) -> CompletedCommand:
     """Run the command under a limit of addresses in bytes."""
     script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
     words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
-    done = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
-    return Ended(done.returncode, done.stdout, done.stderr, 0.0, 0)
+    completed = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
+    return CompletedCommand(completed.returncode, completed.stdout, completed.stderr, 0.0, 0)
 
 
 FILLED = """
@@ -148,7 +150,9 @@ print(reconstruct(recording, [Misfit()], formulation="nodal").status[0])
 """
 
 
-def test_ipopt_needs_no_further_buffer_where_data_took_the_addresses() -> None:
+def test_ipopt_needs_no_further_buffer_when_data_filled_the_addresses() -> None:
     """OpenBLAS asks for ever for the 128 MiB that it is refused."""
-    done = subprocess.run([sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "optimum verified\n", "")
+    completed = subprocess.run(
+        [sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60
+    )
+    assert (completed.returncode, completed.stdout, completed.stderr) == (0, "optimum verified\n", "")

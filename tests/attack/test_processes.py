@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Ended, Outcomes, Rng, attack, called, environment, small_folder
+from attack.attack import PASSED, CompletedCommand, Outcomes, Rng, attack, called, environment, small_folder
 
 from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct, write_results
 
@@ -33,41 +33,41 @@ main()
 
 
 @pytest.mark.slow
-def test_commands_without_a_further_thread_are_refused_or_do_without(
+def test_run_needs_no_second_thread_and_live_is_refused_without_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*arguments: object) -> int:
         raise RuntimeError("can't start new thread")
 
-    made = small_folder(tmp_path)
+    work_folder = small_folder(tmp_path)
     monkeypatch.setattr(threading, "_start_new_thread", refused)
-    assert called(*RUN, "1", folder=made).code == 0
-    assert called(*LIVE, folder=made).refused("ulimit -u") == HELD
+    assert called(*RUN, "1", folder=work_folder).code == 0
+    assert called(*LIVE, folder=work_folder).refused("ulimit -u") == PASSED
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0 or SETPRIV is None, reason="only root becomes another user")
 @attack(6, 40)
-def test_a_limit_of_processes_of_a_user_is_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
+def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+    work_folder = small_folder(folder / "work")
     folder.chmod(0o755)
-    for path in (made, *made.rglob("*")):
+    for path in (work_folder, *work_folder.rglob("*")):
         os.chown(path, STRANGER, STRANGER)
     commands = (LIVE, (*RUN, "2"), (*RUN, "1"))
     for number in range(count):
         words = commands[number % 3]
-        done = _as_stranger(int(rng.integers(1, 6)), *words, folder=made)
-        sentence = done.code == 0 or (done.code == 2 and done.err.count("\n") == 1)
-        yield HELD if sentence and done.plain and done.seconds < 60 else done.described(words[0])
+        completed = _as_stranger(int(rng.integers(1, 6)), *words, folder=work_folder)
+        sentence = completed.code == 0 or (completed.code == 2 and completed.err.count("\n") == 1)
+        yield PASSED if sentence and completed.plain and completed.seconds < 60 else completed.described(words[0])
 
 
-def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
+def _as_stranger(limit: int, *words: str, folder: Path) -> CompletedCommand:
     """Run the command as another user, under a limit of that user's processes and threads."""
     become = [f"--reuid={STRANGER}", f"--regid={STRANGER}", "--clear-groups"]
     become += [f"--inh-caps={READING}", f"--ambient-caps={READING}"]
     script = [sys.executable, "-c", LIMITED.format(limit=limit), *words]
     begin = time.monotonic()
-    done = subprocess.run(
+    completed = subprocess.run(
         [str(SETPRIV), *become, *script],
         cwd=folder,
         env=environment(OPENBLAS_NUM_THREADS="1", HOME=str(folder), PYTHONDONTWRITEBYTECODE="1"),
@@ -75,7 +75,7 @@ def _as_stranger(limit: int, *words: str, folder: Path) -> Ended:
         text=True,
         timeout=120,
     )
-    return Ended(done.returncode, done.stdout, done.stderr, time.monotonic() - begin, 0)
+    return CompletedCommand(completed.returncode, completed.stdout, completed.stderr, time.monotonic() - begin, 0)
 
 
 # Kills itself once so many files have got their names.
@@ -103,8 +103,8 @@ def _solved(folder: Path) -> None:
     terms = {"LSM": (), "smooth": (LogGradient(weight=1.0),)}
     cases = []
     for name, further in terms.items():
-        found = reconstruct(recording, [Misfit(weighting="noise"), *further], formulation="reduced")
-        cases.append(dataclasses.replace(found.result(name), sigma_own=None))
+        estimate = reconstruct(recording, [Misfit(weighting="noise"), *further], formulation="reduced")
+        cases.append(dataclasses.replace(estimate.result(name), sigma_own=None))
     folder.mkdir()
     write_results(folder / "results.h5", cases)
 
@@ -115,25 +115,33 @@ def _content(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 @attack(3, 20)
-def test_a_folder_with_a_sketch_is_whole_whenever_its_export_was_killed(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_killed_export_leaves_a_whole_sketch_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
     """The sketch goes first and comes last, so that none is built of files of two estimators."""
-    made = folder / "work"
-    _solved(made)
-    whole = []
+    work_folder = folder / "work"
+    _solved(work_folder)
+    sketches = []
     for name in ("LSM", "smooth"):
-        assert called(*EXPORT, name, "--out", "sketch", folder=made).code == 0
-        whole.append(_content(made / "sketch"))
-    names = len(whole[1])
+        assert called(*EXPORT, name, "--out", "sketch", folder=work_folder).code == 0
+        sketches.append(_content(work_folder / "sketch"))
+    names = len(sketches[1])
     for number in range(count):
         script = KILLED.format(count=int(rng.integers(0, names)))
         words = [sys.executable, "-c", script, *EXPORT, ("LSM", "smooth")[number % 2], "--out", "sketch"]
-        done = subprocess.run(words, cwd=made, env=environment(), capture_output=True, timeout=60)
-        left = _content(made / "sketch")
-        mixed = "sketch.ino" in left and left not in whole
-        yield f"{done.returncode}, of two: {sorted(left)}" if mixed or done.returncode != -signal.SIGKILL else HELD
-        again = called(*EXPORT, "smooth", "--out", "sketch", folder=made)
-        kept = sorted(path.name for path in (made / "sketch").iterdir())
-        yield HELD if kept == sorted(whole[1]) and _content(made / "sketch") == whole[1] else again.described("again")
+        completed = subprocess.run(words, cwd=work_folder, env=environment(), capture_output=True, timeout=60)
+        content = _content(work_folder / "sketch")
+        mixed = "sketch.ino" in content and content not in sketches
+        yield (
+            f"{completed.returncode}, of two: {sorted(content)}"
+            if mixed or completed.returncode != -signal.SIGKILL
+            else PASSED
+        )
+        repeated = called(*EXPORT, "smooth", "--out", "sketch", folder=work_folder)
+        remaining = sorted(path.name for path in (work_folder / "sketch").iterdir())
+        yield (
+            PASSED
+            if remaining == sorted(sketches[1]) and _content(work_folder / "sketch") == sketches[1]
+            else repeated.described("again")
+        )
 
 
 VERIFIED = """\
@@ -149,33 +157,31 @@ estimators:
 
 @pytest.mark.slow
 @attack(1, 20)
-def test_a_run_that_was_killed_while_it_verified_ends_as_if_it_had_not_been(
-    rng: Rng, folder: Path, count: int
-) -> Outcomes:
-    made = small_folder(folder / "work")
-    (made / "run.yaml").write_text(VERIFIED)
+def test_a_run_killed_during_verification_resumes_to_the_same_results(rng: Rng, folder: Path, count: int) -> Outcomes:
+    work_folder = small_folder(folder / "work")
+    (work_folder / "run.yaml").write_text(VERIFIED)
     begin = time.monotonic()
-    assert called("run", "run.yaml", "--out", "whole", "--jobs", "1", folder=made).code == 0
+    assert called("run", "run.yaml", "--out", "whole", "--jobs", "1", folder=work_folder).code == 0
     seconds = time.monotonic() - begin + 2.0
-    expected = _verified(made / "whole" / "results.h5")
+    expected = _verified(work_folder / "whole" / "results.h5")
     draw = random.Random(int(rng.integers(2**32)))
     for number in range(count):
         out = f"out{number}"
         words = ("run", "run.yaml", "--out", out, "--jobs", "1")
         script = [sys.executable, "-c", "from lampest.cli import main; main()", *words]
         for _ in range(2):
-            with subprocess.Popen(script, cwd=made, env=environment(), stderr=subprocess.PIPE) as process:
+            with subprocess.Popen(script, cwd=work_folder, env=environment(), stderr=subprocess.PIPE) as process:
                 try:
                     process.wait(draw.uniform(0.8, 1.0) * seconds)
                 except subprocess.TimeoutExpired:
                     process.kill()
-            results = made / out / "results.h5"
+            results = work_folder / out / "results.h5"
             if results.exists():
-                yield HELD if called("check", results).code == 0 else "what a kill left is damaged"
-        ended = called(*words, folder=made)
-        same = ended.code == 0 and _verified(made / out / "results.h5") == expected
-        yield HELD if same else ended.described("the run that was killed has other results")
-        yield HELD if not [*(made / out).rglob("*.part")] else "unfinished files are left"
+                yield PASSED if called("check", results).code == 0 else "what a kill left is damaged"
+        completed = called(*words, folder=work_folder)
+        equal = completed.code == 0 and _verified(work_folder / out / "results.h5") == expected
+        yield PASSED if equal else completed.described("the run that was killed has other results")
+        yield PASSED if not [*(work_folder / out).rglob("*.part")] else "unfinished files are left"
 
 
 def _verified(results: Path) -> list[bytes]:

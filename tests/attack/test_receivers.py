@@ -16,9 +16,10 @@ from lampest.report.live.handover import Newest
 from lampest.report.live.message import UNKNOWN, Message, Picture, View
 from lampest.report.live.publish import MAX_DATAGRAM, OscPublish, publishing
 
-SMALL = 3, 4
-LARGE = 72, 72  # three maps exceed a datagram
-ENORMOUS = 120, 120  # one map does
+SMALL_PANEL = 3, 4
+LARGE_PANEL = 72, 72  # three maps exceed a datagram
+ENORMOUS_PANEL = 120, 120  # one map does
+MAX_SECONDS = 5.0  # for fifty frames: sending waits for no answer
 
 
 def frame(shape: tuple[int, int], number: int = 1) -> Message:
@@ -55,40 +56,40 @@ def addresses_of(place: socket.socket, count: int) -> list[list[str]]:
     "where",
     ["osc://a..b", f"osc://{'x' * 300}", "osc://127.0.0.1:0", "osc:///a*b", "osc:///ä", "osc:///a b", "osc:///#"],
 )
-def test_a_receiver_that_cannot_be_is_one_sentence(where: str) -> None:
+def test_an_impossible_receiver_gives_one_sentence(where: str) -> None:
     osc = OscPublish.at(urlsplit(where.partition(":")[2], allow_fragments=False), None)
     with pytest.raises(InputError, match=r"^--publish: osc[^\n]*$"), osc.opened(print):
         pass
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "192.0.2.1"])
-def test_a_receiver_that_is_absent_or_refuses_stops_nothing(host: str) -> None:
+def test_an_absent_or_refusing_receiver_stops_nothing(host: str) -> None:
     """Port 9 of this computer answers by ICMP, an address of documentation never."""
     sentences = list[str]()
     with OscPublish(host, 9).opened(sentences.append) as (_, send):
         begin = time.monotonic()
         for number in range(50):
-            send(frame(SMALL, number))
-        assert time.monotonic() - begin < 5
+            send(frame(SMALL_PANEL, number))
+        assert time.monotonic() - begin < MAX_SECONDS
     assert not sentences
 
 
-def test_a_receiver_that_reads_nothing_stops_nothing() -> None:
+def test_an_unreading_receiver_stops_nothing() -> None:
     sentences = list[str]()
-    shown = Newest(frame(LARGE).view)
+    shown = Newest(frame(LARGE_PANEL).view)
     with receiver() as place, publishing([OscPublish(port=place.getsockname()[1])], shown, sentences.append):
         for number in range(100):
-            shown.put(frame(LARGE, number).view)
+            shown.put(frame(LARGE_PANEL, number).view)
             time.sleep(0.002)
     assert not sentences
 
 
-@pytest.mark.parametrize(("shape", "count"), [(SMALL, 1), (LARGE, 2)])
-def test_a_frame_that_one_datagram_does_not_hold_comes_in_several(shape: tuple[int, int], count: int) -> None:
+@pytest.mark.parametrize(("shape", "count"), [(SMALL_PANEL, 1), (LARGE_PANEL, 2)])
+def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], count: int) -> None:
     sentences = list[str]()
     with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
         send(frame(shape))
-        came = [address for bundle in addresses_of(place, count) for address in bundle]
+        addresses = [address for bundle in addresses_of(place, count) for address in bundle]
     expected = [
         "sequence",
         "time",
@@ -103,14 +104,14 @@ def test_a_frame_that_one_datagram_does_not_hold_comes_in_several(shape: tuple[i
         "status",
         "alarm",
     ]
-    assert came == [f"/lampest/{name}" for name in expected] and not sentences
+    assert addresses == [f"/lampest/{name}" for name in expected] and not sentences
 
 
-def test_what_no_datagram_holds_is_left_out_and_named_once() -> None:
+def test_a_value_too_large_for_a_datagram_is_omitted_and_named_once() -> None:
     """Maps of a panel, and the list of all that sucked during a long day: the numbers of a frame come."""
     sentences = list[str]()
     detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)
-    view = dataclasses.replace(frame(ENORMOUS).view, detected=detected)
+    view = dataclasses.replace(frame(ENORMOUS_PANEL).view, detected=detected)
     message = Message.of(view)
     assert message is not None
     with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):

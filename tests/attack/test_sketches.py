@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, drawn
+from attack.attack import PASSED, Outcomes, Rng, attack, drawn
 
 from lampest import (
     CaseResult,
@@ -86,17 +86,17 @@ def hostile() -> Iterator[CaseResult]:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @attack(60, 1000)
-def test_the_header_of_hostile_results_has_sound_numbers_or_is_refused(rng: Rng, _: object, count: int) -> Outcomes:
+def test_hostile_results_give_a_sound_header_or_are_refused(rng: Rng, _: object, count: int) -> Outcomes:
     """A compiler refused NaN, and without one it was written."""
     for number, case in drawn(rng, [*hostile()], count):
         try:
             text = header(Constants.of(case), "panel", ())
         except InputError as error:
-            yield HELD if str(error).count("\n") == 0 else f"{number}: {error}"
+            yield PASSED if str(error).count("\n") == 0 else f"{number}: {error}"
             continue
         numbers = [float(word[:-1]) for word in FLOAT.findall(text.partition("lampest_estimate.h")[2])]
         sound = all(value == 0 or 1e-37 <= abs(value) <= 3e38 for value in numbers)
-        yield HELD if sound and numbers else f"{number}: {sorted(numbers)[:2]}, {sorted(numbers)[-2:]}"
+        yield PASSED if sound and numbers else f"{number}: {sorted(numbers)[:2]}, {sorted(numbers)[-2:]}"
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_the_header_of_hostile_results_has_sound_numbers_or_is_refused(rng: Rng,
         ({"case_yaml": PENALTY.format("") + "bounds: {lower: 5e3, upper: 1e3}\n"}, "the lower one, 5000 ohm, exceeds"),
     ],
 )
-def test_what_the_library_does_not_take_is_named(changes: dict[str, object], sentence: str) -> None:
+def test_constants_of_unsupported_results_are_refused(changes: dict[str, object], sentence: str) -> None:
     case = dataclasses.replace(case_of(TwoPointReadout(noise_lsb=0.7, readings=20)), **changes)
     with pytest.raises(InputError, match=re.escape(sentence)):
         Constants.of(case)

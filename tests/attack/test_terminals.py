@@ -18,7 +18,7 @@ FRAMES = 300  # of three seconds; a bar is drawn ten times a second
 
 
 @pytest.mark.slow
-def test_a_recording_goes_on_while_its_terminal_takes_nothing(tmp_path: Path) -> None:
+def test_a_recording_continues_while_its_terminal_is_blocked(tmp_path: Path) -> None:
     out = tmp_path / "r.h5"
     words = ["record", "--out", str(out), "--period", "0.01", "--count", str(FRAMES), "--port"]
     script = [sys.executable, "-c", "from lampest.cli import main; main()", *words]

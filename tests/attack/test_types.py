@@ -10,12 +10,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, called
+from attack.attack import PASSED, Outcomes, Rng, attack, called
 
 import lampest
 from lampest.files.typed import Validated
 
-WRONG: tuple[Any, ...] = (
+WRONG_VALUES: tuple[Any, ...] = (
     None, "x", "", b"x", True, -1, 0, 10.5, 1e300, float("nan"), float("inf"), 10**400, 2 + 3j, [], {}, set(), object(),
     type, lambda: 0, ["a", None], np.array(["a"]), np.ma.masked_array([1.0, 2.0], [True, False]), np.array([1 + 2j]),
     [[1, 2], [3]], Path("x"), datetime.date(2026, 5, 4), {"kind": "x"}, lampest.Panel(2, 2),
@@ -26,7 +26,7 @@ MADE_BY_LAMPEST = {
 }
 
 
-@attack(3, len(WRONG))
+@attack(3, len(WRONG_VALUES))
 def test_every_field_of_every_public_class_refuses_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
     recording = lampest.datasets.load("rod")
     good: dict[str, dict[str, Any]] = {
@@ -40,23 +40,23 @@ def test_every_field_of_every_public_class_refuses_wrong_values(rng: Rng, folder
         kind = getattr(lampest, name)
         if not inspect.isclass(kind) or not dataclasses.is_dataclass(kind) or inspect.isabstract(kind):
             continue
-        yield HELD if issubclass(kind, Validated) or kind is lampest.Estimator else f"{name} is not checked"
+        yield PASSED if issubclass(kind, Validated) or kind is lampest.Estimator else f"{name} is not checked"
         for word in inspect.signature(kind).parameters:
-            for index in rng.permutation(len(WRONG))[:count]:
-                yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG[index]})
+            for index in rng.permutation(len(WRONG_VALUES))[:count]:
+                yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG_VALUES[index]})
 
 
-@attack(3, len(WRONG))
+@attack(3, len(WRONG_VALUES))
 def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
     for name in sorted(lampest.__all__):
         function = getattr(lampest, name)
         if not inspect.isfunction(function) or not inspect.signature(function).parameters:
             continue
-        _, *others = inspect.signature(function).parameters.values()
-        given = {each.name: None for each in others if each.default is each.empty}
-        for index in rng.permutation(len(WRONG))[:count]:
-            if not isinstance(WRONG[index], str | Path | np.ndarray):
-                yield _refused(partial(function, WRONG[index]), name, given)
+        _, *parameters = inspect.signature(function).parameters.values()
+        given = {parameter.name: None for parameter in parameters if parameter.default is parameter.empty}
+        for index in rng.permutation(len(WRONG_VALUES))[:count]:
+            if not isinstance(WRONG_VALUES[index], str | Path | np.ndarray):
+                yield _refused(partial(function, WRONG_VALUES[index]), name, given)
 
 
 @attack()
@@ -80,27 +80,27 @@ def test_inconsistent_values_are_refused_together(rng: Rng, folder: Path, count:
     yield _refused(lampest.Gradient, "weight", {"weight": 1e300}, must=True)
 
 
-def _refused(make: Any, what: str, given: dict[str, Any], must: bool = False) -> str:
+def _refused(make: Any, call: str, given: dict[str, Any], must: bool = False) -> str:
     try:
         make(**given)
     except ValueError as error:
-        return HELD if "\n" not in str(error) and len(str(error)) < 800 else f"{what}: {error}"
+        return PASSED if "\n" not in str(error) and len(str(error)) < 800 else f"{call}: {error}"
     except Exception as error:
-        return f"{what}: {type(error).__name__}: {error}"
-    return f"{what}: is taken" if must else HELD
+        return f"{call}: {type(error).__name__}: {error}"
+    return f"{call}: is taken" if must else PASSED
 
 
 @pytest.mark.slow
-def test_readings_of_extended_precision_are_taken_for_what_they_say(tmp_path: Path) -> None:
+def test_readings_of_extended_precision_are_stored_as_doubles(tmp_path: Path) -> None:
     recording = lampest.datasets.load("rod")
     wide = recording.recorded.astype(np.longdouble)
-    made = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)
+    extended = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)
     recording.save(path := tmp_path / "wide.h5")
     with h5py.File(path, "r+") as file:
         group = file["entry/two_point"]
         del group["resistance"]
         group["resistance"] = wide
-    for found in (made, lampest.Recording.load(path)):
-        assert found.recorded.dtype == float and np.array_equal(found.recorded, recording.recorded)
-    told = called("info", path)
-    assert told.code == 0 and "strongest change" in told.out
+    for variant in (extended, lampest.Recording.load(path)):
+        assert variant.recorded.dtype == float and np.array_equal(variant.recorded, recording.recorded)
+    completed = called("info", path)
+    assert completed.code == 0 and "strongest change" in completed.out

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import HELD, SIMULATION, Ended, Outcomes, Rng, attack, called, drawn
+from attack.attack import PASSED, SIMULATION, CompletedCommand, Outcomes, Rng, attack, called, drawn
 from fuzz.batches import write_recording
 
 pytestmark = pytest.mark.slow
@@ -51,17 +51,17 @@ RUNS: Commands = (("run", "run.yaml", "--jobs", "1", "--out", "out"), ("detect",
 LOOKS: Commands = (("info", "small.h5"), ("calibrate", "small.h5", "--known", "1000"))
 
 
-def _tried(what: str, place: Path, commands: Commands) -> Iterator[str]:
+def _tried(description: str, place: Path, commands: Commands) -> Iterator[str]:
     """Each of the commands; results are looked at where there are some."""
     (place / "run.yaml").write_text(RUN)
     for arguments in commands:
         if arguments[0] != "detect" or (place / arguments[1]).is_file():
             fault = sensible(called(*arguments, folder=place))
-            yield f"{what}: {' '.join(arguments)}: {fault}" if fault else HELD
+            yield f"{description}: {' '.join(arguments)}: {fault}" if fault else PASSED
 
 
 @attack(4, 60)
-def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_scenes_with_impossible_numbers_give_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     tries = [(old, new, value) for old, several in ENTRIES.items() for new in several for value in EXTREME]
     for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
@@ -70,13 +70,13 @@ def test_scenes_with_impossible_numbers_end_in_a_sentence(rng: Rng, folder: Path
         text = SIMULATION.replace(old, new.replace("VALUE", written))
         (place / "small.yaml").write_text(text)
         simulate = (("simulate", "small.yaml", "--out", "small.h5"),)
-        what = f"{new.splitlines()[-1]} of {value}"
-        yield from _tried(what, place, simulate)
-        yield from _tried(what, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
+        description = f"{new.splitlines()[-1]} of {value}"
+        yield from _tried(description, place, simulate)
+        yield from _tried(description, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
 
 
 @attack(1, 6)
-def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
     everywhere = [[row, column] for row in range(6) for column in range(7)]
     faults = {
         "one cell": {"open": everywhere[:-1]},
@@ -97,7 +97,7 @@ def test_panels_with_hardly_any_readings_end_in_a_sentence(rng: Rng, folder: Pat
         yield from _tried(name, place, LOOKS[:1] + RUNS)
 
 
-def sensible(ended: Ended) -> str:
-    """Return HELD where a command did its work, or said in words of the panel why not."""
-    foreign = [word for word in FOREIGN if word in ended.err]
-    return ended.survived() or (f"speaks of {foreign}: {ended.err[-300:]}" if foreign else HELD)
+def sensible(completed: CompletedCommand) -> str:
+    """Return PASSED where a command did its work, or said in words of the panel why not."""
+    foreign = [word for word in FOREIGN if word in completed.err]
+    return completed.survived() or (f"speaks of {foreign}: {completed.err[-300:]}" if foreign else PASSED)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import HELD, Outcomes, Rng, attack, called, drawn, everything, small_folder
+from attack.attack import PASSED, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.recording.board.record import Journal
@@ -42,63 +42,65 @@ FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "
 
 @attack(18, 18)
 def test_empty_and_root_paths_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made = small_folder(folder / "work")
+    work_folder = small_folder(folder / "work")
     for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
-        yield _untouched(made, (*writer, place))
+        yield _untouched(work_folder, (*writer, place))
 
 
 @attack(12, 30)
 def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    made, kinds = _beside_precious(folder, "work"), ["pipe", "folder", "link", "socket"]
-    os.mkfifo(made / "pipe.h5")
-    (made / "folder.h5").mkdir()
-    (made / "link.h5").symlink_to(folder / "precious")
+    work_folder, kinds = _beside_precious(folder, "work"), ["pipe", "folder", "link", "socket"]
+    os.mkfifo(work_folder / "pipe.h5")
+    (work_folder / "folder.h5").mkdir()
+    (work_folder / "link.h5").symlink_to(folder / "precious")
     with socket.socket(socket.AF_UNIX) as server:
-        with contextlib.chdir(made):  # the names of sockets are short
+        with contextlib.chdir(work_folder):  # the names of sockets are short
             server.bind("socket.h5")
         with contextlib.suppress(PermissionError):
-            os.mknod(made / "device.h5", 0o600 | 0o020000, os.makedev(1, 3))
+            os.mknod(work_folder / "device.h5", 0o600 | 0o020000, os.makedev(1, 3))
             kinds.append("device")
         for _, (writer, kind) in drawn(rng, [(writer, kind) for writer in FILES for kind in kinds], count):
-            yield _untouched(made, (*writer, f"{kind}.h5")) or _precious(folder)
+            yield _untouched(work_folder, (*writer, f"{kind}.h5")) or _precious(folder)
 
 
 @attack(12, 100)
 def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
-    ways = [(words, read, way) for words in INPUTS for read in words if "." in read for way in ("", "./", "hard")]
-    for index, (words, read, way) in drawn(rng, ways, count):
-        made, place = _inputs(folder / f"work{index}"), way + read
-        if way == "hard":
-            (made / place).hardlink_to(made / read)
-        yield _untouched(made, (*words, place), read)
-    made = _inputs(folder / "detected")
-    shutil.copy(made / "results.h5", made / "detections.h5")
-    yield _untouched(made, ("detect", "detections.h5"), "is an input")
+    cases = [
+        (words, read, prefix) for words in INPUTS for read in words if "." in read for prefix in ("", "./", "hard")
+    ]
+    for index, (words, read, prefix) in drawn(rng, cases, count):
+        work_folder, place = _inputs(folder / f"work{index}"), prefix + read
+        if prefix == "hard":
+            (work_folder / place).hardlink_to(work_folder / read)
+        yield _untouched(work_folder, (*words, place), read)
+    work_folder = _inputs(folder / "detected")
+    shutil.copy(work_folder / "results.h5", work_folder / "detections.h5")
+    yield _untouched(work_folder, ("detect", "detections.h5"), "is an input")
     for place in ("z", "./z"):
-        yield _untouched(made, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs")
+        yield _untouched(work_folder, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs")
 
 
-def _inputs(made: Path) -> Path:
+def _inputs(work_folder: Path) -> Path:
     """A folder with all inputs of the commands."""
-    small_folder(made)
-    (made / "scene.yaml").write_text("panel: {rows: 3, columns: 4}\n")
-    scene = Recording.load(made / "small.h5").scene.panel
+    small_folder(work_folder)
+    (work_folder / "scene.yaml").write_text("panel: {rows: 3, columns: 4}\n")
+    scene = Recording.load(work_folder / "small.h5").scene.panel
     known = np.full(scene.shape, 1000.0)
-    np.savetxt(made / "known.csv", known, delimiter=",")
-    np.save(made / "known.npy", known)
+    np.savetxt(work_folder / "known.csv", known, delimiter=",")
+    np.save(work_folder / "known.npy", known)
     read = np.tile(two_point_resistance(known) + 140.0, (9, 1, 1))
     recording = Recording(Scene(scene, TwoPointReadout(), 140.0), read, np.arange(9.0), np.ones(9, dtype=np.uint8))
-    recording.save(made / "known.h5")
-    (made / "loads.yaml").write_text("schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n")
-    (made / "loads.csv").write_text("frames,pressure_kpa\n1:2,5\n")
+    recording.save(work_folder / "known.h5")
+    (work_folder / "loads.yaml").write_text("schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n")
+    (work_folder / "loads.csv").write_text("frames,pressure_kpa\n1:2,5\n")
     estimators = "estimators: {CR: {terms: {misfit: {}, cell_resistance: {weight: auto}}}}\n"
-    (made / "weights.yaml").write_text(f"schema: 1\nrecordings: [small.h5]\nformulation: reduced\n{estimators}")
-    return made
+    (work_folder / "weights.yaml").write_text(f"schema: 1\nrecordings: [small.h5]\nformulation: reduced\n{estimators}")
+    return work_folder
 
 
 @pytest.mark.slow
 @attack()
-def test_links_and_pipes_in_place_of_outputs_are_refused_and_files_of_others_kept(
+def test_outputs_replaced_by_links_or_pipes_are_refused_and_foreign_files_survive(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
     run = ("run", "run.yaml", "--jobs", "1", "--out", "out")
@@ -110,27 +112,27 @@ def test_links_and_pipes_in_place_of_outputs_are_refused_and_files_of_others_kep
             "contours_small.png": (("plot", "results.h5"),),
         }.items()
     ):
-        made = _beside_precious(folder, f"work{number}")
-        (made / "out").mkdir()
-        (made / place).symlink_to(folder / "precious")
+        work_folder = _beside_precious(folder, f"work{number}")
+        (work_folder / "out").mkdir()
+        (work_folder / place).symlink_to(folder / "precious")
         for words in commands:
-            yield called(*words, folder=made).refused(Path(place).name) or _precious(folder)
-    made, foreign = small_folder(folder / "work"), folder / "foreign"
+            yield called(*words, folder=work_folder).refused(Path(place).name) or _precious(folder)
+    work_folder, foreign = small_folder(folder / "work"), folder / "foreign"
     foreign.mkdir()
-    for place in (made / "out", foreign):
+    for place in (work_folder / "out", foreign):
         place.mkdir(exist_ok=True)
         (place / ".theirs.h5.17.part").write_text("precious")
-    (made / "out" / "cases").symlink_to(foreign)
+    (work_folder / "out" / "cases").symlink_to(foreign)
     for fresh in ((), ("--fresh",)):
-        yield _untouched(made, (*run, *fresh))
-    (made / "out" / "cases").unlink()
-    ended = called(*run, folder=made)
-    yield HELD if ended.code == 0 else ended.described("the run failed")
-    kept = [path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
-    yield HELD if len(kept) == 2 else "an unfinished file of another is gone"
-    (made / "out" / ".lock").unlink(missing_ok=True)
-    os.mkfifo(made / "out" / ".lock")
-    yield _untouched(made, run)
+        yield _untouched(work_folder, (*run, *fresh))
+    (work_folder / "out" / "cases").unlink()
+    completed = called(*run, folder=work_folder)
+    yield PASSED if completed.code == 0 else completed.described("the run failed")
+    untouched = [path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
+    yield PASSED if len(untouched) == 2 else "an unfinished file of another is gone"
+    (work_folder / "out" / ".lock").unlink(missing_ok=True)
+    os.mkfifo(work_folder / "out" / ".lock")
+    yield _untouched(work_folder, run)
 
 
 def _beside_precious(folder: Path, name: str) -> Path:
@@ -139,22 +141,20 @@ def _beside_precious(folder: Path, name: str) -> Path:
 
 
 def _precious(folder: Path) -> str:
-    return HELD if (folder / "precious").read_text() == "precious" else "precious is lost"
+    return PASSED if (folder / "precious").read_text() == "precious" else "precious is lost"
 
 
 def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
-    """Return HELD where the command refuses in one sentence and leaves the folder as it is."""
-    before = everything(folder)
-    ended = called(*arguments, folder=folder)
-    after = everything(folder)
-    changed = [name for name in before | after if before.get(name) != after.get(name)]
-    fault = ended.refused(*words) or (f"{changed} changed" if changed else "")
-    return f"{' '.join(arguments)}: {fault}" if fault else HELD
+    """Return PASSED where the command refuses in one sentence and leaves the folder as it is."""
+    original = everything(folder)
+    completed = called(*arguments, folder=folder)
+    current = everything(folder)
+    changed = [name for name in original | current if original.get(name) != current.get(name)]
+    fault = completed.refused(*words) or (f"{changed} changed" if changed else "")
+    return f"{' '.join(arguments)}: {fault}" if fault else PASSED
 
 
-def test_the_folder_of_a_new_file_is_on_the_disk_after_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_folder_of_a_new_file_is_synced_after_renaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files and journals: what a power failure leaves of a folder is what was synced."""
     synced, sync = list[bool](), os.fsync
 

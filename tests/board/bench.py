@@ -30,9 +30,9 @@ def built(wiring: str = "two_point") -> Path:
     """Build firmware/, one process at a time, and return its folder; a missing package fails the test by its name."""
     with (FIRMWARE / "Makefile").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
-    if done.returncode:
-        pytest.fail(done.stderr.strip(), pytrace=False)
+        completed = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
+    if completed.returncode:
+        pytest.fail(completed.stderr.strip(), pytrace=False)
     return FIRMWARE / "build" / ("" if wiring == "two_point" else wiring)
 
 
@@ -118,14 +118,14 @@ def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: i
 
 def lampest(*words: object, code: int = 0) -> tuple[str, str]:
     """Standard output and error of a command that ends with `code`."""
-    done = run_command(*words, stdin=subprocess.DEVNULL, env=os.environ | ONE_THREAD)
-    assert done.returncode == code, f"{done.returncode}: {done.stdout}{done.stderr}"
-    return done.stdout, done.stderr
+    completed = run_command(*words, stdin=subprocess.DEVNULL, env=os.environ | ONE_THREAD)
+    assert completed.returncode == code, f"{completed.returncode}: {completed.stdout}{completed.stderr}"
+    return completed.stdout, completed.stderr
 
 
 def scene_file(folder: Path, rows: int = 10, columns: int = 10, readings: int = 20, **changes: float) -> Path:
     """The simulated board's scene as YAML."""
     path = folder / "scene.yaml"
-    made = scene(rows, columns, readings, **changes)
-    path.write_text(to_yaml(replace(made, response=PublishedResponse())))
+    written = scene(rows, columns, readings, **changes)
+    path.write_text(to_yaml(replace(written, response=PublishedResponse())))
     return path

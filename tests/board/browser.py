@@ -45,13 +45,13 @@ class Browser:
         wish = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
         self._ask("POST", "/goog/cdp/execute", cmd="Emulation.setEmulatedMedia", params=wish)
 
-    def until(self, script: str, wanted: Callable[[Any], bool] = bool, seconds: float = 20.0) -> Any:
+    def until(self, script: str, expected: Callable[[Any], bool] = bool, seconds: float = 20.0) -> Any:
         """What a script returns once that is what is wanted."""
         end = time.monotonic() + seconds
-        while not wanted(found := self.run(script)):
-            assert time.monotonic() < end, f"{script}: {found} after {seconds:g} s"
+        while not expected(answer := self.run(script)):
+            assert time.monotonic() < end, f"{script}: {answer} after {seconds:g} s"
             time.sleep(0.05)
-        return found
+        return answer
 
     def screenshot(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -86,12 +86,12 @@ def browser(folder: Path, width: int = 1280, height: int = 1000) -> Iterator[Bro
         try:
             base = f"http://127.0.0.1:{listening_port(process)}"
             arguments = [*FLAGS.split(), f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}"]
-            wanted = {
+            capabilities = {
                 "browserName": "chrome",
                 "goog:chromeOptions": {"binary": chromium, "args": arguments},
                 "goog:loggingPrefs": {"browser": "ALL"},
             }
-            session = ask("POST", f"{base}/session", {"capabilities": {"alwaysMatch": wanted}})["sessionId"]
+            session = ask("POST", f"{base}/session", {"capabilities": {"alwaysMatch": capabilities}})["sessionId"]
             try:
                 yield Browser(f"{base}/session/{session}")
             finally:

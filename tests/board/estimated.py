@@ -81,5 +81,5 @@ def solved_case(scene, terms, seed=0, sums=None, rest=3, **options):
     """Return (sums of the measured frames, CaseResult) of a simulated recording."""
     if sums is None:
         sums = sums_of(scene, pressed_cells(scene, rest=rest, seed=seed), seed + 1)
-    found = lampest.reconstruct(recording_of(scene, sums, rest), list(terms), formulation="reduced", **options)
-    return sums[rest:], found.result("estimator")
+    estimate = lampest.reconstruct(recording_of(scene, sums, rest), list(terms), formulation="reduced", **options)
+    return sums[rest:], estimate.result("estimator")

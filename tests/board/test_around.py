@@ -25,11 +25,11 @@ ROWS_OF_TABLE = [
 ]
 
 
-def test_missing_packages_are_named_in_one_sentence(tmp_path: Path) -> None:
+def test_one_sentence_names_missing_packages(tmp_path: Path) -> None:
     words = ["make", "-s", "-C", str(FIRMWARE), "ARDUINO=/nowhere", f"BUILD={tmp_path / 'build'}"]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode
-    first = done.stderr.splitlines()[0]
+    completed = subprocess.run(words, capture_output=True, text=True)
+    assert completed.returncode
+    first = completed.stderr.splitlines()[0]
     assert first.startswith("firmware: compilers for the board are missing; install them with: apt-get install gcc-avr")
     packages = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "packages"], capture_output=True, text=True).stdout
     assert first.endswith(packages.strip())
@@ -45,8 +45,8 @@ def test_a_board_of_another_version_is_named() -> None:
 def test_ports_that_look_like_an_arduino_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     modem = SimpleNamespace(device="/dev/ttyS0", description="modem", vid=None)
     mega = SimpleNamespace(device="/dev/ttyACM0", description="Arduino Mega 2560", vid=0x2341)
-    other = SimpleNamespace(device="/dev/ttyUSB0", description="USB serial", vid=0x1A86)
-    for present, url in (([modem, mega], mega.device), ([modem], None), ([modem, mega, other], None)):
+    usb_serial = SimpleNamespace(device="/dev/ttyUSB0", description="USB serial", vid=0x1A86)
+    for present, url in (([modem, mega], mega.device), ([modem], None), ([modem, mega, usb_serial], None)):
         monkeypatch.setattr(port.list_ports, "comports", lambda present=present: present)
         assert port.ports()[-1].url == modem.device
         if url:
@@ -62,27 +62,27 @@ def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pyte
 
     master, slave = os.openpty()
     monkeypatch.setattr(os, "tcgetpgrp", lambda descriptor: os.getpgrp())
-    with os.fdopen(slave) as terminal, Path(os.devnull).open() as nothing:
+    with os.fdopen(slave) as terminal, Path(os.devnull).open() as null_device:
         monkeypatch.setattr("sys.stdin", terminal)
-        before = termios.tcgetattr(slave)
+        original = termios.tcgetattr(slave)
         with pressed_keys() as keys:
             assert keys() == ""
             os.write(master, b"ab")
             assert keys() == "ab"
-        assert termios.tcgetattr(slave) == before
-        for no_terminal in (nothing, None):
+        assert termios.tcgetattr(slave) == original
+        for no_terminal in (null_device, None):
             monkeypatch.setattr("sys.stdin", no_terminal)
             with pressed_keys() as keys:
                 assert keys() == ""
     os.close(master)
 
 
-def test_flash_and_memory_are_those_of_the_readme() -> None:
+def test_flash_and_memory_match_the_readme() -> None:
     assert len(ROWS_OF_TABLE) >= 8
     built()
     words = ["make", "-s", "-C", str(FIRMWARE), "size"]
-    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    flash, memory = (int(number) for number in re.findall(r"(\d+) of", said))
+    output = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    flash, memory = (int(number) for number in re.findall(r"(\d+) of", output))
     stated = [int(number) for number in re.findall(r"(\d+) of (?:253952|8192)", README)]
     # Another version of the compiler may differ a little; what must not happen is that nobody notices.
     assert stated == pytest.approx([flash, memory], rel=0.05)
@@ -91,7 +91,7 @@ def test_flash_and_memory_are_those_of_the_readme() -> None:
 
 
 @pytest.mark.parametrize(("rows", "columns", "readings", "period_ms", "rate"), ROWS_OF_TABLE)
-def test_the_shortest_period_of_the_table_is_kept(
+def test_a_board_keeps_the_shortest_period_of_the_table(
     tmp_path: Path, rows: int, columns: int, readings: int, period_ms: float, rate: float
 ) -> None:
     """At the shortest period that the board accepts no tick is missed and no frame lost; it is the table's."""
@@ -102,11 +102,11 @@ def test_the_shortest_period_of_the_table_is_kept(
             shortest = opened.start(rows, columns, readings, None).shortest_period_us
             opened.stop()
         known = scene(rows, columns, readings)
-        done = record(board.port, tmp_path / "r.h5", frames=frames, scene=known, period=shortest / 1e6)
+        summary = record(board.port, tmp_path / "r.h5", frames=frames, scene=known, period=shortest / 1e6)
         figures = board.stop()
-    found = Recording.load(tmp_path / "r.h5")
-    assert done.lost == 0 and not found.acquisition.missed.any()
-    np.testing.assert_allclose(np.diff(found.time).mean(), shortest / 1e6, rtol=2e-2)
+    recording = Recording.load(tmp_path / "r.h5")
+    assert summary.lost == 0 and not recording.acquisition.missed.any()
+    np.testing.assert_allclose(np.diff(recording.time).mean(), shortest / 1e6, rtol=2e-2)
     assert figures["longest_scan_us"] < shortest
     assert shortest / 1000 == pytest.approx(period_ms, abs=0.051)
     assert rate == pytest.approx(1e6 / shortest, rel=0.01)

@@ -20,16 +20,16 @@ from tests.netlist import impedance_of
 def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:
     cells = np.repeat(some_cells(np.random.default_rng(5), 1), 20, axis=0)
     with bench(tmp_path, cells) as board:
-        done = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
-    found = Recording.load(done.path)
-    deviation = (found.resistance - two_point_resistance(cells) - 140) / found.sigma
+        summary = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
+    recording = Recording.load(summary.path)
+    deviation = (recording.resistance - two_point_resistance(cells) - 140) / recording.sigma
     assert abs(deviation.mean()) < 0.1
     assert deviation.std() == pytest.approx(1, abs=0.06)
-    assert done.noise_lsb == pytest.approx(0.7, abs=0.04)
-    assert found.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
+    assert summary.noise_lsb == pytest.approx(0.7, abs=0.04)
+    assert recording.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
 
 
-def test_a_line_that_settles_slowly_carries_the_cell_before_into_the_reading(tmp_path: Path) -> None:
+def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_path: Path) -> None:
     """The simulated line has a time constant: 100 us leave e^-0.5 of a step at the first sample, 2 us leave nothing."""
     cells = np.full((1, 2, 2), 1000.0)
     cells[0, 0, 0] = 10.0
@@ -48,20 +48,20 @@ def test_a_file_names_clocks_numbers_and_events_of_its_frames(tmp_path: Path) ->
     presses = iter(["", "", "x", "", "ab"])
     with bench(tmp_path, cells) as board:
         record(board.port, tmp_path / "r.h5", frames=5, scene=scene(4, 3), period=0.5, keys=lambda: next(presses))
-    found = Recording.load(tmp_path / "r.h5")
-    np.testing.assert_allclose(found.time, [0, 0.5, 1, 1.5, 2], atol=2e-3)
-    assert found.acquisition.sequence.tolist() == [0, 1, 2, 3, 4]
-    assert np.all(np.diff(found.acquisition.device_ms.astype(int)) >= 499)
-    assert np.all(np.diff(found.acquisition.host_time) >= 0) and found.acquisition.host_time[0] > 1.7e9
-    assert not found.acquisition.lost.any() and not found.acquisition.missed.any()
-    assert found.acquisition.event_label == ("x", "a", "b")
-    np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 4, 4]])
+    recording = Recording.load(tmp_path / "r.h5")
+    np.testing.assert_allclose(recording.time, [0, 0.5, 1, 1.5, 2], atol=2e-3)
+    assert recording.acquisition.sequence.tolist() == [0, 1, 2, 3, 4]
+    assert np.all(np.diff(recording.acquisition.device_ms.astype(int)) >= 499)
+    assert np.all(np.diff(recording.acquisition.host_time) >= 0) and recording.acquisition.host_time[0] > 1.7e9
+    assert not recording.acquisition.lost.any() and not recording.acquisition.missed.any()
+    assert recording.acquisition.event_label == ("x", "a", "b")
+    np.testing.assert_allclose(recording.acquisition.event_time, recording.time[[2, 4, 4]])
     with h5py.File(tmp_path / "r.h5") as file:
         assert "lampest_unfinished" not in file.attrs
         assert file["entry/acquisition/lost"].attrs["units"] == b"1"
 
 
-def test_lines_of_the_example_are_the_panel(tmp_path: Path) -> None:
+def test_the_lines_of_the_example_match_the_panel(tmp_path: Path) -> None:
     cells = np.full((10, 10), 3000.0)
     cells[2, 7] = 300.0
     with bench(tmp_path, cells[None], sketch="print_table") as board, serial.Serial(board.port, timeout=30) as port:
@@ -75,12 +75,12 @@ def test_lines_of_the_example_are_the_panel(tmp_path: Path) -> None:
     assert np.unravel_index(np.argmin(recording.recorded[-1]), (10, 10)) == (2, 7)
 
 
-def test_the_library_says_what_it_includes() -> None:
+def test_the_library_lists_its_headers() -> None:
     folder = Path(__file__).parents[2] / "firmware" / "lampest_board"
     lines = (folder / "library.properties").read_text(encoding="utf-8").splitlines()
-    said = dict(line.split("=", 1) for line in lines)
-    assert {"name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url"} <= set(said)
-    assert all((folder / header).is_file() for header in said["includes"].split(","))
+    properties = dict(line.split("=", 1) for line in lines)
+    assert {"name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url"} <= set(properties)
+    assert all((folder / header).is_file() for header in properties["includes"].split(","))
 
 
 # Both wirings.
@@ -89,7 +89,7 @@ WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}
 
 
 @pytest.mark.parametrize("wiring", [pytest.param("two_point", marks=pytest.mark.slow), "loaded_columns"])
-def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
+def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> None:
     """One unloaded frame: without repeats the file's σ is the readout's, as it is for live. One has a dead row."""
     truth = np.repeat(some_cells(np.random.default_rng(8), 1, 8, 7), 4, axis=0)
     truth[1:, 5:7, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
@@ -112,12 +112,12 @@ def test_live_and_the_file_agree(tmp_path: Path, wiring: str) -> None:
 
 
 @pytest.mark.parametrize("wiring", WIRINGS)
-def test_without_a_scene_the_board_is_believed(tmp_path: Path, wiring: str) -> None:
+def test_a_recording_without_a_scene_takes_that_of_the_board(tmp_path: Path, wiring: str) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(2), 1), wiring=wiring) as board:
-        done = record(board.port, tmp_path / "r.h5", seconds=2)
+        summary = record(board.port, tmp_path / "r.h5", seconds=2)
     recording = Recording.load(tmp_path / "r.h5")
     known = scene(series_resistance_ohm=0) if wiring == "two_point" else loaded_scene()
-    assert done.scene == recording.scene == replace(known, readout=replace(known.readout, noise_lsb=None))
+    assert summary.scene == recording.scene == replace(known, readout=replace(known.readout, noise_lsb=None))
     assert recording.recorded.shape == (2, 10, 10)
 
 
@@ -138,7 +138,7 @@ def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
         *(("loaded_columns", *sizes) for sizes in ((1, 1, 1), (3, 8, 64), (16, 16, 4), (5, 11, 20))),
     ],
 )
-def test_other_sizes_without_noise_are_exact_to_the_converter(
+def test_noise_free_readings_of_any_size_are_exact_to_the_converter(
     tmp_path: Path, wiring: str, rows: int, columns: int, readings: int
 ) -> None:
     """Sums are readings · ⌊1024·V/5⌋: every channel, input (A8 to A15 too), switch and byte is where it belongs."""

@@ -16,7 +16,7 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wiring", ["two_point", "loaded_columns"])
-def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
+def test_recorded_board_frames_give_the_cells(tmp_path: Path, wiring: str) -> None:
     """The shipped lamprey: record → a file in ohm or volt → run → the truth."""
     shipped = Recording.load(LAMPREY)
     truth = shipped.truth_cell_resistance
@@ -26,8 +26,8 @@ def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
     (tmp_path / "scene.yaml").write_text(to_yaml(known))
     with bench(tmp_path, truth, wiring=wiring) as board:
         words = ("--port", board.port, "--out", out, "--scene", tmp_path / "scene.yaml", "--baseline", baseline)
-        said, complained = lampest("record", *words, "--count", len(truth))
-    assert said.startswith(f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0.")
+        output, complained = lampest("record", *words, "--count", len(truth))
+    assert output.startswith(f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0.")
     assert complained == "" and "frames     24: 3 unloaded, 21 measured" in lampest("info", out)[0]
     group, signal, unit = ("two_point", "resistance", "ohm") if wiring == "two_point" else ("readings", "volt", "volt")
     with h5py.File(out) as file:
@@ -46,25 +46,25 @@ def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
 
 
 @pytest.mark.slow
-def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> None:
+def test_shorted_lines_calibrate_the_next_recording(tmp_path: Path) -> None:
     shorted = tmp_path / "shorted.h5"
     scene = tmp_path / "scene.yaml"
     with bench(tmp_path, np.full((1, 10, 10), 1e-3)) as board:
         _, complained = lampest("record", "--port", board.port, "--out", shorted, "--seconds", 10)
     assert complained.startswith("lampest: no series resistance is assumed") and complained.count("\n") == 1
-    said, _ = lampest("calibrate", shorted, "--out", scene)
-    assert said.startswith("series resistance 1") and str(scene) in said
-    found: Scene = validated(read_document(scene), Scene)
-    assert found.series_resistance_ohm == pytest.approx(140, abs=0.5)
+    output, _ = lampest("calibrate", shorted, "--out", scene)
+    assert output.startswith("series resistance 1") and str(scene) in output
+    calibrated: Scene = validated(read_document(scene), Scene)
+    assert calibrated.series_resistance_ohm == pytest.approx(140, abs=0.5)
     printed, _ = lampest("calibrate", shorted)
     assert printed == scene.read_text()
     with bench(tmp_path, some_cells(np.random.default_rng(1), 1)) as board:
         words = ("--port", board.port, "--out", tmp_path / "r.h5", "--scene", scene, "--count", 1)
         assert lampest("record", *words)[1] == ""
-    assert Recording.load(tmp_path / "r.h5").scene == found
+    assert Recording.load(tmp_path / "r.h5").scene == calibrated
 
 
-def test_ports_are_listed_or_said_to_be_none() -> None:
-    said, complained = lampest("record", "--list")
-    assert bool(said) != ("there is no serial port" in complained)
+def test_record_lists_ports_or_says_that_there_are_none() -> None:
+    output, complained = lampest("record", "--list")
+    assert bool(output) != ("there is no serial port" in complained)
     assert os.linesep not in complained.rstrip()

@@ -23,6 +23,7 @@ NOISY = lampest.Misfit(weighting="noise")
 EXACT = Budget(8, 60, 0.01)
 OVAL = tuple((i, k, 10.0 * k, 10.0 * i) for i in range(6) for k in range(5) if (i - 2.5) ** 2 + (k - 2) ** 2 < 8)
 FINE, BAD_CONSTANTS, TOO_FEW, UNDER_LOAD = range(4)
+MEGA_HERTZ = 16e6
 
 
 def deviations(case, changes):
@@ -40,14 +41,14 @@ def mostly_slow(*variants):
 def assert_same_optimum(scene, terms, tolerance=0.01):
     sums, case = solved_case(scene, terms)
     with compiled(Constants.of(case)) as host:
-        found = host.frames(sums, EXACT)
-    assert found.settled.all() and not found.outcome.any()
-    assert deviations(case, found.log_change).max() < tolerance
+        estimates = host.frames(sums, EXACT)
+    assert estimates.settled.all() and not estimates.outcome.any()
+    assert deviations(case, estimates.log_change).max() < tolerance
     np.testing.assert_array_equal(Constants.of(case).sums_of(case), sums)
 
 
 @pytest.mark.parametrize("circuit", mostly_slow("grounded_one", *(name for name in CIRCUITS if name != "grounded_one")))
-def test_every_circuit_has_the_optimum_of_lampest(circuit):
+def test_every_circuit_reaches_the_optimum_of_lampest(circuit):
     assert_same_optimum(scene_of(circuit), [NOISY, lampest.LogGradient()])
 
 
@@ -68,7 +69,7 @@ def test_every_circuit_has_the_optimum_of_lampest(circuit):
     ),
     ids=lambda terms: " + ".join(f"{term.kind}-{term.loss.kind}" for term in terms),
 )
-def test_every_term_and_loss_has_the_optimum_of_lampest(terms):
+def test_every_term_and_loss_reaches_the_optimum_of_lampest(terms):
     assert_same_optimum(scene_of("two_point"), terms)
 
 
@@ -86,7 +87,7 @@ def test_every_term_and_loss_has_the_optimum_of_lampest(terms):
     ),
     ids=["wide oval", "wide with channels", "wide", "wide grounded", "row", "column", "oval", "oval grounded"],
 )
-def test_every_shape_has_the_optimum_of_lampest(scene):
+def test_every_panel_shape_reaches_the_optimum_of_lampest(scene):
     assert_same_optimum(scene, [NOISY, lampest.LogGradient(weight=1.0)])
 
 
@@ -94,10 +95,10 @@ def test_every_shape_has_the_optimum_of_lampest(scene):
 def lamprey(tmp_path_factory):
     """The shipped lamprey with its default estimator, as results."""
     recording = lampest.datasets.load("lamprey_35mm")
-    found = lampest.reconstruct(recording, [NOISY, lampest.LogGradient()], formulation="reduced")
+    estimate = lampest.reconstruct(recording, [NOISY, lampest.LogGradient()], formulation="reduced")
     path = tmp_path_factory.mktemp("lamprey") / "results.h5"
-    found.save(path, name="smooth")
-    return path, found.result("smooth")
+    estimate.save(path, name="smooth")
+    return path, estimate.result("smooth")
 
 
 def emulated(folder, build):
@@ -111,23 +112,23 @@ def emulated(folder, build):
 
 
 @pytest.mark.slow
-def test_a_lamprey_is_estimated_within_a_twentieth_of_its_error_by_one_and_a_half_million_instructions(
+def test_a_lamprey_takes_one_and_a_half_million_instructions_and_deviates_by_a_twentieth_of_its_error(
     lamprey, tmp_path
 ):
     path, case = lamprey
     sketch = export_sketch(path, tmp_path / "mat")
     constants = Constants.of(case).within(sketch.budget)
     with compiled(constants) as host:
-        found = host.frames(constants.sums_of(case), sketch.budget)
+        estimates = host.frames(constants.sums_of(case), sketch.budget)
         assert host.bytes < 12_000
-    off = deviations(case, found.log_change)
-    assert np.median(off) <= 0.05
-    assert off[1] < 1  # a first touch, after two frames
+    errors = deviations(case, estimates.log_change)
+    assert np.median(errors) <= 0.05
+    assert errors[1] < 1  # a first touch, after two frames
     counted, changes = emulated(tmp_path / "mat", tmp_path / "build")
     assert counted[1:].mean() < 1.5e6
     # The same bits: single precision of the computer, kept in double
-    np.testing.assert_array_equal(changes.reshape(-1, 10, 10), found.log_change[: len(changes)])
-    reckoned = instructions(constants, found.products - found.steps, found.steps)[: len(counted)]
+    np.testing.assert_array_equal(changes.reshape(-1, 10, 10), estimates.log_change[: len(changes)])
+    reckoned = instructions(constants, estimates.products - estimates.steps, estimates.steps)[: len(counted)]
     np.testing.assert_allclose(reckoned, counted, rtol=0.15)
 
 
@@ -146,10 +147,10 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
     counted, changes = emulated(folder, tmp_path / "build")
     assert counted.max() < 6e6
     with compiled(constants) as host:
-        found = host.frames(sums, constants.budget)
+        estimates = host.frames(sums, constants.budget)
         assert host.bytes < 32_000
-    np.testing.assert_array_equal(changes.reshape(-1, 16, 16), found.log_change)
-    reckoned = instructions(constants, found.products - found.steps, found.steps)
+    np.testing.assert_array_equal(changes.reshape(-1, 16, 16), estimates.log_change)
+    reckoned = instructions(constants, estimates.products - estimates.steps, estimates.steps)
     np.testing.assert_allclose(reckoned, counted, rtol=0.15)
 
 
@@ -158,7 +159,7 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
     sums, case = solved_case(scene_of("two_point", 8, 8), [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False)
     constants = Constants.of(case).within(Budget(2, 6, 0.05))
     with compiled(constants) as host:
-        found = host.frames(sums[:2], constants.budget)
+        estimates = host.frames(sums[:2], constants.budget)
         assert host.bytes < 6000
     (tmp_path / "panel_constants.h").write_text(header(constants, "panel", ()))
     rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums[:2])
@@ -174,10 +175,10 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
         "FRAMES=2",
         "CELLS=64",
     ]
-    said = subprocess.run([*words, "mega"], capture_output=True, text=True, check=True).stdout.splitlines()
-    *cycles, changes = [line for line in said if not line.startswith("Loaded")]
-    assert max(map(int, cycles)) / 16e6 < 2.5  # seconds
-    np.testing.assert_allclose(np.array(changes.split(), float).reshape(8, 8), found.log_change[-1], atol=0.01)
+    lines = subprocess.run([*words, "mega"], capture_output=True, text=True, check=True).stdout.splitlines()
+    *cycles, changes = [line for line in lines if not line.startswith("Loaded")]
+    assert max(map(int, cycles)) / MEGA_HERTZ < 2.5  # seconds
+    np.testing.assert_allclose(np.array(changes.split(), float).reshape(8, 8), estimates.log_change[-1], atol=0.01)
 
 
 def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
@@ -185,13 +186,13 @@ def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
     assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < 24_000
 
 
-def test_standard_deviations_are_those_of_the_linear_system():
+def test_standard_deviations_match_the_linear_system():
     sums, case = solved_case(scene_of("two_point"), [NOISY, lampest.LogGradient(weight=1.0)])
     constants = Constants.of(case)
     with compiled(constants) as host:
         assert host.deviation(0, 0, 30) < 0  # before the first frame nothing is known
         host.frames(sums[:4], EXACT)
-        found = np.array([[host.deviation(row, column, 60) for column in range(5)] for row in range(6)])
+        estimated = np.array([[host.deviation(row, column, 60) for column in range(5)] for row in range(6)])
     cells = case.cell_resistance[3]
     readout = case.scene.circuit
     network = readout.network(cells, readout.ties(case.measured[3]))
@@ -200,7 +201,7 @@ def test_standard_deviations_are_those_of_the_linear_system():
     steps = np.zeros((len(first), cells.size))
     steps[np.arange(len(first)), first], steps[np.arange(len(first)), second] = -1, 1
     variance = np.linalg.inv(response.T @ response + steps.T @ steps).diagonal().reshape(6, 5)
-    np.testing.assert_allclose(found, np.sqrt(variance), rtol=0.02)
+    np.testing.assert_allclose(estimated, np.sqrt(variance), rtol=0.02)
 
 
 def test_a_baseline_follows_a_drift_and_refuses_a_load():
@@ -212,23 +213,23 @@ def test_a_baseline_follows_a_drift_and_refuses_a_load():
         for seed in range(4):
             assert host.baseline(sums_of(scene, drifted, seed)[0])[0] == FINE
         assert np.abs(host.frame(sums_of(scene, drifted, 9)[0])[0]).max() < 0.1
-        before = host.frame(sums[4])[0]
+        previous = host.frame(sums[4])[0]
         assert host.baseline(sums[4])[0] == UNDER_LOAD
         host.frame(sums[4])
-        np.testing.assert_allclose(host.frame(sums[4])[0], before, atol=0.02)
+        np.testing.assert_allclose(host.frame(sums[4])[0], previous, atol=0.02)
 
 
-def test_bad_frames_have_a_status_and_leave_the_estimate():
+def test_bad_frames_get_a_status_and_keep_the_estimate():
     scene = scene_of("loaded_columns")
     sums, case = solved_case(scene, [NOISY, lampest.LogGradient(weight=1.0)])
     full = 4 * 4095
     with compiled(Constants.of(case)) as host:
         host.begin(EXACT)
-        before, _ = host.frame(sums[0])
+        previous, _ = host.frame(sums[0])
         for bad in (0, full, full + 1, 65535):
             change, status = host.frame(np.full((6, 5), bad))
             assert status[0] == TOO_FEW
-            np.testing.assert_array_equal(change, before)
+            np.testing.assert_array_equal(change, previous)
         dead = sums[1].copy()
         dead[:, 2] = 0
         change, status = host.frame(dead)
@@ -239,32 +240,32 @@ def test_bad_frames_have_a_status_and_leave_the_estimate():
         assert (status[0], status[5]) == (FINE, 1) and np.isfinite(change).all()
 
 
-def test_missing_readings_and_bounds_have_the_optimum_of_lampest():
+def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
     scene = scene_of("two_point")
     sums = sums_of(scene, pressed_cells(scene))
     sums[4, 2, 2] = 4 * 4095
     recorded = sums.astype(float)
     case = solved_case(scene, [NOISY, lampest.LogGradient(weight=30.0)], sums=recorded.astype(np.uint16))[1]
     with compiled(Constants.of(case)) as host:
-        found = host.frames(Constants.of(case).sums_of(case), Budget(12, 60, 1e-3))
-    assert deviations(case, found.log_change).max() < 0.05
+        estimates = host.frames(Constants.of(case).sums_of(case), Budget(12, 60, 1e-3))
+    assert deviations(case, estimates.log_change).max() < 0.05
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "field", ["reference_ohm", "sigma_volt[1]", "weight", "baseline[30]", "largest_ohm", "supply_volt"]
 )
-def test_constants_that_are_no_numbers_are_refused(field, tmp_path):
+def test_constants_that_are_not_numbers_are_refused(field, tmp_path):
     _, case = solved_case(scene_of("two_point"), [NOISY, lampest.LogGradient(weight=1.0)])
     text = header(Constants.of(case), "panel", ())
     if field == "weight":
         text = text.replace("1.0f, 1.0f}", "1.0f, NAN}")
     elif "[" in field:
-        before, start, after = text.partition(f"panel_{field} = {{\n    ")
-        text = before + start + "NAN" + after[after.index("f") + 1 :]
+        head, start, tail = text.partition(f"panel_{field} = {{\n    ")
+        text = head + start + "NAN" + tail[tail.index("f") + 1 :]
     else:
-        before, start, after = text.partition(f".{field} = ")
-        text = before + start + "NAN" + after[after.index("f") + 1 :]
+        head, start, tail = text.partition(f".{field} = ")
+        text = head + start + "NAN" + tail[tail.index("f") + 1 :]
     assert text.count("NAN") == 1
     (tmp_path / "panel_constants.h").write_text("#include <math.h>\n" + text)
     (tmp_path / "host.c").write_text(HOST)
@@ -333,8 +334,8 @@ def test_random_codes_never_give_nan_overruns_or_more_work_than_budgeted(circuit
     term = lampest.RelativeChange(weight=0.01) if circuit == "grounded_one" else lampest.LogGradient(weight=1.0)
     _, case = solved_case(scene_of(circuit, cells=cells), [NOISY, term])
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
-    done = sanitized(tmp_path, FUZZ)
-    assert done.returncode == 0, done.stderr[:2000]
+    completed = sanitized(tmp_path, FUZZ)
+    assert completed.returncode == 0, completed.stderr[:2000]
 
 
 CONSTANTS_FUZZ = """
@@ -392,7 +393,7 @@ int main(void) {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
-def test_constants_that_are_wrong_never_give_nan_overruns_or_more_work(circuit, tmp_path):
+def test_wrong_constants_never_give_nan_overruns_or_more_work(circuit, tmp_path):
     loss = lampest.Student(corner=5.0)
     _, case = solved_case(scene_of(circuit), [NOISY, lampest.LogRatio(loss=loss, weight=1e-3)], error_bars=False)
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
@@ -420,7 +421,7 @@ def chord_of(rng, shape):
 @pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
 @pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
-def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
+def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_path):
     rng = np.random.default_rng(count)
     shape = (8, 26)
     scene = scene_of(circuit, *shape)
@@ -450,13 +451,13 @@ def test_every_press_of_a_chord_is_found_and_no_ghost(circuit, count, tmp_path):
             assert {tuple(map(int, key)) for key in np.argwhere(pressed)} == expected
 
 
-def test_the_command_writes_a_sketch_and_prints_what_budgets_buy(lamprey, tmp_path):
+def test_the_command_writes_a_sketch_and_prints_its_accuracy(lamprey, tmp_path):
     folder = tmp_path / "mat"
     words = ["export", str(lamprey[0]), "--to", "c", "--out", str(folder), "--milliseconds", "10"]
-    done = CliRunner().invoke(app, [*words, "--processor", "cortex-m4f"])
-    assert done.exit_code == 0, done.output
+    completed = CliRunner().invoke(app, [*words, "--processor", "cortex-m4f"])
+    assert completed.exit_code == 0, completed.output
     assert (folder / "mat.ino").is_file() and (folder / "lampest_estimate.h").is_file()
-    assert "ends within 0.05 σ" in done.output
+    assert "ends within 0.05 σ" in completed.output
 
 
 @pytest.mark.parametrize(
@@ -469,7 +470,7 @@ def test_the_command_writes_a_sketch_and_prints_what_budgets_buy(lamprey, tmp_pa
         (["--estimator", "nobody"], "there are smooth"),
     ],
 )
-def test_wishes_that_cannot_be_met_get_a_sentence_and_write_nothing(lamprey, tmp_path, options, sentence):
+def test_impossible_requests_get_a_sentence_and_write_nothing(lamprey, tmp_path, options, sentence):
     words = ["export", str(lamprey[0]), "--to", "c", "--out", str(tmp_path / "mat"), *options]
     with pytest.raises(lampest.InputError, match=sentence):
         CliRunner().invoke(app, words, standalone_mode=False, catch_exceptions=False)
@@ -484,18 +485,18 @@ def test_wishes_that_cannot_be_met_get_a_sentence_and_write_nothing(lamprey, tmp
         (scene_of("loaded_columns", diode=lampest.Diode()), [NOISY, lampest.LogGradient(weight=1.0)], "no diodes"),
     ],
 )
-def test_what_c_does_not_have_is_refused(scene, terms, sentence):
+def test_methods_without_a_c_version_are_refused(scene, terms, sentence):
     _, case = solved_case(scene, terms)
     with pytest.raises(lampest.InputError, match=sentence):
         Constants.of(case)
 
 
-def test_lines_that_are_held_while_idle_and_driven_through_a_resistor_are_refused():
+def test_idle_lines_held_behind_a_drive_resistor_are_refused():
     with pytest.raises(lampest.InputError, match="hold at ground while they are idle"):
         CircuitLines.of(lampest.DrivenReadout(idle_ohm=0.0), (4, 4))
 
 
-def test_a_budget_is_the_smallest_that_fits(lamprey):
+def test_the_smallest_sufficient_budget_is_chosen(lamprey):
     _, case = lamprey
     constants = Constants.of(case)
     with compiled(constants) as host:
@@ -511,8 +512,8 @@ def test_a_budget_is_the_smallest_that_fits(lamprey):
 @pytest.mark.slow
 def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
     """Suction from one frame to the next, for which the smallest budget of the median frame does not suffice."""
-    found = lampest.reconstruct(lampest.datasets.load("cup_air_20kpa"), formulation="reduced")
-    case = found.result("smooth")
+    estimate = lampest.reconstruct(lampest.datasets.load("cup_air_20kpa"), formulation="reduced")
+    case = estimate.result("smooth")
     constants = Constants.of(case)
     with compiled(constants) as host:
         table = trades(host, constants, case)
@@ -520,12 +521,12 @@ def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
         assert trade.median <= 0.05
         assert min(trade.touch for trade in table if trade.most_instructions < 0.6e6 and trade.median <= 0.05) > 1
         sums = constants.sums_of(case)
-        off = []
+        errors = []
         for frame in range(len(sums)):
             touched = host.frames(sums[[frame, frame]], trade.budget).log_change[1]
             optimum = np.log(case.cell_resistance[frame] / case.baseline_resistance)
-            off.append(np.sqrt(np.nanmean(((touched - optimum) / case.sigma_own[frame]) ** 2)))
-    assert max(off) < 1
+            errors.append(np.sqrt(np.nanmean(((touched - optimum) / case.sigma_own[frame]) ** 2)))
+    assert max(errors) < 1
 
 
 @pytest.mark.slow
@@ -549,5 +550,5 @@ unsigned long micros() { return 0; }
         subprocess.run(["gcc", "-std=c99", "-O2", "-c", str(path), "-o", objects[-1]], check=True)
     words = ["g++", "-std=c++11", "-O1", f"-I{folder}", str(tmp_path / "main.cpp"), *objects, "-lm"]
     subprocess.run([*words, "-o", str(tmp_path / "mat.out")], check=True)
-    said = subprocess.run([str(tmp_path / "mat.out")], capture_output=True, text=True, check=True).stdout
-    assert "as computed" in said and "NOT" not in said and "row " in said
+    output = subprocess.run([str(tmp_path / "mat.out")], capture_output=True, text=True, check=True).stdout
+    assert "as computed" in output and "NOT" not in output and "row " in output

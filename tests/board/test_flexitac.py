@@ -29,9 +29,9 @@ PRESSED = (slice(3, 7), slice(10, 16))
 
 def block(language: str) -> str:
     """Return the page's code of a language."""
-    found = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert found is not None
-    return found[1]
+    match = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert match is not None
+    return match[1]
 
 
 @pytest.fixture
@@ -63,18 +63,18 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
     frames = {
         state: [codes(scene, cells, seed) for seed in range(8)] for state, cells in ((False, resting), (True, loaded))
     }
-    own, other = os.openpty()
-    tty.setraw(other, termios.TCSANOW)
+    master, slave = os.openpty()
+    tty.setraw(slave, termios.TCSANOW)
     press = threading.Event()
     stop = threading.Event()
 
     def send() -> None:
         number = 0
-        os.write(own, b"\x17\xaa\x02")  # the reader joins in the middle of a frame
+        os.write(master, b"\x17\xaa\x02")  # the reader joins in the middle of a frame
         while not stop.is_set():
             frame = frames[press.is_set()][number % 8]
             try:
-                os.write(own, b"\xaa\x55" + frame.tobytes())
+                os.write(master, b"\xaa\x55" + frame.tobytes())
             except OSError:
                 return
             number += 1
@@ -82,15 +82,15 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
 
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
-    yield os.ttyname(other), press
+    yield os.ttyname(slave), press
     stop.set()
-    os.set_blocking(own, False)
+    os.set_blocking(master, False)
     thread.join(timeout=5)
-    for end in (own, other):
+    for end in (master, slave):
         os.close(end)
 
 
-def test_the_lines_of_the_page_find_the_pressed_cells(page: Any, board: tuple[str, threading.Event]) -> None:
+def test_the_code_of_the_page_locates_the_pressed_cells(page: Any, board: tuple[str, threading.Event]) -> None:
     port, press = board
     with flexitac.FlexiTacSensor(port, baseline=0.0) as sensor:
         frames = page.cells(sensor, UNLOADED)
@@ -111,7 +111,7 @@ def test_the_lines_of_the_page_find_the_pressed_cells(page: Any, board: tuple[st
     assert np.median(np.abs(divider / PRESSED_OHM - 1)) > 1.0
 
 
-def test_readings_of_an_open_skin_are_not_called_wrong(page: Any) -> None:
+def test_readings_of_an_open_skin_raise_no_doubt(page: Any) -> None:
     """Most of an unloaded skin conducts hardly, so that its median reading is near a rail."""
     scene = replace(page.scene, panel=lampest.Panel(6, 8, 2.0))
     cells = np.full((8, 6, 8), 60_000.0)

@@ -81,10 +81,10 @@ def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
     A sentence that appears moves the maps, so the screenshot is one before and after which they are at the same place.
     """
     boxes = window.run(PLACES, canvases)
-    before = None
-    while boxes != before:
+    previous = None
+    while boxes != previous:
         window.screenshot(path)
-        boxes, before = window.run(PLACES, canvases), boxes
+        boxes, previous = window.run(PLACES, canvases), boxes
     image = imread(path)
     maps = []
     for left, top, cell, rows, columns in boxes:
@@ -98,7 +98,7 @@ def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
 
 
 @pytest.mark.slow
-def test_a_user_sees_the_ring(tmp_path: Path) -> None:
+def test_the_page_shows_the_ring(tmp_path: Path) -> None:
     """A ring of 27 to 35 mm: 11.5 N under eight cells around four that carry nothing."""
     cells, unloaded = truth_of(RING)
     pressure = Recording.load(RING).truth_pressure
@@ -111,28 +111,28 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
         label = window.run("return document.getElementById('cells').getAttribute('aria-label')")
     change = cells[-1] / cells[0] - 1
     ring = change < -0.4
-    rest = change > -0.1
+    background = change > -0.1
     assert ring.sum() == 8
     assert np.corrcoef(drawn.ravel(), -change.ravel())[0, 1] > 0.9
-    assert drawn[ring].min() > drawn[rest & ~inside(ring)].max(), "the ring stands out"
+    assert drawn[ring].min() > drawn[background & ~inside(ring)].max(), "the ring stands out"
     assert drawn[ring].mean() > 2 * drawn[inside(ring)].mean(), "and is hollow"
     assert drawn[ring].mean() > 1.2 * measured[ring].mean(), "more than in what was measured"
     assert label.startswith("Reconstructed cell resistance, relative change from −")
 
 
 @pytest.mark.slow
-def test_the_map_of_a_board_that_estimates_is_beside_the_others(tmp_path: Path) -> None:
+def test_the_page_shows_the_map_of_an_estimating_board(tmp_path: Path) -> None:
     """Frames without an estimate leave it empty; a board without one has no third map."""
     ring = Recording.load(RING)
     change = np.log(ring.truth_cell_resistance / ring.truth_cell_resistance[0])
-    mine = np.where(np.arange(change.shape[1])[:, None] == 0, -2.0, change)  # the first row is the board's own
-    replace(ring, board_log_change=mine).save(tmp_path / "board.h5")
-    mine[-1] = np.nan
-    replace(ring, board_log_change=mine).save(tmp_path / "failed.h5")
-    ended = "return document.getElementById('state').innerText == 'the recording has ended'"
+    board_change = np.where(np.arange(change.shape[1])[:, None] == 0, -2.0, change)  # the first row is the board's own
+    replace(ring, board_log_change=board_change).save(tmp_path / "board.h5")
+    board_change[-1] = np.nan
+    replace(ring, board_log_change=board_change).save(tmp_path / "failed.h5")
+    script = "return document.getElementById('state').innerText == 'the recording has ended'"
     for name, words in (("board", "Cell resistance by the board, relative change from −"), ("failed", "")):
         with live(tmp_path, "--recording", tmp_path / f"{name}.h5", "--speed", 5) as (window, _):
-            window.until(ended)
+            window.until(script)
             window.run("describe()")
             drawn, own = blueness(window, tmp_path / "screen.png", "board", "cells")
             label = window.run("return document.getElementById('board').getAttribute('aria-label')")
@@ -140,24 +140,24 @@ def test_the_map_of_a_board_that_estimates_is_beside_the_others(tmp_path: Path) 
             assert label.startswith(words)
             assert (drawn[0].mean() > own[0].mean() + 0.2) == (name == "board")
     with live(tmp_path, "--recording", RING, "--speed", 5) as (window, _):
-        window.until(ended)
+        window.until(script)
         assert window.run("return document.getElementById('board').parentNode.hidden")
 
 
 def inside(ring: Any) -> Any:
     """Cells that have the ring on all four sides."""
-    before = np.logical_or.accumulate
+    accumulate = np.logical_or.accumulate
     return (
         ~ring
-        & before(ring, axis=0)
-        & before(ring[::-1], axis=0)[::-1]
-        & before(ring, axis=1)
-        & before(ring[:, ::-1], axis=1)[:, ::-1]
+        & accumulate(ring, axis=0)
+        & accumulate(ring[::-1], axis=0)[::-1]
+        & accumulate(ring, axis=1)
+        & accumulate(ring[:, ::-1], axis=1)[:, ::-1]
     )
 
 
 @pytest.mark.slow
-def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
+def test_unsolved_frames_are_not_drawn(tmp_path: Path) -> None:
     run = tmp_path / "run.yaml"
     run.write_text(
         "schema: 1\nrecordings: [none.h5]\nestimators: {hasty: {terms: {misfit: {}, total_variation: {weight: 1}}}}\n"
@@ -204,9 +204,9 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
         page = window.run("return getComputedStyle(document.body).backgroundColor")
         assert max(map(int, page.strip("rgb()").split(","))) < 64, "dark where the browser is"
         # In one script, so that no message of the server comes between.
-        nothing = "view.alarm = ''; view.detection.answer = view.detection.sentence = 'nothing'; answer(); "
+        reset = "view.alarm = ''; view.detection.answer = view.detection.sentence = 'nothing'; answer(); "
         for verdict, sentence in (("pressing", "still deciding: the map shows a change"), ("nothing", "nothing")):
-            shown = f"picture.verdict = '{verdict}'; {nothing} return document.getElementById('sentence').innerText"
+            shown = f"picture.verdict = '{verdict}'; {reset} return document.getElementById('sentence').innerText"
             assert window.run(shown) == sentence
         window.run("view.alarm = view.detection.sentence; answer()")
         assert window.run(HIDDEN)
@@ -219,9 +219,9 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
     unplugged = ("--loop", "--unplug", "3:3", "--no-reset-on-open")
     with live_board(tmp_path, cells, unplugged, "--out", out) as (window, process):
         window.until("return document.getElementById('state').innerText", lambda text: "waiting for it" in text)
-        before = window.run(NUMBER)
+        first_number = window.run(NUMBER)
         window.until("return document.getElementById('state').innerText == 'receiving'")
-        window.until(NUMBER, lambda number: number > before + 5)
+        window.until(NUMBER, lambda number: number > first_number + 5)
         process.send_signal(signal.SIGINT)
         window.until(
             "return document.getElementById('state').innerText",
@@ -230,13 +230,13 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
         assert process.wait(20) == 130
         assert "frames, " in process.stdout.read()
         window.complaints()
-    found = Recording.load(out)
-    assert found.acquisition is not None and found.acquisition.session[-1] >= 1
-    assert len(found.time) > before + 5 and found.role[:4].tolist() == [0, 0, 0, 1]
+    recording = Recording.load(out)
+    assert recording.acquisition is not None and recording.acquisition.session[-1] >= 1
+    assert len(recording.time) > first_number + 5 and recording.role[:4].tolist() == [0, 0, 0, 1]
 
 
 @pytest.mark.slow
-def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
+def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
     """The board is there before lampest, its mouth comes after TOUCH_S and breathes by 8 % at 1.1 Hz."""
     watched = "return document.getElementById('sentence').innerText"
     rng = np.random.default_rng(5)
@@ -244,9 +244,9 @@ def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
     time = np.arange(0.0, 60.0, 0.125)
     course, _, _ = courses(rng, "still mouth", time, 60.0)
     breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
-    made = MAKERS["uneven mouth"](rng, panel)
+    mouth = MAKERS["uneven mouth"](rng, panel)
     layer = film(rng, "real")
-    cells = mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
+    cells = mouth_cells(rng, panel, mouth, layer, course * breath[:, None], time, np.zeros(len(time)))
     with live_board(tmp_path, cells, (), "--baseline", 6, period=0.125) as (window, _):
         window.until(watched, lambda text: "something that sucks (lamprey or cup)" in text, seconds=30)
         window.until("return !document.getElementById('alarm').hidden", seconds=30)
@@ -257,38 +257,40 @@ def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
-    """With the unloaded frames first, into the folder where lampest was begun; a second one is another file."""
+def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
+    """Recordings begin with the unloaded frames and go to the working folder; a second one is another file."""
     cells, _ = truth_of(LAMPREY)
-    said = "return document.getElementById('recorded').innerText"
+    script = "return document.getElementById('recorded').innerText"
     press = "document.getElementById('record').click()"
     with live_board(tmp_path, cells, ("--loop",)) as (window, process):
         window.until(NUMBER, lambda number: number > 8)
         window.run(f"document.getElementById('name').value = '../mine'; {press}")
-        window.until(said, lambda text: text == "a name has letters, digits, - and _")
+        window.until(script, lambda text: text == "a name has letters, digits, - and _")
         window.run(f"document.getElementById('name').value = 'mine'; {press}")
-        window.until(said, lambda text: text.endswith(f"{tmp_path}/mine.h5: 8 frames"))
+        window.until(script, lambda text: text.endswith(f"{tmp_path}/mine.h5: 8 frames"))
         assert window.text("record") == "stop recording"
         window.run(press)
-        window.until(said, lambda text: text.startswith("recorded ") and text.endswith(f"frames: {tmp_path}/mine.h5"))
+        window.until(script, lambda text: text.startswith("recorded ") and text.endswith(f"frames: {tmp_path}/mine.h5"))
         window.run(press)
-        window.until(said, lambda text: "mine.h5: exists already" in text)
+        window.until(script, lambda text: "mine.h5: exists already" in text)
         window.run(f"document.getElementById('name').value = ''; {press}")
-        window.until(said, lambda text: text.endswith(".h5: 6 frames"))
+        window.until(script, lambda text: text.endswith(".h5: 6 frames"))
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
         window.complaints()
-    mine = Recording.load(tmp_path / "mine.h5")
-    assert mine.role[:4].tolist() == [0, 0, 0, 1] and len(mine.time) >= 8
-    assert mine.sigma is not None and mine.time[3] - mine.time[2] > 1, "the unloaded frames are those of the beginning"
-    (other,) = tmp_path.glob("live_*.h5")
-    assert Recording.load(other).role[:4].tolist() == [0, 0, 0, 1], "Ctrl-C leaves a clean file"
+    recording = Recording.load(tmp_path / "mine.h5")
+    assert recording.role[:4].tolist() == [0, 0, 0, 1] and len(recording.time) >= 8
+    assert recording.sigma is not None and recording.time[3] - recording.time[2] > 1, (
+        "the unloaded frames are those of the beginning"
+    )
+    (interrupted,) = tmp_path.glob("live_*.h5")
+    assert Recording.load(interrupted).role[:4].tolist() == [0, 0, 0, 1], "Ctrl-C leaves a clean file"
 
 
 @pytest.mark.parametrize(
     "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
 )
-def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int) -> None:
+def test_the_open_page_shows_thirty_frames_a_second(tmp_path: Path, seconds: int) -> None:
     """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once; none is lost."""
     cells, _ = truth_of(LAMPREY)
     with (
@@ -307,15 +309,15 @@ def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int)
         assert process.wait(seconds + 60) == 0
         window.complaints()
         figures = board.stop()
-    found = Recording.load(tmp_path / "r.h5")
-    lost = int(found.acquisition.lost.sum())
-    missed = int(found.acquisition.missed.sum())
+    recording = Recording.load(tmp_path / "r.h5")
+    lost = int(recording.acquisition.lost.sum())
+    missed = int(recording.acquisition.missed.sum())
     print(
-        f"\n{len(found.time)} frames, {found.time[-1]:.1f} s of board time, {lost} lost, {missed} missed; at frame "
-        f"{half} {rate} frames a second were shown, {skipped} not reconstructed; last byte to picture: median "
+        f"\n{len(recording.time)} frames, {recording.time[-1]:.1f} s of board time, {lost} lost, {missed} missed; "
+        f"at frame {half} {rate} frames a second were shown, {skipped} not reconstructed; last byte to picture: median "
         f"{latency[0]:.0f} ms, longest {latency[1]:.0f} ms of {latency[2]}; {figures}"
     )
-    assert (len(found.time), lost, missed, figures["overrun"]) == (round(30 * seconds), 0, 0, 0)
+    assert (len(recording.time), lost, missed, figures["overrun"]) == (round(30 * seconds), 0, 0, 0)
 
 
 def test_a_missing_browser_is_named_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,18 +52,18 @@ def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threadin
     listener.bind(address)
 
     def serve() -> None:
-        asked = 0
+        requests = 0
         codes = np.zeros(0)
         while True:
             command, client = listener.recvfrom(8192)
             if command[0] == CLOSE:
                 return
             assert command[0] == RAW
-            if asked % 2 == 0:
+            if requests % 2 == 0:
                 volt = volts[press.is_set()]
                 codes = np.clip(np.floor(volt / 5 * 256 + rng.normal(0, 0.5, volt.shape)), 0, 255)
-            listener.sendto(struct.pack(f"={codes.size}di", *codes.ravel(), asked // 2), client)
-            asked += 1
+            listener.sendto(struct.pack(f"={codes.size}di", *codes.ravel(), requests // 2), client)
+            requests += 1
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
@@ -75,7 +75,7 @@ def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threadin
     listener.close()
 
 
-def test_the_lines_of_the_page_find_the_pressed_cells(
+def test_the_code_of_the_page_locates_the_pressed_cells(
     scene: lampest.Scene, server: tuple[str, threading.Event]
 ) -> None:
     address, press = server

@@ -77,8 +77,8 @@ def c(wiring: str = "two_point") -> ctypes.CDLL:
 def constants() -> dict[str, int]:
     """Every whole number that the two headers define under the name LAMPEST_..."""
     text = "".join((FIRMWARE / "lampest_board" / name).read_text() for name in ("protocol.h", "pins.h"))
-    found = re.findall(r"^#define LAMPEST_(\w+) (\d+)(?:UL)?\b", text, re.MULTILINE)
-    return {name: int(value) for name, value in found}
+    definitions = re.findall(r"^#define LAMPEST_(\w+) (\d+)(?:UL)?\b", text, re.MULTILINE)
+    return {name: int(value) for name, value in definitions}
 
 
 def sent_by_c(body: bytes) -> bytes:
@@ -91,17 +91,17 @@ def sent_by_c(body: bytes) -> bytes:
 def answered_by_c(settings: Settings, wire: bytes) -> tuple[protocol.Message, ...]:
     """What the board makes of these bytes: its answers, as the host reads them."""
     inbox = Inbox()
-    found = []
+    messages = []
     for byte in wire:
         length = c().lampest_receive(ctypes.byref(inbox), ctypes.c_uint8(byte))
         if length:
             room = ctypes.create_string_buffer(40)
             size = c().lampest_command(ctypes.byref(settings), inbox.bytes, ctypes.c_uint8(length), room)
-            found += Receiver().feed(sent_by_c(room.raw[:size]))[1]
-    return tuple(found)
+            messages += Receiver().feed(sent_by_c(room.raw[:size]))[1]
+    return tuple(messages)
 
 
-def test_the_numbers_are_the_same() -> None:
+def test_constants_agree_in_c_and_python() -> None:
     header = constants()
     names = ("PROTOCOL_VERSION", "BAUD", "MAX_ROWS", "MAX_COLUMNS", "MAX_READINGS")
     assert [header[name.replace("MAX", "MOST")] for name in names] == [getattr(protocol, name) for name in names]
@@ -122,7 +122,7 @@ def test_the_numbers_are_the_same() -> None:
 
 @settings(deadline=None)  # the first example compiles
 @given(st.binary(max_size=600) | BODIES)
-def test_crc_and_framing_are_the_same(body: bytes) -> None:
+def test_crc_and_framing_agree_in_c_and_python(body: bytes) -> None:
     crc = 0xFFFF
     for byte in body:
         crc = c().lampest_crc16(ctypes.c_uint16(crc), ctypes.c_uint8(byte))
@@ -130,7 +130,7 @@ def test_crc_and_framing_are_the_same(body: bytes) -> None:
     assert protocol.unstuffed(sent_by_c(body)[1:-1]) == body + protocol.crc16(body).to_bytes(2, "big")
 
 
-def test_hello_is_the_same() -> None:
+def test_hello_agrees_in_c_and_python() -> None:
     header = constants()
     settings = c().lampest_start_settings()
     room = ctypes.create_string_buffer(40)
@@ -151,7 +151,7 @@ def test_hello_is_the_same() -> None:
 @given(
     st.integers(1, 16), st.integers(1, 16), st.integers(1, 64), *(st.integers(0, 2**bits - 1) for bits in (32, 32, 16))
 )
-def test_frames_are_the_same(
+def test_frames_agree_in_c_and_python(
     rows: int, columns: int, readings: int, sequence: int, device_ms: int, missed: int
 ) -> None:
     settings = Settings(rows, columns, readings, 1, 40, 1_000_000)
@@ -166,7 +166,7 @@ def test_frames_are_the_same(
 
 
 @given(st.integers(1, 16), st.integers(1, 16), st.integers(0, 4), st.integers(0, 2**32 - 1))
-def test_estimates_are_the_same(rows: int, columns: int, outcome: int, sequence: int) -> None:
+def test_estimates_agree_in_c_and_python(rows: int, columns: int, outcome: int, sequence: int) -> None:
     settings = Settings(rows, columns, 20, 1, 40, 1_000_000)
     change = np.linspace(-27.5, 20.25, rows * columns, dtype=np.float32).reshape(rows, columns)
     room = ctypes.create_string_buffer(9 + 4 * change.size)
@@ -177,21 +177,21 @@ def test_estimates_are_the_same(rows: int, columns: int, outcome: int, sequence:
     assert len(sent_by_c(room.raw)) - 2 <= protocol.MAX_STUFFED
 
 
-def test_outcomes_are_those_of_the_library() -> None:
+def test_outcomes_are_as_many_in_c_and_python() -> None:
     text = (FIRMWARE / "lampest_estimate" / "lampest_estimate.h").read_text()
     names = re.search(r"typedef enum \{([^}]*)\} lampest_outcome;", text)
     assert len(re.findall(r"^ +LAMPEST_\w+", names[1], re.MULTILINE)) == len(protocol.OUTCOMES)
 
 
-def test_boards_that_estimate_take_a_baseline_and_others_do_not_know_the_command() -> None:
+def test_only_estimating_boards_accept_the_baseline_command() -> None:
     settings = c().lampest_start_settings()
     (answer,) = answered_by_c(settings, command(Kind.SET_BASELINE, 1, 5))
     assert answer == Answer(Kind.SET_BASELINE, 1, Result.REFUSED_UNKNOWN, 0)
     plain = c().lampest_shortest_period_us(ctypes.byref(settings))
     settings.estimates = 1
-    for value, result, now in ((5, Result.DONE, 5), (256, Result.REFUSED_RANGE, 5), (255, Result.DONE, 255)):
+    for value, result, stored in ((5, Result.DONE, 5), (256, Result.REFUSED_RANGE, 5), (255, Result.DONE, 255)):
         assert answered_by_c(settings, command(Kind.SET_BASELINE, 1, value)) == (
-            Answer(Kind.SET_BASELINE, 1, result, now),
+            Answer(Kind.SET_BASELINE, 1, result, stored),
         )
     # It scans, and then sends both messages.
     assert c().lampest_shortest_period_us(ctypes.byref(settings)) > plain + 4 * 100 * 20
@@ -209,17 +209,17 @@ def test_the_scan_visits_every_cell_once_row_by_row(rows: int, columns: int) -> 
 
 
 @given(st.integers(1000, 60_000_000))
-def test_a_period_is_made_of_equal_slices_that_the_timer_can_count(period_us: int) -> None:
+def test_a_period_consists_of_equal_slices_that_the_timer_can_count(period_us: int) -> None:
     slices, ticks = (getattr(c(), f"lampest_{name}")(ctypes.c_uint32(period_us)) for name in ("slices", "slice_ticks"))
-    assert 1 <= ticks <= 65536
+    assert 1 <= ticks <= 2**16  # of the timer
     # Half a tick of 4 us for every slice.
     assert abs(4 * ticks * slices - period_us) <= 2 * slices + 2
 
 
-def test_a_board_answers_or_refuses_every_command_and_while_it_runs_all_but_stop_and_identify() -> None:
-    for kind, value, result, now in COMMANDS:
+def test_a_board_answers_or_refuses_every_command_and_refuses_most_while_running() -> None:
+    for kind, value, result, stored in COMMANDS:
         answers = answered_by_c(c().lampest_start_settings(), command(kind, 9, value))
-        assert answers == (Answer(kind, 9, result, now),)
+        assert answers == (Answer(kind, 9, result, stored),)
     settings = c().lampest_start_settings()
     for body, result in (
         ([1, 99, 7, 0, 0, 0, 0], Result.REFUSED_UNKNOWN),
@@ -239,10 +239,10 @@ def test_a_board_answers_or_refuses_every_command_and_while_it_runs_all_but_stop
 @given(st.binary(max_size=200))
 def test_garbage_never_changes_the_board_and_never_hides_the_next_command(noise: bytes) -> None:
     settings = c().lampest_start_settings()
-    before = bytes(settings)
-    found = answered_by_c(settings, noise + b"\0" + command(Kind.IDENTIFY))
-    assert bytes(settings) == before
-    assert isinstance(found[-1], Hello)
+    original = bytes(settings)
+    answers = answered_by_c(settings, noise + b"\0" + command(Kind.IDENTIFY))
+    assert bytes(settings) == original
+    assert isinstance(answers[-1], Hello)
 
 
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 2**32 - 1) | st.integers(0, 70)), max_size=30))
@@ -267,7 +267,7 @@ def hello() -> Hello:
     return greeting
 
 
-def test_what_scene_and_board_say_differently_is_named() -> None:
+def test_differences_between_scene_and_board_are_named() -> None:
     """A calibrated scene fits the board that it was made with."""
     for changes, sentence in (
         ({"driven": "columns"}, "readout.driven is columns, but the board says rows"),
@@ -284,14 +284,14 @@ def test_what_scene_and_board_say_differently_is_named() -> None:
     assert scene_of(hello(), known) is known
 
 
-def test_the_wiring_is_part_of_what_the_board_says() -> None:
+def test_hello_contains_the_wiring() -> None:
     """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers; a wiring never heard of is no board."""
-    found = hello()
-    assert (found.wiring, found.reference_milliohm, found.drive_milliohm) == (WIRING, 10_000_000, 70_000)
-    assert declared_readout(found) == loaded_scene(noise_lsb=None).readout
-    old = replace(found, wiring="two_point", drive_milliohm=0)
+    greeting = hello()
+    assert (greeting.wiring, greeting.reference_milliohm, greeting.drive_milliohm) == (WIRING, 10_000_000, 70_000)
+    assert declared_readout(greeting) == loaded_scene(noise_lsb=None).readout
+    old = replace(greeting, wiring="two_point", drive_milliohm=0)
     assert len(hello_body(old)) == 29 and Receiver().feed(message(hello_body(old)))[1] == (old,)
-    unknown = hello_body(found)[:29] + bytes([9, 0, 0, 0, 0])
+    unknown = hello_body(greeting)[:29] + bytes([9, 0, 0, 0, 0])
     assert not any(isinstance(item, Hello) for item in Receiver().feed(message(unknown))[1])
 
 

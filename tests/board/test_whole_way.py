@@ -38,9 +38,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("exported")
     # The cells at rest were others then, so that the board needs a baseline of its own.
     cells = CELLS[1:9] * np.exp(0.1 * np.random.default_rng(8).standard_normal(SHAPE))
-    found = reconstruct(recording_of(SCENE, sums_of(SCENE, cells), 3), [Misfit(weighting="noise"), LogGradient()])
-    found.save(folder / "results.h5", name="smooth")
-    return folder / "mat", export_sketch(folder / "results.h5", folder / "mat").budget, found.result("smooth")
+    estimate = reconstruct(recording_of(SCENE, sums_of(SCENE, cells), 3), [Misfit(weighting="noise"), LogGradient()])
+    estimate.save(folder / "results.h5", name="smooth")
+    return folder / "mat", export_sketch(folder / "results.h5", folder / "mat").budget, estimate.result("smooth")
 
 
 @pytest.fixture(scope="module")
@@ -48,32 +48,32 @@ def recorded(exported, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of the board with its estimates."""
     folder = tmp_path_factory.mktemp("recorded")
     with portable_bench(folder, exported[0], CELLS) as board:
-        done = record(board.port, folder / "r.h5", frames=FRAMES, scene=SCENE, baseline=UNLOADED_FRAMES)
-    assert done.lost == 0
+        summary = record(board.port, folder / "r.h5", frames=FRAMES, scene=SCENE, baseline=UNLOADED_FRAMES)
+    assert summary.lost == 0
     return folder / "r.h5"
 
 
-def test_the_recording_holds_sums_and_what_the_library_estimates_from_them(exported, recorded: Path) -> None:
+def test_the_recording_holds_sums_and_the_estimates_of_the_library(exported, recorded: Path) -> None:
     """The board takes its baseline from the unloaded frames; the numbers are those of this computer's C, to the bit."""
     _, budget, case = exported
-    found = Recording.load(recorded)
+    recording = Recording.load(recorded)
     with h5py.File(recorded) as file:
         dataset = file["entry/board/log_change"]
         assert dataset.attrs["units"] == b"1" and b"ln(r / r unloaded)" in dataset.attrs["long_name"]
         assert file["entry/board"].attrs["signal"] == b"log_change"
-    assert np.isnan(found.board_log_change[:UNLOADED_FRAMES]).all()
+    assert np.isnan(recording.board_log_change[:UNLOADED_FRAMES]).all()
     with compiled(Constants.of(case)) as host:
         assert host.begin(budget) == 0
-        for sums in found.raw_sums[:UNLOADED_FRAMES]:
+        for sums in recording.raw_sums[:UNLOADED_FRAMES]:
             host.baseline(sums)
-        expected = [host.frame(sums)[0] for sums in found.raw_sums[UNLOADED_FRAMES:]]
-    np.testing.assert_array_equal(found.board_log_change[UNLOADED_FRAMES:], expected)
-    np.testing.assert_allclose(found.board_log_change[UNLOADED_FRAMES:], CHANGE[UNLOADED_FRAMES:], atol=0.03)
+        expected = [host.frame(sums)[0] for sums in recording.raw_sums[UNLOADED_FRAMES:]]
+    np.testing.assert_array_equal(recording.board_log_change[UNLOADED_FRAMES:], expected)
+    np.testing.assert_allclose(recording.board_log_change[UNLOADED_FRAMES:], CHANGE[UNLOADED_FRAMES:], atol=0.03)
 
 
 def test_info_compares_both_estimates_in_sigma_and_percent(recorded: Path) -> None:
-    said, _ = lampest("info", recorded)
-    (line,) = [line for line in said.splitlines() if line.startswith("board ")]
+    output, _ = lampest("info", recorded)
+    (line,) = [line for line in output.splitlines() if line.startswith("board ")]
     assert "estimated 8 of 8 measured frames" in line and "(misfit + log_gradient, 8 frames)" in line
     median, largest = (float(line.split(word)[0].split(" σ")[-2].split()[-1]) for word in ("in the median", "at most"))
     assert 0 < median < 0.2 and median < largest < 3
@@ -81,13 +81,13 @@ def test_info_compares_both_estimates_in_sigma_and_percent(recorded: Path) -> No
 
 
 def test_info_does_not_compare_without_unloaded_frames(recorded: Path, tmp_path: Path) -> None:
-    found = Recording.load(recorded, slice(UNLOADED_FRAMES, FRAMES))
-    found.save(tmp_path / "loaded.h5")
-    said, _ = lampest("info", tmp_path / "loaded.h5")
-    assert "estimated 8 of 8 measured frames; they are compared where unloaded frames precede them" in said
+    recording = Recording.load(recorded, slice(UNLOADED_FRAMES, FRAMES))
+    recording.save(tmp_path / "loaded.h5")
+    output, _ = lampest("info", tmp_path / "loaded.h5")
+    assert "estimated 8 of 8 measured frames; they are compared where unloaded frames precede them" in output
 
 
-def test_live_has_the_boards_map_beside_its_own(exported, tmp_path: Path) -> None:
+def test_live_shows_the_map_of_the_board_next_to_its_own(exported, tmp_path: Path) -> None:
     with portable_bench(tmp_path, exported[0], CELLS) as board:
         source = LiveBoard((board.port,), SCENE, UNLOADED_FRAMES, out=tmp_path / "r.h5")
         method = Estimator((Misfit(weighting="noise"), LogGradient()), "reduced")
@@ -98,7 +98,7 @@ def test_live_has_the_boards_map_beside_its_own(exported, tmp_path: Path) -> Non
         np.testing.assert_allclose(picture.board_change, picture.relative_change, atol=2)
     recording = Recording.load(tmp_path / "r.h5")
     replayed = live_pictures(method, UNLOADED_FRAMES, lambda engine: from_recording(engine, recording, 1e6, None))
-    np.testing.assert_allclose([picture.board_change for picture in replayed], [each.board_change for each in shown])
+    np.testing.assert_allclose([picture.board_change for picture in replayed], [view.board_change for view in shown])
 
 
 def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path: Path) -> None:
@@ -108,9 +108,9 @@ def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path
         _, warned = lampest("record", *words, "--count", 5, "--baseline", 2)
     reason = "something lies on the panel while it takes its baseline"
     assert f"the board did not estimate 2 of the 5 frames: {reason}" in warned
-    found = Recording.load(tmp_path / "r.h5")
-    assert np.isfinite(found.board_log_change[2:]).all() and np.isnan(found.board_log_change[:2]).all()
-    assert found.board_log_change[2:].min() < -1.5
+    recording = Recording.load(tmp_path / "r.h5")
+    assert np.isfinite(recording.board_log_change[2:]).all() and np.isnan(recording.board_log_change[:2]).all()
+    assert recording.board_log_change[2:].min() < -1.5
 
 
 def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None:
@@ -118,18 +118,18 @@ def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None
     cells = np.repeat(CELLS[-1:], 60, axis=0) * np.exp(0.05 * np.arange(60))[:, None, None]
     cells[:UNLOADED_FRAMES] = CELLS[0]
     with portable_bench(tmp_path, exported[0], cells, "--flip", 1e-3, "--seed", 3) as board:
-        done = record(board.port, tmp_path / "r.h5", frames=50, scene=SCENE, baseline=UNLOADED_FRAMES)
+        summary = record(board.port, tmp_path / "r.h5", frames=50, scene=SCENE, baseline=UNLOADED_FRAMES)
         assert board.stop()["flipped"] > 5
-    found = Recording.load(tmp_path / "r.h5")
-    known = np.isfinite(found.board_log_change).all(axis=(1, 2))
-    measured = found.role == 1
-    assert done.frames == 50 and 0 < np.sum(measured & ~known) < 20
-    change = np.log(cells[np.round(found.time).astype(int)] / CELLS[0])
-    np.testing.assert_allclose(found.board_log_change[known], change[known], atol=0.06)
-    assert np.isfinite(found.recorded).all()
+    recording = Recording.load(tmp_path / "r.h5")
+    known = np.isfinite(recording.board_log_change).all(axis=(1, 2))
+    measured = recording.role == 1
+    assert summary.frames == 50 and 0 < np.sum(measured & ~known) < 20
+    change = np.log(cells[np.round(recording.time).astype(int)] / CELLS[0])
+    np.testing.assert_allclose(recording.board_log_change[known], change[known], atol=0.06)
+    assert np.isfinite(recording.recorded).all()
 
 
-def test_boards_without_an_estimate_go_on_as_before(exported, tmp_path: Path) -> None:
+def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) -> None:
     """The Mega does not know the command; constants of another size leave the estimating board a plain one."""
     (tmp_path / "mega").mkdir()
     with bench(tmp_path / "mega", CELLS[:1]) as board:
@@ -145,12 +145,12 @@ def test_boards_without_an_estimate_go_on_as_before(exported, tmp_path: Path) ->
 
 def chords(rng: np.random.Generator, count: int) -> list[set[tuple[int, int]]]:
     """Return chords of three and four keys, corners of rectangles."""
-    found = []
+    drawn = []
     for _ in range(count):
         rows, columns = (rng.choice(size, 2, replace=False) for size in SHAPE)
         corners = [(int(row), int(column)) for row in rows for column in columns]
-        found.append({corners[number] for number in rng.permutation(4)[: rng.integers(3, 5)]})
-    return found
+        drawn.append({corners[number] for number in rng.permutation(4)[: rng.integers(3, 5)]})
+    return drawn
 
 
 def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(tmp_path: Path) -> None:
@@ -174,8 +174,8 @@ def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(t
         portable_bench(tmp_path, tmp_path, np.array([*states, resting]), period=0.5, sketch=KEYBOARD) as board,
         serial.Serial(board.port, timeout=20) as port,
     ):
-        wanted = 2 * sum(map(len, played))
-        while len(events) < wanted and (line := port.readline()):
+        expected_count = 2 * sum(map(len, played))
+        while len(events) < expected_count and (line := port.readline()):
             events.append(line.decode().split())
     heard = [(word, list(group)) for word, group in itertools.groupby(events, key=lambda event: event[0])]
     assert [(word, {(int(row), int(column)) for _, row, column, _ in group}) for word, group in heard] == [
@@ -187,14 +187,14 @@ def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(t
     assert all(strength == "0.00" for _, group in heard[1::2] for *_, strength in group)
 
 
-def test_the_largest_difference_has_its_frame_and_without_error_bars_its_percent(exported) -> None:
+def test_the_largest_difference_names_its_frame_and_its_percent_without_error_bars(exported) -> None:
     case = exported[2]
     own = np.log(case.cell_resistance / case.baseline_resistance)
-    mine = own.copy()
-    mine[3, 2, 1] -= np.log(1.5)
+    altered = own.copy()
+    altered[3, 2, 1] -= np.log(1.5)
     numbers = 10 * np.arange(len(own))
     bare = dataclasses.replace(case, sigma_own=None, sigma_common=None)
-    assert "by 0 % in the median, 50 % at most, in frame 30" in difference_sentence(bare, mine, numbers)
+    assert "by 0 % in the median, 50 % at most, in frame 30" in difference_sentence(bare, altered, numbers)
     largest = np.log(1.5) / case.sigma_own[3, 2, 1]
-    assert f"{digits(largest, 2)} σ (50 %) at most, in frame 30; σ is" in difference_sentence(case, mine, numbers)
+    assert f"{digits(largest, 2)} σ (50 %) at most, in frame 30; σ is" in difference_sentence(case, altered, numbers)
     assert difference_sentence(case, np.full_like(own, np.nan), numbers) == "no cell has both estimates"

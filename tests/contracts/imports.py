@@ -28,17 +28,17 @@ def names(pattern: str, first: int = 0, sign: str = ",") -> str:
 
 
 def given(
-    content: str | bytes | Iterable[str] | Callable[[Path], object], *notes: str, name: str = "m.csv", **how: Any
+    content: str | bytes | Iterable[str] | Callable[[Path], object], *notes: str, name: str = "m.csv", **options: Any
 ) -> SimpleNamespace:
     """A file, the sentences that its import says, and what is in it.
 
     content : a text, its lines, bytes, or what writes the file. expected, times, start, role : of the recording, where
-    they are checked. absent : what no sentence says. how : arguments of the import.
+    they are checked. absent : what no sentence says. options : arguments of the import.
     """
-    parts = {part: how.pop(part, None) for part in ("times", "start", "role", "absent")}
-    expected = how.pop("expected", FRAMES)
+    parts = {part: options.pop(part, None) for part in ("times", "start", "role", "absent")}
+    expected = options.pop("expected", FRAMES)
     plain = content if isinstance(content, str | bytes) or callable(content) else "\n".join(content)
-    return SimpleNamespace(content=plain, notes=notes, name=name, expected=expected, how=how, **parts)
+    return SimpleNamespace(content=plain, notes=notes, name=name, expected=expected, how=options, **parts)
 
 
 def written(folder: Path, file: SimpleNamespace) -> Path:

@@ -15,7 +15,9 @@ SHAPE = (8, 8)
 RIGHT = lampest.LoadedColumnsReadout(
     polarity="up", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0
 )
-WRONG = lampest.GroundedReadout(sense="all", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0)
+WRONG_READOUT = lampest.GroundedReadout(
+    sense="all", drive_ohm=150.0, load_ohm=10_000.0, adc_bits=10, readings=1, noise_lsb=1.0
+)
 
 
 def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = RIGHT) -> Path:
@@ -34,21 +36,21 @@ def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = 
 
 
 def test_info_prints_health_verdict_and_advice(tmp_path: Path, lampest: Command) -> None:
-    told = lampest("info", written(tmp_path / "dead.h5", dead_row=5)).out
-    assert "row is dead: 5" in told and "faults: {dead_rows: [5]}" in told
-    assert "model      doubtful" in told
+    output = lampest("info", written(tmp_path / "dead.h5", dead_row=5)).out
+    assert "row is dead: 5" in output and "faults: {dead_rows: [5]}" in output
+    assert "model      doubtful" in output
 
 
 @pytest.mark.slow
 def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> None:
-    told = lampest("info", written(tmp_path / "clean.h5")).out
-    assert "model      yes" in told and "advice" not in told
+    output = lampest("info", written(tmp_path / "clean.h5")).out
+    assert "model      yes" in output and "advice" not in output
     assert lampest("info", tmp_path / "clean.h5", "--apply").out.strip().endswith("no advice has a line to write")
 
 
 @pytest.mark.parametrize(
     ("readout", "dead_row", "words"),
-    [pytest.param(WRONG, None, "kind: loaded_columns", marks=pytest.mark.slow), (RIGHT, 5, "dead_rows")],
+    [pytest.param(WRONG_READOUT, None, "kind: loaded_columns", marks=pytest.mark.slow), (RIGHT, 5, "dead_rows")],
     ids=["another circuit", "a dead row"],
 )
 def test_apply_writes_the_lines_into_the_scene(
@@ -56,33 +58,33 @@ def test_apply_writes_the_lines_into_the_scene(
 ) -> None:
     path = written(tmp_path / "mine.h5", dead_row, readout)
     assert "advice" in lampest("info", path).out
-    done = lampest("info", path, "--apply").out
-    assert words in done and done.startswith("written to the scene")
-    ended = lampest("info", path)
-    assert ended.code == 0, ended.err
-    told = ended.out
-    advised = told.split("advice")[1].split("readings")[0] if "advice" in told else ""
-    assert "model      yes" in told and words not in advised
+    applied = lampest("info", path, "--apply").out
+    assert words in applied and applied.startswith("written to the scene")
+    completed = lampest("info", path)
+    assert completed.code == 0, completed.err
+    output = completed.out
+    advised = output.split("advice")[1].split("readings")[0] if "advice" in output else ""
+    assert "model      yes" in output and words not in advised
 
 
 @pytest.mark.slow
 def test_apply_refuses_results_and_leaves_them(tmp_path: Path, lampest: Command) -> None:
     results = tmp_path / "results.h5"
     _reconstructed(written(tmp_path / "clean.h5")).save(results)
-    before = results.read_bytes()
+    original = results.read_bytes()
     refused = lampest("info", results, "--apply")
-    assert refused.code == 2 and "name the recording" in refused.err and results.read_bytes() == before
+    assert refused.code == 2 and "name the recording" in refused.err and results.read_bytes() == original
 
 
 @pytest.mark.slow
 def test_python_and_runs_give_the_same_advice(tmp_path: Path, lampest: Command) -> None:
     path = written(tmp_path / "dead.h5", dead_row=5)
-    found = _reconstructed(path)
-    [line] = [text for text in found.advice if "dead" in text]
-    assert found.model_check.mark == "doubtful" and "row is dead: 5" in found.model_check.sentence
+    estimate = _reconstructed(path)
+    [line] = [text for text in estimate.advice if "dead" in text]
+    assert estimate.model_check.mark == "doubtful" and "row is dead: 5" in estimate.model_check.sentence
     (tmp_path / "run.yaml").write_text("schema: 1\nrecordings: [dead.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
-    told = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results").out
-    assert f"advice: dead: {line}" in " ".join(told.split())
+    output = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results").out
+    assert f"advice: dead: {line}" in " ".join(output.split())
     assert line in lampest("info", tmp_path / "results" / "results.h5").out
 
 

@@ -40,7 +40,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("rich", "typer"), ("cli",)), "lazy_loader": ("",),
 }  # fmt: skip
 ROOMS = {room for rooms in FLOORS for room in rooms}
-EVERYWHERE = sys.stdlib_module_names | {"lampest", "numpy"}
+ALWAYS_PERMITTED = sys.stdlib_module_names | {"lampest", "numpy"}
 
 NAMED_TUPLE = ("_fields", "_replace", "_asdict", "_make")  # public, whatever their names say
 GENERATORS = ("Generator", "default_rng", "SeedSequence", "PCG64", "Philox")
@@ -103,7 +103,7 @@ def doors(module: str, tree: ast.Module) -> Iterator[str]:
         library = name.split(".")[0]
         allowed = tuple(f"lampest.{door}." for door in DOORS.get(library, ()))
         face = module == "lampest" and "" in DOORS.get(library, ())
-        if library not in EVERYWHERE and not face and not f"{module}.".startswith(allowed):
+        if library not in ALWAYS_PERMITTED and not face and not f"{module}.".startswith(allowed):
             yield f"imports {name or 'relatively'}"
 
 
@@ -121,17 +121,17 @@ def floors(module: str, tree: ast.Module) -> Iterator[str]:
 
 def privates(module: str, tree: ast.Module) -> Iterator[str]:
     """What a module keeps to itself is not imported, nor reached through a name that was imported."""
-    theirs = set()
+    foreign_names = set()
     for node in nodes(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lampest"):
-            theirs |= {alias.asname or alias.name for alias in node.names}
+            foreign_names |= {alias.asname or alias.name for alias in node.names}
     for name, imported in imports(tree):
         if name.startswith("lampest") and any(map(is_private, (*name.split("."), imported))):
             yield f"imports {imported or name}"
     for node in nodes(tree):
         if isinstance(node, ast.Attribute) and is_private(node.attr):
             owner = ast.unparse(node.value)
-            if owner in theirs or owner.startswith("lampest."):
+            if owner in foreign_names or owner.startswith("lampest."):
                 yield f"reaches for {owner}.{node.attr}"
 
 
@@ -184,18 +184,18 @@ def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[st
 
 
 @pytest.mark.parametrize("rule", [doors, floors, privates, generators, variables], ids=lambda rule: rule.__name__)
-def test_the_package_keeps_the_rule(rule: Rule) -> None:
+def test_the_package_follows_the_rule(rule: Rule) -> None:
     broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
     assert not broken
 
 
 @pytest.mark.parametrize("names", [classes, public_functions], ids=lambda names: names.__name__)
-def test_no_two_of_the_house_share_a_name(names: Names) -> None:
+def test_public_names_are_unique_in_the_package(names: Names) -> None:
     shared = namesakes(MODULES, names)
     assert not shared
 
 
-def test_namesakes_are_noticed_among_classes_and_functions() -> None:
+def test_the_check_notices_equal_names_of_classes_and_functions() -> None:
     texts = {
         "lampest.cli.board": "def record(): pass",
         "lampest.recording.board.record": "class Row: pass\ndef record(): pass\ndef _open(): pass",
@@ -207,7 +207,7 @@ def test_namesakes_are_noticed_among_classes_and_functions() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(CONTRACTS.glob("*.py")), ids=lambda path: path.stem)
-def test_contracts_know_the_public_face_alone(path: Path) -> None:
+def test_contracts_import_only_public_names(path: Path) -> None:
     if path == Path(__file__):
         return  # its texts break every rule
     assert not list(faces(path.stem, ast.parse(path.read_text(encoding="utf-8"))))
@@ -239,11 +239,11 @@ BROKEN = (
 
 
 @pytest.mark.parametrize(("rule", "module", "text"), BROKEN)
-def test_rule_sees_who_breaks_it(rule: Rule, module: str, text: str) -> None:
+def test_the_check_notices_broken_rules(rule: Rule, module: str, text: str) -> None:
     assert list(rule(module, ast.parse(text)))
 
 
-def test_every_door_is_used() -> None:
+def test_every_permitted_import_is_used() -> None:
     for library, places in DOORS.items():
         for place in places:
             inside = [tree for module, tree in MODULES.items() if f"{module}.".startswith(f"lampest.{place}.")]
@@ -268,7 +268,7 @@ def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
 
 
 @pytest.mark.parametrize("room", sorted(ROOMS))
-def test_no_circle_of_imports(room: str) -> None:
+def test_imports_form_no_cycle(room: str) -> None:
     """Not even for type checkers: modules of a room can be put in an order in which each needs those before it."""
     inside = [module for module in MODULES if f"{module}.".startswith(f"lampest.{room}.")]
     needs = {module: set(needed(module)) & set(inside) for module in inside}
@@ -285,7 +285,7 @@ def needed(module: str) -> Iterator[str]:
         yield inner if inner in MODULES else name
 
 
-def test_fourteen_rooms_and_nothing_beside() -> None:
+def test_the_package_has_fourteen_rooms() -> None:
     folders = {path.name for path in HOUSE.iterdir() if path.is_dir() and any(path.rglob("*.py"))}
     assert folders == ROOMS and len(folders) == 14
     assert {path.name for path in HOUSE.glob("*.py")} == {"__init__.py"}

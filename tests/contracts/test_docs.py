@@ -54,7 +54,7 @@ NOT_PLAIN = re.compile(
     re.IGNORECASE,
 )
 NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
-MOST_WORDS = 25  # of a sentence of a page
+MAX_WORDS = 25  # of a sentence of a page
 
 
 class Fence(NamedTuple):
@@ -110,9 +110,9 @@ def run(folder: Path, command: str) -> str:
     paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
     environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths}
     options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "timeout": 300}
-    ended = subprocess.run(command, shell=True, **options)
-    assert ended.returncode == 0, f"$ {command}\n{ended.stdout}{ended.stderr}"
-    return ended.stdout
+    completed = subprocess.run(command, shell=True, **options)
+    assert completed.returncode == 0, f"$ {command}\n{completed.stdout}{completed.stderr}"
+    return completed.stdout
 
 
 def apply(folder: Path, fence: Fence) -> None:
@@ -134,14 +134,14 @@ def apply(folder: Path, fence: Fence) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
+def test_examples_print_the_output_of_their_page(name: str, copy: Path) -> None:
     checker = doctest.OutputChecker()
-    same = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    options = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for fence in EXAMPLES[name]:
         apply(copy, fence)
         for command, answer in fence.commands():
             output = run(copy, command)
-            assert checker.check_output(answer, output, same), f"$ {command}\n{output}"
+            assert checker.check_output(answer, output, options), f"$ {command}\n{output}"
 
 
 @pytest.mark.slow
@@ -185,7 +185,7 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
     """Blocks of YAML that begin with estimators, sweep or executor stand in a run's file."""
     blocks = (block for page in PAGES for language, block in fences(page) if language == "yaml")
     entries = [block for block in blocks if re.match("estimators:|sweep:|executor:", block)]
-    assert len(entries) > 6
+    assert len(entries) > 6, "the pages have such blocks"
     for block in entries:
         for named in re.findall(r"_file: ([\w.-]+)", block):
             (tmp_path / named).touch()
@@ -196,7 +196,7 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_links_lead_somewhere_and_paths_that_are_named_exist(page: Path) -> None:
+def test_links_and_named_paths_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         path, _, anchor = target.partition("#")
@@ -205,23 +205,25 @@ def test_links_lead_somewhere_and_paths_that_are_named_exist(page: Path) -> None
             assert linked.exists(), f"{page.name}: {target}"
             assert not anchor or anchor in anchors(linked), f"{page.name}: {target}"
     examples = "".join(example.read_text(encoding="utf-8") for example in ADDING)
-    made = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
+    moved_files = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
     for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
         built = path.startswith("docs/_build/")
-        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
+        assert built or path in moved_files or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     """Every link inside it leads somewhere, everything that its pages show has run, and nothing was fetched."""
     command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(tmp_path / "read"))
-    ended = subprocess.run(
+    completed = subprocess.run(
         (*command, str(DOCS), str(tmp_path / "html")), capture_output=True, text=True, timeout=300, cwd=REPOSITORY
     )
-    assert ended.returncode == 0, ended.stderr
+    assert completed.returncode == 0, completed.stderr
     pages = [path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")]
-    assert len(pages) > 15
-    assert not [found for page in pages for found in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)]
+    assert len(pages) > 15, "the site has its pages"
+    assert not [
+        reference for page in pages for reference in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)
+    ]
 
 
 def anchors(page: Path) -> set[str]:
@@ -234,25 +236,25 @@ def test_architecture_names_every_module_once_in_its_room() -> None:
     text = (DOCS / "reference" / "architecture.md").read_text(encoding="utf-8")
     house = REPOSITORY / "lampest"
     for room in sorted(path.parent for path in house.glob("*/__init__.py")):
-        _, found, chapter = text.partition(f"\n### {room.name}\n")
-        assert found, f"the room {room.name}"
+        _, heading, chapter = text.partition(f"\n### {room.name}\n")
+        assert heading, f"the room {room.name}"
         rows = re.findall(r"^\| `([^`]+)` \|", chapter.split("\n##")[0], flags=re.MULTILINE)
         parts = [f"{path.name}/" if path.is_dir() else path.name for path in room.iterdir()]
-        there = {part for part in parts if not part.startswith("__")}
-        assert sorted(rows) == sorted(there), room.name
+        modules = {part for part in parts if not part.startswith("__")}
+        assert sorted(rows) == sorted(modules), room.name
 
 
-def test_glossary_says_truly_where_things_are_defined() -> None:
+def test_the_glossary_names_where_things_are_defined() -> None:
     glossary = (DOCS / "theory" / "glossary.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\|.*\| `(lampest/[\w./]+)`(?:: (.+?))? \|$", glossary, re.MULTILINE)
-    assert len(rows) > 40
+    assert len(rows) > 40, "the table of the glossary was read"
     for path, names in rows:
         text = (REPOSITORY / path).read_text(encoding="utf-8")
         for name in re.findall(r"`([^`]+)`", names):
             assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
 
 
-def test_the_readouts_page_has_every_kind_scenes_that_are_read_and_its_drawings(tmp_path: Path) -> None:
+def test_the_readouts_page_shows_every_kind_with_a_valid_scene_and_a_drawing(tmp_path: Path) -> None:
     page = READOUTS.read_text(encoding="utf-8")
     blocks = fences(READOUTS)
     kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
@@ -292,10 +294,10 @@ def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     prose = re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
     assert not [match[0] for match in NOT_PLAIN.finditer(prose)]
     every = (sentence for paragraph in paragraphs(text) for sentence in sentences(paragraph))
-    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS]
+    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MAX_WORDS]
 
 
-def test_comments_of_configurations_messages_and_docstrings_are_plain() -> None:
+def test_comments_messages_and_docstrings_are_plain() -> None:
     comments = (
         (path, comment)
         for path in (REPOSITORY / "configs").glob("*.yaml")
@@ -314,8 +316,8 @@ def test_every_word_is_spelt_right() -> None:
     pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "firmware/README.md"]
     options = ["--ignore-words-list", NAMES, "--skip", "*_build*,*.svg,*.bib"]
     command = [sys.executable, "-m", "codespell_lib", *options, "lampest", "docs", "configs", "paper", *pages]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
+    completed = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stdout
 
 
 # The way of mats, insoles and skins, and pages beside other programs.
@@ -325,11 +327,11 @@ OF_MATS = ("tutorial/mats.md", "tutorial/own_panel.md", *(f"howto/{name}.md" for
 
 
 @pytest.mark.parametrize("page", [README, *(DOCS / name for name in OF_MATS)], ids=lambda page: page.name)
-def test_the_way_of_mats_speaks_of_mats_alone(page: Path) -> None:
+def test_the_path_for_mats_mentions_mats_alone(page: Path) -> None:
     assert not re.search("lamprey", page.read_text(encoding="utf-8"), re.IGNORECASE)
 
 
-def test_the_page_of_mats_links_pages_of_mats_and_names_columns_that_exist() -> None:
+def test_the_page_for_mats_links_such_pages_and_names_existing_columns() -> None:
     page = DOCS / "tutorial" / "mats.md"
     text = page.read_text(encoding="utf-8")
     linked = {(page.parent / target).resolve() for target in re.findall(r"[^!]\[[^]]*\]\(([^)#]+\.md)", text)}
@@ -338,11 +340,11 @@ def test_the_page_of_mats_links_pages_of_mats_and_names_columns_that_exist() -> 
     named = re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE)
     names = {name for cells in named for name in re.findall(r"`(\w+)`", cells)}
     recording = lampest.Recording.from_array(np.full((3, 2, 2), 500.0), baseline=1)
-    found = lampest.reconstruct(replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")])
-    assert names - {"reading_model"} <= set(found.to_dataframe().columns)
+    estimate = lampest.reconstruct(replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")])
+    assert names - {"reading_model"} <= set(estimate.to_dataframe().columns)
 
 
-def test_the_code_beside_ros_makes_an_image_of_a_message(tmp_path: Path) -> None:
+def test_the_ros_example_turns_a_message_into_an_image(tmp_path: Path) -> None:
     (code,) = (block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python")
     names: dict[str, Any] = {}
     exec(compile(code, "cells.py", "exec"), names)

@@ -24,18 +24,18 @@ Command = Callable[..., SimpleNamespace]
 
 
 def constraint(name: str) -> str:
-    found = re.search(rf"^{name}==(.+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
-    assert found is not None
-    return found[1]
+    match = re.search(rf"^{name}==(.+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+    assert match is not None
+    return match[1]
 
 
-def test_hooks_have_the_versions_of_the_constraints() -> None:
+def test_hooks_use_the_versions_of_the_constraints() -> None:
     hooks = YAML(typ="safe").load(ROOT / ".pre-commit-config.yaml")["repos"][0]["hooks"]
     needed = {text for hook in hooks for text in hook["additional_dependencies"]}
     assert needed == {f"ruff=={constraint('ruff')}", f"codespell=={constraint('codespell')}"}
 
 
-def test_the_workflow_covers_what_the_package_names() -> None:
+def test_the_workflow_covers_the_supported_systems_and_versions() -> None:
     workflow = YAML(typ="safe").load(ROOT / ".github" / "workflows" / "tests.yml")
     matrix = workflow["jobs"]["tests"]["strategy"]["matrix"]
     assert matrix["system"] == ["ubuntu-latest", "macos-latest", "windows-latest"]
@@ -46,7 +46,7 @@ def test_the_workflow_covers_what_the_package_names() -> None:
     assert any("check-wheel-contents" in command for command in commands)
 
 
-def test_the_first_screen_of_the_help_has_what_users_begin_with(lampest: Command) -> None:
+def test_the_first_screen_of_the_help_lists_the_first_commands(lampest: Command) -> None:
     shown = lampest("--help").out
     words = re.findall(r"^│ (\w+) ", shown, re.MULTILINE)
     assert {"init", "import", "run", "detect", "info", "plot", "live"} <= set(words)
@@ -55,7 +55,7 @@ def test_the_first_screen_of_the_help_has_what_users_begin_with(lampest: Command
     assert lampest("show", "terms").code == 0
 
 
-def test_a_book_of_excel_holds_cells_units_and_meanings(lampest: Command, tmp_path: Path) -> None:
+def test_an_excel_workbook_holds_cells_units_and_meanings(lampest: Command, tmp_path: Path) -> None:
     cases = [invented_case("=LSM", "mouth", (3, 4, 5), failed=(1,)), invented_case("LSM:a", "other", (2, 3, 6))]
     lp.write_results(tmp_path / "r.h5", cases)
     assert lampest("export", tmp_path / "r.h5", "--to", "xlsx").code == 0
@@ -72,7 +72,7 @@ def test_a_book_of_excel_holds_cells_units_and_meanings(lampest: Command, tmp_pa
         assert not any(isinstance(value, str) and value.startswith("=") for line in lines for value in line)
 
 
-def test_numpy_on_the_symbols_of_a_term_is_quiet() -> None:
+def test_numpy_functions_accept_the_symbols_of_a_term_silently() -> None:
     @dataclass(frozen=True)
     class Level(lp.Term):
         kind = "level"
@@ -110,10 +110,10 @@ def installed_megabytes(*extras: str) -> float:
     visited: set[tuple[str, frozenset[str]]] = set()
     sizes: dict[str, int] = {}
     while pending:
-        name, wanted = pending.pop()
-        if (name, wanted) in visited:
+        name, requested = pending.pop()
+        if (name, requested) in visited:
             continue
-        visited.add((name, wanted))
+        visited.add((name, requested))
         try:
             package = metadata.distribution(name)
         except metadata.PackageNotFoundError:
@@ -122,7 +122,7 @@ def installed_megabytes(*extras: str) -> float:
         sizes[name] = sum(-(-place.stat().st_size // 4096) * 4096 for place in places if place.is_file())
         for text in package.requires or []:
             needed = Requirement(text)
-            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in (*wanted, "")):
+            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in (*requested, "")):
                 pending.append((canonicalize_name(needed.name), frozenset(needed.extras)))
     package_files = [file for file in (ROOT / "lampest").rglob("*") if file.is_file() and file.suffix != ".pyc"]
     return (sum(sizes.values()) + sum(file.stat().st_size for file in package_files)) / 1e6

@@ -49,9 +49,9 @@ def results(tmp_path: Path) -> Path:
 
 def exported(lampest: Run, results: Path, to: str, *words: Any) -> Path:
     """The file that the command says it wrote."""
-    done = lampest("export", results, "--to", to, *words)
-    assert done.code == 0, done.err
-    return Path(done.out.splitlines()[0])
+    completed = lampest("export", results, "--to", to, *words)
+    assert completed.code == 0, completed.err
+    return Path(completed.out.splitlines()[0])
 
 
 def shown(case: CaseResult, name: str) -> Any:
@@ -83,7 +83,7 @@ def check_table(table: Any, results: Path) -> None:
             assert_array_equal(lines.saturated.astype(float), shown(case, "saturated").ravel())
 
 
-def test_csv_is_what_pandas_reads(lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pandas_reads_the_csv_export(lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
     path = exported(lampest, results, "csv")
@@ -95,7 +95,7 @@ def test_csv_is_what_pandas_reads(lampest: Run, results: Path, monkeypatch: pyte
     assert export_results(results, "csv")[0].read_bytes() == written, "nor is pandas needed to write it"
 
 
-def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tmp_path: Path) -> None:
+def test_csv_quotes_names_that_spreadsheets_would_compute(lampest: Run, tmp_path: Path) -> None:
     names = {"=cmd|'C calc'!A0": "+1", "-2+3": "@SUM(A1)"}
     cases = [invented_case(estimator, recording, (2, 3, 4)) for recording, estimator in names.items()]
     write_results(tmp_path / "r.h5", cases)
@@ -109,7 +109,7 @@ def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tm
         assert not [field for line in csv.reader(lines) for field in line if field.startswith(("=", "+", "@"))]
 
 
-def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tmp_path: Path) -> None:
+def test_pyarrow_and_pandas_read_the_parquet_export(lampest: Run, results: Path, tmp_path: Path) -> None:
     import pandas
     from pyarrow import parquet
 
@@ -128,32 +128,32 @@ def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tm
     assert_array_equal(table[table.recording == "volts"].measured_volt, volt.measured.ravel())
 
 
-def test_mat_is_what_scipy_reads(lampest: Run, results: Path) -> None:
+def test_scipy_reads_the_mat_export(lampest: Run, results: Path) -> None:
     from scipy.io import loadmat
 
     path = exported(lampest, results, "mat")
     assert path == results.with_suffix(".mat")
     held = loadmat(path, simplify_cells=True)["cases"]
-    for ours, case in zip(held, read_results(results).cases, strict=True):
-        assert (ours["recording"], ours["estimator"]) == (case.recording, case.estimator)
-        assert_array_equal(ours["cell_resistance"], case.cell_resistance)
-        assert_array_equal(ours["open_cell"], shown(case, "open_cell"))
-        assert_array_equal(ours["two_point_model"], case.reading_model)
-        assert_array_equal(ours["cost_misfit"], case.costs["misfit"])
-        assert tuple(ours["status"]) == case.status
-        assert_array_equal(ours["x"], 10 * np.arange(case.measured.shape[2]))
+    for saved, case in zip(held, read_results(results).cases, strict=True):
+        assert (saved["recording"], saved["estimator"]) == (case.recording, case.estimator)
+        assert_array_equal(saved["cell_resistance"], case.cell_resistance)
+        assert_array_equal(saved["open_cell"], shown(case, "open_cell"))
+        assert_array_equal(saved["two_point_model"], case.reading_model)
+        assert_array_equal(saved["cost_misfit"], case.costs["misfit"])
+        assert tuple(saved["status"]) == case.status
+        assert_array_equal(saved["x"], 10 * np.arange(case.measured.shape[2]))
         rows, columns = case.measured.shape[1:]
-        assert_array_equal(ours["row"], np.arange(rows))
-        assert_array_equal(ours["column"], np.arange(columns))
-        assert ("pressure" in ours) == (case.pressure is not None)
-        assert (ours["units"]["cell_resistance"], ours["units"]["x"]) == ("ohm", "mm")
-        assert ours["long_name"]["cell_resistance"] == "estimated cell resistance"
-        assert list(ours["flags"]["solved"]["meanings"]) == ["failed", "solved"]
-        assert all(name.isidentifier() and len(name) < 64 for name in ours), "Octave and MATLAB take no other names"
+        assert_array_equal(saved["row"], np.arange(rows))
+        assert_array_equal(saved["column"], np.arange(columns))
+        assert ("pressure" in saved) == (case.pressure is not None)
+        assert (saved["units"]["cell_resistance"], saved["units"]["x"]) == ("ohm", "mm")
+        assert saved["long_name"]["cell_resistance"] == "estimated cell resistance"
+        assert list(saved["flags"]["solved"]["meanings"]) == ["failed", "solved"]
+        assert all(name.isidentifier() and len(name) < 64 for name in saved), "Octave and MATLAB take no other names"
     assert held[0]["start_time"] == START
 
 
-def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
+def test_xarray_reads_the_zarr_export(lampest: Run, results: Path) -> None:
     import xarray
     from zarr.storage import ZipStore
 
@@ -162,27 +162,25 @@ def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
     with ZipStore(path, mode="r") as store, xarray.open_datatree(store, engine="zarr") as tree:
         for case in read_results(results).cases:
             xarray.testing.assert_identical(tree[f"{case.recording}/{case.estimator}"].to_dataset(), case.to_xarray())
-        found = tree["mouth/LSM"]
-        assert found["cell_resistance"].attrs["units"] == "ohm" and found["x"].attrs["units"] == "mm"
-        assert found["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
-        assert found["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
-        assert "two_point_model" in found and "reading_model" not in found
-        assert found.attrs["start_time"] == START
+        group = tree["mouth/LSM"]
+        assert group["cell_resistance"].attrs["units"] == "ohm" and group["x"].attrs["units"] == "mm"
+        assert group["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
+        assert group["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
+        assert "two_point_model" in group and "reading_model" not in group
+        assert group.attrs["start_time"] == START
 
 
 @pytest.mark.parametrize(
     ("library", "to"), [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")]
 )
-def test_a_library_that_is_missing_is_named(
-    results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
-) -> None:
+def test_export_names_a_missing_library(results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$"):
         export_results(results, to, recording="mouth")
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None:
+def test_a_failed_export_leaves_no_file(results: Path) -> None:
     class Broken(Export):
         kind = "broken"
         suffix = ".txt"
@@ -197,7 +195,7 @@ def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-def test_nwb_is_what_pynwb_reads_with_who_was_measured_and_a_start_that_is_given(lampest: Run, tmp_path: Path) -> None:
+def test_pynwb_reads_the_nwb_export_with_subject_and_start(lampest: Run, tmp_path: Path) -> None:
     from pynwb import read_nwb, validate
 
     case = invented_case("LSM", "mouth", (2, 3, 4))

@@ -38,7 +38,7 @@ estimators:
 """
 EXTENSIONS = Path(__file__).with_name("extensions.py").read_text(encoding="utf-8")
 # A group of entry points, what a package names in it, and how the sentence begins; "terms" are asked for by a run.
-WRONG = (
+WRONG_NAMES = (
     ("terms", "addon:Even", "lampest.terms: Even of an installed package is no Term"),
     ("methods", "addon:Leash", "lampest.methods: Leash of an installed package is no Method"),
     ("terms", "addon:contrast", "lampest.terms: extra = addon:contrast of an installed package is no type"),
@@ -62,9 +62,9 @@ def recording() -> Recording:
 def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
     terms = [Misfit(weighting="noise"), Leash(weight=1e6, length_ohm=1234.0)]
     for formulation in ("nodal", "reduced"):
-        found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
-        assert found.status == ("optimum verified",) * 2
-        assert_allclose(found.cell_resistance, 1234, rtol=1e-3)
+        estimate = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
+        assert estimate.status == ("optimum verified",) * 2
+        assert_allclose(estimate.cell_resistance, 1234, rtol=1e-3)
     weak = lampest.reconstruct(recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced")
     assert weak.solved.all() and "misfit + leash" in repr(weak)
 
@@ -101,59 +101,59 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
     readout = Divider(load_ohm=5000.0, readings=100)
     recording = simulated(readout)
     truth = recording.truth_cell_resistance
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
-    assert np.median(np.abs(found.cell_resistance / truth[3:] - 1)) < 0.05
-    assert found.model_check.sentence == "the circuit explains its readings"
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
+    assert np.median(np.abs(estimate.cell_resistance / truth[3:] - 1)) < 0.05
+    assert estimate.model_check.sentence == "the circuit explains its readings"
     given = lampest.LoadedColumnsReadout(load_ohm=5000.0, drive_ohm=100.0, readings=100)
     assert_allclose(simulated(given).recorded, recording.recorded, rtol=1e-12)
     nodal = lampest.reconstruct(recording, [Misfit(weighting="noise")])
-    assert_allclose(nodal.cell_resistance, found.cell_resistance, rtol=1e-4)
+    assert_allclose(nodal.cell_resistance, estimate.cell_resistance, rtol=1e-4)
 
 
 def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None:
     free = lampest.Bounds("none", "none")
-    once, twice = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
-    assert_allclose(twice.cell_resistance, 2 * once.cell_resistance)
-    assert np.ptp(once.cell_resistance[0]) == 0 and once.cell_resistance_errors is None
-    assert set(once.status) == {"approximate, as the formulation asks; not an optimum"}
+    single, double = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
+    assert_allclose(double.cell_resistance, 2 * single.cell_resistance)
+    assert np.ptp(single.cell_resistance[0]) == 0 and single.cell_resistance_errors is None
+    assert set(single.status) == {"approximate, as the formulation asks; not an optimum"}
 
 
 def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
-    found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
-    found.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
-    wanted = found.cell_resistance.max(axis=(1, 2)) / found.cell_resistance.min(axis=(1, 2))
+    estimate = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
+    estimate.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
+    contrast = estimate.cell_resistance.max(axis=(1, 2)) / estimate.cell_resistance.min(axis=(1, 2))
     (case,) = lampest.read_results(tmp_path / "r.h5", [CONTRAST]).cases
     (bare,) = lampest.read_results(tmp_path / "r.h5").cases
     assert not bare.extra, "without its column nobody knows what it is"
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["entry/ellipse/mine/contrast"].attrs["units"] == b"1"
-    assert_array_equal(case.extra["contrast"], wanted)
-    for dataset in (found.to_xarray([CONTRAST]), case.to_xarray([CONTRAST])):
-        assert_array_equal(dataset["contrast"], wanted)
+    assert_array_equal(case.extra["contrast"], contrast)
+    for dataset in (estimate.to_xarray([CONTRAST]), case.to_xarray([CONTRAST])):
+        assert_array_equal(dataset["contrast"], contrast)
         assert dataset["contrast"].attrs["units"] == "1"
-    assert_array_equal(found.to_dataframe([CONTRAST])["contrast"], np.repeat(wanted, 30))
+    assert_array_equal(estimate.to_dataframe([CONTRAST])["contrast"], np.repeat(contrast, 30))
     with pytest.raises(lampest.InputError, match="no column says what the extra 'contrast' is"):
         case.to_xarray()
 
 
 def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
-    found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
-    for figure in (found.plot(Histogram()), found.plot(Histogram(), frame=3)):
+    estimate = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
+    for figure in (estimate.plot(Histogram()), estimate.plot(Histogram(), frame=3)):
         assert len(figure.axes[0].patches) == 10
-    found.save(tmp_path / "r.h5")
+    estimate.save(tmp_path / "r.h5")
     (file,) = lampest.plot_results(tmp_path / "r.h5", show=Histogram())
     assert file.name == "histogram_ellipse.png"
 
 
-def test_a_package_brings_all_of_them_to_yaml(
+def test_an_installed_package_adds_its_names_to_yaml(
     tmp_path: Path, package: Callable[..., None], lampest: Callable[..., SimpleNamespace]
 ) -> None:
     package(EXTENSIONS, **{group: f"addon:{name}" for group, name in GROUPS.items()})
 
     def command(*arguments: str | Path) -> str:
-        ended = lampest(*arguments)
-        assert (ended.code, ended.err) == (0, ""), arguments
-        return str(ended.out)
+        completed = lampest(*arguments)
+        assert (completed.code, completed.err) == (0, ""), arguments
+        return str(completed.out)
 
     (tmp_path / "simulation.yaml").write_text(SIMULATION)
     (tmp_path / "run.yaml").write_text(RUN)
@@ -174,8 +174,8 @@ def test_a_package_brings_all_of_them_to_yaml(
         assert_allclose(soft, plain, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("group", "name", "sentence"), WRONG)
-def test_what_a_package_names_wrongly_is_one_sentence(
+@pytest.mark.parametrize(("group", "name", "sentence"), WRONG_NAMES)
+def test_a_wrong_entry_point_gives_one_sentence(
     tmp_path: Path,
     package: Callable[..., None],
     lampest: Callable[..., SimpleNamespace],
@@ -187,6 +187,6 @@ def test_what_a_package_names_wrongly_is_one_sentence(
     package(EXTENSIONS + 'TWICE = type("Twice", (Histogram,), {"kind": "contours"})()\n', **{group: name})
     (tmp_path / "run.yaml").write_text(RUN)
     words = ("run", tmp_path / "run.yaml") if group in ("terms", "methods") else ("plot", tmp_path / "r.h5")
-    ended = lampest(*words, *(("--show", "contours") if group == "plots" else ()))
-    assert ended.code == 2 and ended.err.startswith(f"lampest: {sentence}"), ended.err
-    assert ended.err.count("\n") == 1
+    completed = lampest(*words, *(("--show", "contours") if group == "plots" else ()))
+    assert completed.code == 2 and completed.err.startswith(f"lampest: {sentence}"), completed.err
+    assert completed.err.count("\n") == 1

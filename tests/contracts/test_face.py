@@ -24,7 +24,7 @@ MISFIT = [Misfit()]
 NO_DATA = "gradient needs the term misfit: without it nothing reads what was measured"
 NO_RECORDING = "recording must be a Recording, such as Recording.load('mine.h5'), not "
 # What `reconstruct` is given, and what it says of it.
-WRONG: tuple[tuple[dict[str, Any], str], ...] = (
+WRONG_CALLS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"formulation": "fast"}, "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, "),
     (
         {"formulation": lampest.TruncatedMethod},
@@ -52,11 +52,11 @@ def lamprey() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def found(lamprey: Recording) -> Reconstruction:
+def estimate(lamprey: Recording) -> Reconstruction:
     return lampest.reconstruct(lamprey, [Misfit(), Gradient(weight=np.float64(1e-3))], formulation="reduced")
 
 
-def test_every_name_is_there_and_listed() -> None:
+def test_every_public_name_exists_and_is_listed() -> None:
     assert set(lampest.__all__) <= set(dir(lampest))
     assert len(set(lampest.__all__)) == len(lampest.__all__)
     for name in (*lampest.__all__, "__version__"):
@@ -78,21 +78,21 @@ scene = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(), series_res
 load = Ellipse(centre_mm=(20.0, 15.0), long_mm=30.0, short_mm=20.0, pressure_kpa=10.0)
 recording = lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=scene, loads=(load, lampest.Rod(
     centre_mm=(10.0, 10.0), diameter_mm=20.0, mass_g=100.0))))
-found = lampest.reconstruct(
+estimate = lampest.reconstruct(
     recording,
     [lampest.Misfit(), lampest.Gradient(weight="auto"), Leash(loss=lampest.Huber(corner=3.0))],
     formulation=Even(),
     solver=lampest.Settings(max_iterations=50),
     bounds=lampest.Bounds(upper="none"),
 )
-found.save("out.h5", columns=[CONTRAST])
-found.plot(Histogram(), frame=4)
+estimate.save("out.h5", columns=[CONTRAST])
+estimate.plot(Histogram(), frame=4)
 for case in lampest.read_results("out.h5").cases:
     reveal_type(case.cell_resistance)
-reveal_type(found.cell_resistance_errors)
-reveal_type(found.status)
-reveal_type(found.to_xarray())
-stream = lampest.Stream.begin(found.estimator, scene, 1.0, recording.readings()[0])
+reveal_type(estimate.cell_resistance_errors)
+reveal_type(estimate.status)
+reveal_type(estimate.to_xarray())
+stream = lampest.Stream.begin(estimate.estimator, scene, 1.0, recording.readings()[0])
 reveal_type(stream.push(recording.readings()[3]))
 """
 REVEALED = (
@@ -112,7 +112,7 @@ MISTAKES = (
 
 
 @pytest.mark.slow
-def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
+def test_a_strict_type_checker_infers_the_types_of_a_script(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     wrong = tmp_path / "wrong.py"
     script.write_text(SCRIPT)
@@ -120,24 +120,24 @@ def test_a_strict_type_checker_knows_a_users_script(tmp_path: Path) -> None:
     options = ("--strict", "--no-error-summary", "--hide-error-context", "--follow-imports=silent", "--no-pretty")
     command = [sys.executable, "-m", "mypy", *options, script.name, wrong.name]
     variables = os.environ | {"MYPYPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests")))}
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=variables)
-    assert ended.stderr == ""
-    said = [line.split(": ", 2) for line in ended.stdout.splitlines()]
-    revealed = [text for place, kind, text in said if place.startswith("script") and kind == "note"]
+    completed = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=variables)
+    assert completed.stderr == ""
+    diagnostics = [line.split(": ", 2) for line in completed.stdout.splitlines()]
+    revealed = [text for place, kind, text in diagnostics if place.startswith("script") and kind == "note"]
     assert [text.removeprefix('Revealed type is "').removesuffix('"') for text in revealed] == list(REVEALED)
-    assert not [line for line in said if line[0].startswith("script") and line[1] == "error"]
-    errors = {int(place.split(":")[1]) - 3: text for place, kind, text in said if kind == "error"}
+    assert not [line for line in diagnostics if line[0].startswith("script") and line[1] == "error"]
+    errors = {int(place.split(":")[1]) - 3: text for place, kind, text in diagnostics if kind == "error"}
     assert [number for number, (_, text) in enumerate(MISTAKES) if text not in errors.get(number, "")] == []
 
 
-@pytest.mark.parametrize(("given", "sentence"), WRONG)
-def test_wrong_use_is_one_sentence(lamprey: Recording, given: dict[str, Any], sentence: str) -> None:
+@pytest.mark.parametrize(("given", "sentence"), WRONG_CALLS)
+def test_wrong_use_gives_one_sentence(lamprey: Recording, given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError) as raised:
         lampest.reconstruct(**{"recording": lamprey, "terms": MISFIT} | given)
     assert isinstance(raised.value, ValueError) and str(raised.value).startswith(sentence)
 
 
-def test_wrong_frames_weights_and_files_are_one_sentence(lamprey: Recording) -> None:
+def test_wrong_frames_weights_and_files_give_one_sentence(lamprey: Recording) -> None:
     estimator = lampest.Estimator((Misfit(),), "reduced")
     readings = lamprey.readings()
     stream = lampest.Stream.begin(estimator, lamprey.scene, 1.0, readings[:3].mean())
@@ -158,17 +158,17 @@ def test_wrong_frames_weights_and_files_are_one_sentence(lamprey: Recording) -> 
         replace(lamprey, recorded=lamprey.recorded / 1000)
 
 
-def test_a_recording_and_a_reconstruction_are_one_line_each(lamprey: Recording, found: Reconstruction) -> None:
-    assert len(repr(lamprey).splitlines()) == len(repr(found).splitlines()) == 1
-    assert found.weights.keys() == {"gradient"} and np.all(found.weights["gradient"] == 1e-3)
-    shown = found._repr_html_()
+def test_a_recording_and_a_reconstruction_print_one_line_each(lamprey: Recording, estimate: Reconstruction) -> None:
+    assert len(repr(lamprey).splitlines()) == len(repr(estimate).splitlines()) == 1
+    assert estimate.weights.keys() == {"gradient"} and np.all(estimate.weights["gradient"] == 1e-3)
+    shown = estimate._repr_html_()
     assert "gradient: 0.001" in shown and "[[Cells in frame 6 at 6 s]]" in shown and 'src="data:image/' in shown
     assert not {"ast", "annotations", "import_module", "Path"} & set(dir(lampest))
-    assert not {"of", "asked", "tared"} & set(dir(found)) and {"cell_resistance", "fit_report"} <= set(dir(found))
+    assert not {"of", "asked", "tared"} & set(dir(estimate)) and {"cell_resistance", "fit_report"} <= set(dir(estimate))
 
 
-def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: Path) -> None:
-    found.save(tmp_path / "r.h5", name="mine")
+def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path) -> None:
+    estimate.save(tmp_path / "r.h5", name="mine")
     (case,) = lampest.read_results(tmp_path / "r.h5").cases
     assert (case.recording, case.estimator) == ("lamprey_35mm", "mine")
     assert "weight: 0.001" in case.case_yaml and len(case.case_id) == 24
@@ -176,14 +176,14 @@ def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: 
     for name in ("cell_resistance", "relative_change", "pressure"):
         arrays += [f"{name}_errors", f"{name}_lower", f"{name}_upper"]
     for name in (*arrays, "pressure", "saturated", "resolution", "data_share", "baseline_resistance_errors"):
-        assert_array_equal(getattr(found, name), getattr(case, name), name)
+        assert_array_equal(getattr(estimate, name), getattr(case, name), name)
     shape = (4, 10, 10)
-    assert found.pressure is not None and found.cell_resistance.shape == found.pressure.shape == shape
-    again = found.result("mine")
-    assert (again.case_id, again.case_yaml) == (case.case_id, case.case_yaml)
+    assert estimate.pressure is not None and estimate.cell_resistance.shape == estimate.pressure.shape == shape
+    restored = estimate.result("mine")
+    assert (restored.case_id, restored.case_yaml) == (case.case_id, case.case_yaml)
 
 
-def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
+def test_estimates_without_noise_have_no_error_bars(lamprey: Recording) -> None:
     silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
     bare = lampest.reconstruct(silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none"))
     for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
@@ -197,14 +197,14 @@ def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
         bare.plot("pressure")
 
 
-def test_labelled_arrays_say_what_results_files_say(found: Reconstruction, tmp_path: Path) -> None:
-    found.save(tmp_path / "r.h5")
-    dataset = found.to_xarray()
+def test_labelled_arrays_agree_with_results_files(estimate: Reconstruction, tmp_path: Path) -> None:
+    estimate.save(tmp_path / "r.h5")
+    dataset = estimate.to_xarray()
     assert dict(dataset.sizes) == {"time": 4, "row": 10, "column": 10}
-    assert_array_equal(dataset.time, found.time)
-    table = found.to_dataframe()
+    assert_array_equal(dataset.time, estimate.time)
+    table = estimate.to_dataframe()
     assert list(table.columns[:4]) == ["time", "frame", "row", "column"] and len(table) == 400
-    assert_array_equal(table.cell_resistance, found.cell_resistance.ravel())
+    assert_array_equal(table.cell_resistance, estimate.cell_resistance.ravel())
     units = table.attrs["units"]
     assert (units["cell_resistance"], units["pressure"], units["time"]) == ("ohm", "kPa", "s")
     assert_array_equal(dataset.x, 10.0 * np.arange(10))
@@ -222,78 +222,80 @@ def test_labelled_arrays_say_what_results_files_say(found: Reconstruction, tmp_p
     read = lampest.read_results(tmp_path / "r.h5").cases[0].to_xarray()
     assert read.identical(dataset)
     dataset.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
-    assert float(dataset.sel(time=5.0, row=3, column=4).cell_resistance) == found.cell_resistance[2, 3, 4]
+    assert float(dataset.sel(time=5.0, row=3, column=4).cell_resistance) == estimate.cell_resistance[2, 3, 4]
 
 
-def test_what_a_file_is_and_what_is_not_installed_is_said(
-    found: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_errors_name_the_kind_of_a_file_and_a_missing_library(
+    estimate: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found.save(tmp_path / "r.h5")
+    estimate.save(tmp_path / "r.h5")
     with pytest.raises(InputError, match=r"r\.h5: holds results; lampest\.read_results reads them"):
         Recording.load(tmp_path / "r.h5")
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(InputError, match=r"^xarray is not installed; pip install 'lampest\[xarray\]' brings it$"):
-        found.to_xarray()
+        estimate.to_xarray()
 
 
 @pytest.fixture(scope="module")
-def known() -> dict[str, object]:
+def example_names() -> dict[str, object]:
     """What examples may take without a word: a small recording, also as mine.h5, and what was found of it."""
     scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     load = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
-    how = lampest.Simulation(schema=1, seed=1, scene=scene, baseline_frames=2, frames=2, loads=(load,))
-    recording = replace(lampest.simulate(how), name="mine")
-    made = {"recording": recording, "found": lampest.reconstruct(recording, [Misfit()])}
-    return {"lampest": lampest, "np": np, "dataclasses": dataclasses, "Path": Path} | made
+    simulation = lampest.Simulation(schema=1, seed=1, scene=scene, baseline_frames=2, frames=2, loads=(load,))
+    recording = replace(lampest.simulate(simulation), name="mine")
+    examples = {"recording": recording, "found": lampest.reconstruct(recording, [Misfit()])}
+    return {"lampest": lampest, "np": np, "dataclasses": dataclasses, "Path": Path} | examples
 
 
 @pytest.mark.parametrize(
     "name", [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")]
 )
 def test_examples_in_docstrings_run(
-    name: str, known: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, example_names: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     if name in ("read_run", "read_results", "export_results", "plot_results", "comparison"):
-        known["recording"].save("mine.h5")
-        known["found"].save("results.h5", "LSM")
-    found = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(known))
-    assert found and found[0].examples, f"{name} has no example"
-    for example in found:
+        example_names["recording"].save("mine.h5")
+        example_names["found"].save("results.h5", "LSM")
+    examples = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(example_names))
+    assert examples and examples[0].examples, f"{name} has no example"
+    for example in examples:
         assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
 
 
-def test_progress_counts_the_frames_of_all(known: dict[str, object]) -> None:
-    told: list[tuple[int, int]] = []
-    found = lampest.reconstruct(known["recording"], [Misfit()], progress=lambda *frames: told.append(frames))
-    assert told == [(1, 2), (2, 2)] and found.solved.all()
-    assert lampest.reconstruct(known["recording"], [Misfit()], progress=True).solved.all()
+def test_progress_counts_all_frames(example_names: dict[str, object]) -> None:
+    progress: list[tuple[int, int]] = []
+    estimate = lampest.reconstruct(
+        example_names["recording"], [Misfit()], progress=lambda *frames: progress.append(frames)
+    )
+    assert progress == [(1, 2), (2, 2)] and estimate.solved.all()
+    assert lampest.reconstruct(example_names["recording"], [Misfit()], progress=True).solved.all()
 
 
 @pytest.fixture(scope="module")
-def few() -> Recording:
+def few_frames() -> Recording:
     """The lamprey's unloaded frames and two later ones."""
-    whole = lampest.datasets.load("lamprey_35mm")
+    recording = lampest.datasets.load("lamprey_35mm")
     chosen = [0, 1, 2, 14, 15]
     parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
-    return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
+    return replace(recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts})
 
 
-def test_it_serves_better_than_the_papers_weight(few: Recording) -> None:
+def test_the_automatic_weight_is_better_than_the_papers_weight(few_frames: Recording) -> None:
     errors = {}
     for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):
-        found = lampest.reconstruct(few, [Misfit(), penalty])
-        errors[name] = np.median(np.abs(found.cell_resistance / few.truth_cell_resistance[3:] - 1))
+        estimate = lampest.reconstruct(few_frames, [Misfit(), penalty])
+        errors[name] = np.median(np.abs(estimate.cell_resistance / few_frames.truth_cell_resistance[3:] - 1))
     assert errors["default"] < 0.3 * errors["paper"]
 
 
-def test_unknown_noise_takes_the_same_rule(few: Recording) -> None:
-    silent = replace(few, scene=Scene(few.scene.panel, None, few.scene.series_resistance_ohm))
-    found = lampest.reconstruct(silent, [Misfit(), Gradient()])
-    told = lampest.reconstruct(silent, [Misfit(), Gradient()], auto_weight=lampest.AutoWeight(rule="risk"))
-    assert found.solved.all() and np.array_equal(found.cell_resistance, told.cell_resistance)
+def test_unknown_noise_takes_the_same_rule(few_frames: Recording) -> None:
+    silent = replace(few_frames, scene=Scene(few_frames.scene.panel, None, few_frames.scene.series_resistance_ohm))
+    estimate = lampest.reconstruct(silent, [Misfit(), Gradient()])
+    explicit = lampest.reconstruct(silent, [Misfit(), Gradient()], auto_weight=lampest.AutoWeight(rule="risk"))
+    assert estimate.solved.all() and np.array_equal(estimate.cell_resistance, explicit.cell_resistance)
     open_ended = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none"))
-    assert np.array_equal(found.cell_resistance, open_ended.cell_resistance)
+    assert np.array_equal(estimate.cell_resistance, open_ended.cell_resistance)
     assert lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()]).solved.all()
 
 

@@ -38,7 +38,7 @@ estimators:
 formulation: reduced
 """
 CONFIGS = Path(__file__).parents[2] / "configs"
-WRONG = {
+WRONG_LOADS = {
     "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",
     "rod_1,4,6,10,10,30,heavy": "loads.csv:2: loads.0.mass_g: must be a number, not 'heavy'",
     "rod_1,4,,10,10,30,360": "loads.csv:2: each load needs a frame in the columns first and last",
@@ -59,7 +59,7 @@ def recording(tmp_path: Path, lampest: Command) -> Path:
 
 
 @pytest.mark.slow
-def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lampest: Command) -> None:
+def test_a_run_estimates_the_film_and_prints_its_numbers(recording: Path, lampest: Command) -> None:
     config = recording.parent / "run.yaml"
     out = recording.parent / "out"
     config.write_text(RUN, encoding="utf-8")
@@ -72,26 +72,26 @@ def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lamp
     error = np.abs(case.pressure - truth[case.frame])
     assert np.percentile(error, 95) < 0.08 * truth.max()
     assert error[45:].max() < 0.3
-    at = np.flatnonzero([bool(why) for why in case.tared])
+    at = np.flatnonzero([bool(reason) for reason in case.tared])
     assert len(at) and not np.any((at > 15) & (at < 36))
     assert case.tared[at[0]].startswith("nothing touched the panel for 8 frames (7 s)")
-    told = lampest("info", out / "results.h5")
-    assert "film       creep " in told.out and "from the recording" in told.out
+    completed = lampest("info", out / "results.h5")
+    assert "film       creep " in completed.out and "from the recording" in completed.out
     assert "film       hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
 
 
-def test_tare_changes_the_unloaded_frames_alone_and_doubts_those_with_a_load(recording: Path, lampest: Command) -> None:
+def test_tare_changes_only_the_unloaded_frames_and_warns_of_a_load(recording: Path, lampest: Command) -> None:
     out = recording.parent / "zeroed.h5"
-    ended = lampest("tare", recording, "--frames", "55:60", "--out", out)
-    assert (ended.code, ended.out, ended.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
-    before = Recording.load(recording)
-    after = Recording.load(out)
-    np.testing.assert_array_equal(np.flatnonzero(after.role == UNLOADED), np.arange(55, 60))
+    completed = lampest("tare", recording, "--frames", "55:60", "--out", out)
+    assert (completed.code, completed.out, completed.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
+    original = Recording.load(recording)
+    tared = Recording.load(out)
+    np.testing.assert_array_equal(np.flatnonzero(tared.role == UNLOADED), np.arange(55, 60))
     for name in ("recorded", "time", "truth_pressure", "raw_sums"):
-        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    assert (after.scene, after.simulation) == (before.scene, before.simulation)
-    ended = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5")
-    assert ended.code == 0 and "did a load come or go?" in ended.err
+        np.testing.assert_array_equal(getattr(tared, name), getattr(original, name))
+    assert (tared.scene, tared.simulation) == (original.scene, original.simulation)
+    completed = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5")
+    assert completed.code == 0 and "did a load come or go?" in completed.err
 
 
 @pytest.fixture
@@ -100,29 +100,29 @@ def rods(tmp_path: Path, lampest: Command) -> list[Path]:
     return sorted((tmp_path / "rods").glob("rod_*.h5"))
 
 
-def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
+def test_yaml_and_csv_give_the_same_scene_and_it_is_printed_without_out(
     rods: list[Path], tmp_path: Path, lampest: Command
 ) -> None:
     path = tmp_path / "loads.yaml"
-    whole = rods[4]
+    rod = rods[4]
     load = "frames: [4, 6], x_mm: 25, y_mm: 25, diameter_mm: 30"
     path.write_text(f"schema: 1\nloads:\n  - {{{load}, force_newton: 3.5316}}\n")
     (tmp_path / "loads.csv").write_text("first,last,x_mm,y_mm,diameter_mm,mass_g\n4,6,25,25,30,360\n\n")
-    as_yaml, as_csv = (lampest("calibrate", whole, "--loads", tmp_path / f"loads.{end}") for end in ("yaml", "csv"))
+    as_yaml, as_csv = (lampest("calibrate", rod, "--loads", tmp_path / f"loads.{end}") for end in ("yaml", "csv"))
     assert as_yaml.code == 0 and as_yaml.out == as_csv.out
     assert "cells felt no load" in as_yaml.out
     path.with_name("scene.yaml").write_text(as_yaml.out)
     assert public.read_scene(path.with_name("scene.yaml")).response is not None
 
 
-def test_loads_that_cannot_be_are_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
+def test_impossible_loads_give_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
     path = tmp_path / "loads.csv"
     out = tmp_path / "scene.yaml"
-    for text, words in WRONG.items():
+    for text, words in WRONG_LOADS.items():
         path.write_text(f"recording,first,last,x_mm,y_mm,diameter_mm,mass_g\n{text}\n")
-        ended = lampest("calibrate", rods[0], "--loads", path, "--out", out)
-        assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
-        assert words in ended.err and not out.exists()
-    ended = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
+        completed = lampest("calibrate", rods[0], "--loads", path, "--out", out)
+        assert (completed.code, completed.out, completed.err.count("\n")) == (2, "", 1)
+        assert words in completed.err and not out.exists()
+    completed = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
     several = "lampest: --known, --loads and --from-recording are different calibrations: give one of them\n"
-    assert (ended.code, ended.err) == (2, several)
+    assert (completed.code, completed.err) == (2, several)

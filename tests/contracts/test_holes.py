@@ -16,7 +16,7 @@ from lampest import Faults, Panel, Simulation, simulate
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
-TOO_FEW = "too few of the frame's readings are values: the others are missing, or bounds"
+TOO_FEW_READINGS = "too few of the frame's readings are values: the others are missing, or bounds"
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
 RUN = """schema: 1
 recordings: [{}]
@@ -25,7 +25,7 @@ estimators:
   LSM: {{terms: {{misfit: {{}}}}}}
   LSR-gCR: {{terms: {{misfit: {{}}, gradient: {{weight: 1.0e-3}}}}}}
 """
-HELD = "an optimum, but only within the bounds"
+OPTIMUM_AT_BOUNDS = "an optimum, but only within the bounds"
 VERIFIED = "optimum verified"
 PLAIN = lampest.Scene(lampest.Panel(6, 6))
 LOADED = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(adc_bits=14, noise_lsb=2.0))
@@ -44,20 +44,24 @@ def recorded(path: Path, values: np.ndarray) -> Path:
     return path
 
 
-def test_a_batch_loses_a_file_that_is_cut_off_and_no_more(tmp_path: Path, lampest: Command) -> None:
+def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command) -> None:
     values = healthy(2)
     values[2, 0, 1], values[2, 2, 2], values[3, 3], values[4] = np.nan, np.inf, np.nan, np.nan
     recorded(tmp_path / "holes.h5", values)
     cut = recorded(tmp_path / "cut.h5", healthy(3))
     cut.write_bytes(cut.read_bytes()[:3000])
     (tmp_path / "run.yaml").write_text(RUN.format("cut.h5, holes.h5"))
-    ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
-    assert ended.code == 3 and "2 cases solved" in ended.out and "2 failed" in ended.out
-    assert "cut × LSM" in ended.err and "not a readable HDF5 file" in ended.err and "Traceback" not in ended.err
+    completed = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
+    assert completed.code == 3 and "2 cases solved" in completed.out and "2 failed" in completed.out
+    assert (
+        "cut × LSM" in completed.err
+        and "not a readable HDF5 file" in completed.err
+        and "Traceback" not in completed.err
+    )
     with h5py.File(tmp_path / "out" / "results.h5") as file:
         assert set(file["entry"]) == {"holes"}
         status = [text.decode() for text in file["entry/holes/LSM/status"]]
-        assert [text == TOO_FEW for text in status] == [False, False, True, False, False]
+        assert [text == TOO_FEW_READINGS for text in status] == [False, False, True, False, False]
         cells = file["entry/holes/LSM/cell_resistance"][()]
         assert np.isnan(cells[2]).all() and np.isfinite(cells[[0, 1, 3, 4]]).all()
         given = file["entry/holes/recording"]
@@ -66,8 +70,8 @@ def test_a_batch_loses_a_file_that_is_cut_off_and_no_more(tmp_path: Path, lampes
 
 
 @pytest.mark.slow
-def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: Command) -> None:
-    """Of a panel with a hole, an open and a shorted cell and a dead row; the report compares two estimators on it."""
+def test_errors_and_coverage_count_intact_cells(tmp_path: Path, lampest: Command) -> None:
+    """A report compares two estimators on a panel with a hole, an open and a shorted cell and a dead row."""
     places = tuple((*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0))
     broken = Faults(open=((1, 1),), shorted=((2, 3),), dead_rows=(5,))
     scene = dataclasses.replace(LOADED, panel=Panel(6, 6, cells=places), faults=broken)
@@ -83,29 +87,29 @@ def test_errors_and_coverage_are_those_of_intact_cells(tmp_path: Path, lampest: 
     assert float(re.findall(r"truth within its interval \[%\]\s+([\d.]+)", text)[0]) > 80
 
 
-def test_a_row_that_never_answers_is_named(tmp_path: Path, lampest: Command) -> None:
+def test_info_names_a_row_without_readings(tmp_path: Path, lampest: Command) -> None:
     values = healthy(4)
     values[:, 2] = np.nan
-    said = lampest("info", recorded(tmp_path / "row.h5", values)).out
-    assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in said
+    output = lampest("info", recorded(tmp_path / "row.h5", values)).out
+    assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in output
 
 
 @pytest.mark.parametrize("terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))])
-def test_without_any_unloaded_frame_the_first_that_can_be_read_stands(terms: tuple[object, ...]) -> None:
+def test_the_first_readable_frame_replaces_missing_unloaded_frames(terms: tuple[object, ...]) -> None:
     values = healthy(5)
     values[:3] = np.nan
-    found = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
-    assert found.status[0] == TOO_FEW and all(found.solved[1:])
-    assert np.nanmax(np.abs(found.relative_change)) < 5.0
+    estimate = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
+    assert estimate.status[0] == TOO_FEW_READINGS and all(estimate.solved[1:])
+    assert np.nanmax(np.abs(estimate.relative_change)) < 5.0
 
 
-def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
+def test_a_frame_with_mostly_missing_readings_is_not_solved() -> None:
     """156 of 256: what is left would determine lines, but not cells."""
     truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
     values = lampest.two_point_resistance(truth)
     values[1].ravel()[:156] = np.nan
-    found = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
-    assert not found.solved.any() and "too few of the frame's readings are values" in found.status[0]
+    estimate = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
+    assert not estimate.solved.any() and "too few of the frame's readings are values" in estimate.status[0]
 
 
 def cells() -> np.ndarray:
@@ -120,30 +124,30 @@ def exactly(scene: lampest.Scene, *frames: np.ndarray, sigma: float | None = Non
 
 def solved(recording: lampest.Recording, formulation: str, weight: float | None = None, **bounds: object) -> list[str]:
     terms = [lampest.Misfit(), *([] if weight is None else [lampest.Gradient(weight=weight)])]
-    found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))
-    return list(found.status)
+    estimate = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))
+    return list(estimate.status)
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
-def test_a_bound_that_cells_lie_beyond_is_told(formulation: str) -> None:
+def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
     """Without noise a millionth counts, above and below; a bound that holds nothing back changes no word."""
-    rest = cells()
+    unloaded = cells()
     loaded = cells()
     loaded[1, 2], loaded[3, 3] = 9000.0, 300.0
-    recording = exactly(PLAIN, rest, loaded, loaded)
-    assert all(status.startswith(HELD) for status in solved(recording, formulation, upper=8990.0))
-    assert all(status.startswith(HELD) for status in solved(recording, formulation, lower=301.0))
+    recording = exactly(PLAIN, unloaded, loaded, loaded)
+    assert all(status.startswith(OPTIMUM_AT_BOUNDS) for status in solved(recording, formulation, upper=8990.0))
+    assert all(status.startswith(OPTIMUM_AT_BOUNDS) for status in solved(recording, formulation, lower=301.0))
     assert solved(recording, formulation, upper=9100.0, lower=299.0) == [VERIFIED] * 2
 
 
-def test_what_noise_explains_is_not_told() -> None:
+def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
     """A cell beyond what the converter resolves takes less than σ from its reading; many such cells take more."""
-    rest = cells()
+    unloaded = cells()
     open_cell = cells()
     open_cell[2, 3] *= 1e6
-    found = lampest.reconstruct(exactly(LOADED, rest, open_cell), [lampest.Misfit()], formulation="reduced")
-    assert found.status[0] == VERIFIED and found.result().open_cell.sum() == 1
+    estimate = lampest.reconstruct(exactly(LOADED, unloaded, open_cell), [lampest.Misfit()], formulation="reduced")
+    assert estimate.status[0] == VERIFIED and estimate.result().open_cell.sum() == 1
     apart = 2000 * 10 ** np.random.default_rng(0).uniform(-3, 3, (6, 6))
-    noisy = exactly(PLAIN, rest, apart, sigma=0.01)
-    assert solved(noisy, "reduced")[0].startswith(HELD)
+    noisy = exactly(PLAIN, unloaded, apart, sigma=0.01)
+    assert solved(noisy, "reduced")[0].startswith(OPTIMUM_AT_BOUNDS)
     assert solved(noisy, "reduced", upper="none") == [VERIFIED]

@@ -19,17 +19,17 @@ TABLES: dict[str, SimpleNamespace] = {}
 REFUSED: dict[str, SimpleNamespace] = {}
 
 
-def taken(name: str, content: Any, *notes: str, **how: Any) -> None:
-    TABLES[name] = given(content, *notes, **how)
+def accept(name: str, content: Any, *notes: str, **options: Any) -> None:
+    TABLES[name] = given(content, *notes, **options)
 
 
-def codes(name: str, content: Any, *notes: str, **how: Any) -> None:
+def codes(name: str, content: Any, *notes: str, **options: Any) -> None:
     """Codes of a board with loaded columns."""
-    taken(name, content, *notes, **({"scene": LOADED, "expected": VOLT_OF_CODES} | how))
+    accept(name, content, *notes, **({"scene": LOADED, "expected": VOLT_OF_CODES} | options))
 
 
-def refused(name: str, content: Any, *notes: str, **how: Any) -> None:
-    REFUSED[name] = given(content, *notes, **how)
+def refuse(name: str, content: Any, *notes: str, **options: Any) -> None:
+    REFUSED[name] = given(content, *notes, **options)
 
 
 def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:
@@ -89,11 +89,11 @@ BROKEN = [*lines(CODES[0])[1:], "", *lines(CODES[1]), "", *lines(CODES[2])[:2], 
 SENTENCES = ("the first block (line 1) is cut and left out", "has 2 of 3 lines")
 codes("blocks that are cut", BROKEN, *SENTENCES, expected=with_nan(VOLT_OF_CODES[1:], (1,), (2, 2)))
 LONG = blocks(",", "\n\n", np.concatenate([CODES, CODES[:, :1]], axis=1))
-refused("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 rows", scene=LOADED)
+refuse("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 rows", scene=LOADED)
 
 MEANS = CODES + CODES % 20 / 20
 STEPS = "as such they lie on the converter's steps"
-taken("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
+accept("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
 EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
 OF_EIGHT = CODES + CODES % 8 / 8 + 2000
 RAISED = (OF_EIGHT + 0.5) * 3.3 / 4096
@@ -103,12 +103,12 @@ for name, written in (
     ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
 ):
     rounded = (np.array(written, dtype=float).reshape(CODES.shape) + 0.5) * 3.3 / 4096
-    taken(
+    accept(
         f"means of eight codes by {name}", map(",".join, written), "unit code, guessed", expected=rounded, scene=EIGHT
     )
     two_point = replace(DIVIDER, readout=TwoPointReadout(supply_volt=3.3, adc_bits=12, readings=8))
     resistances = two_point.readout.recorded_from_volt(rounded)
-    taken(
+    accept(
         f"means of a divider by {name}",
         map(",".join, written),
         "unit code, guessed: ",
@@ -116,14 +116,14 @@ for name, written in (
         scene=two_point,
     )
     ways = "may be mV or code (codes would be whole numbers, by the scene); say which with `unit='mV'`"
-    refused(f"means of eight codes by {name} where readings is 1", map(",".join, written), ways, scene=LOADED)
+    refuse(f"means of eight codes by {name} where readings is 1", map(",".join, written), ways, scene=LOADED)
 FILTERED = CODES * 0.937 + 0.013
-refused("filtered codes of a divider", lines(FILTERED), "may be ohm or", "mV or code", scene=DIVIDER)
+refuse("filtered codes of a divider", lines(FILTERED), "may be ohm or", "mV or code", scene=DIVIDER)
 MILLIVOLTS = np.round(CODES * 5000 / 1024)
 FIVE_VOLT = replace(LOADED, readout=LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=5.0, adc_bits=10, readings=1))
 for name, written in (("rounded", MILLIVOLTS), ("cut", CODES * 5000 // 1023)):
-    taken(f"{name} millivolts", lines(written), "unit mV, guessed", expected=written / 1000, scene=FIVE_VOLT)
-taken(
+    accept(f"{name} millivolts", lines(written), "unit mV, guessed", expected=written / 1000, scene=FIVE_VOLT)
+accept(
     "whole numbers",
     lines(CODES),
     "whole numbers, within 0 to 4095",
@@ -132,36 +132,36 @@ taken(
     expected=VOLT_OF_CODES,
 )
 WHOLE = "may be ohm or code, the whole numbers of a converter, which need a scene; say which with `unit='ohm'`"
-refused("whole numbers without a scene", lines(CODES), WHOLE)
-refused("resistances of either size", lines(FRAMES / 10), "may be ohm or kohm; say which with")
-taken("small kiloohms", lines(FRAMES / 1000), "kohm, guessed: values from 0.2", "too small for ohm", expected=FRAMES)
+refuse("whole numbers without a scene", lines(CODES), WHOLE)
+refuse("resistances of either size", lines(FRAMES / 10), "may be ohm or kohm; say which with")
+accept("small kiloohms", lines(FRAMES / 1000), "kohm, guessed: values from 0.2", "too small for ohm", expected=FRAMES)
 PRESSED = CODES * (CODES > 500)
-refused(
+refuse(
     "pressures without a scene", lines(PRESSED), "of them are 0, as in pressures or codes; a resistance of 0 is a short"
 )
 for unit in ("%", "N", "kPa", "mmHg", "a.u.", "g", "µS", "1/kOhm", "MOhm", "degC"):
     for header in (f"r{{r}}c{{c}} [{unit}]", f"R{{r}}C{{c}} ({unit})"):
-        refused(
+        refuse(
             f"{header} as unit",
             [names(header), *lines(WIDE)],
             f"says '{unit}'" if unit in ("N", "kPa", "mmHg", "g") else f"unit '{unit}'",
         )
-        taken(f"{header} overridden", [names(header), *lines(WIDE)], "unit ohm, as specified", unit="ohm")
+        accept(f"{header} overridden", [names(header), *lines(WIDE)], "unit ohm, as specified", unit="ohm")
 for header in ("pressure_r{r}c{c}", "r{r}c{c}_kpa", "Force R{r}C{c}"):
-    refused(header, [names(header), *lines(WIDE)], "readings must be ohm, kohm, volt, mV or code")
+    refuse(header, [names(header), *lines(WIDE)], "readings must be ohm, kohm, volt, mV or code")
 for beside in ("Average Pressure (mmHg)", "peak [kPa]"):
     pressures = [f"time,{beside},{names('r{r}c{c}')}", *(f"{n},7,{line}" for n, line in enumerate(lines(WIDE)))]
-    refused(f"{beside} beside the cells", pressures, "readings must be ohm, kohm, volt, mV or code")
-refused("a title of pressures", ["Pressure (mmHg)", *lines(WIDE)], "the header says 'mmHg'")
+    refuse(f"{beside} beside the cells", pressures, "readings must be ohm, kohm, volt, mV or code")
+refuse("a title of pressures", ["Pressure (mmHg)", *lines(WIDE)], "the header says 'mmHg'")
 for stated in ("Peak: 118 mmHg", "Mean pressure (mmHg),12.3", "Peak,118,mmHg", "# all below 200 mmHg"):
-    refused(f"whole pressures with {stated}", [stated, *lines(CODES)], "the header says 'mmHg'", scene=LOADED)
-    refused(f"whole pressures before {stated}", [*lines(CODES), stated], "the header says 'mmHg'", scene=LOADED)
+    refuse(f"whole pressures with {stated}", [stated, *lines(CODES)], "the header says 'mmHg'", scene=LOADED)
+    refuse(f"whole pressures before {stated}", [*lines(CODES), stated], "the header says 'mmHg'", scene=LOADED)
     codes(f"codes, as specified, with {stated}", [stated, *lines(CODES)], "as specified", unit="code")
-taken(
+accept(
     "temperatures beside resistances", [f"{names('r{r}c{c} [ohm]')},T [degC]", *(f"{line},21" for line in lines(WIDE))]
 )
 RAILS = "no other unit is within the converter's rails"
-taken("resistances far above the reference", lines(1000 * FRAMES), RAILS, expected=1000 * FRAMES, scene=DIVIDER)
+accept("resistances far above the reference", lines(1000 * FRAMES), RAILS, expected=1000 * FRAMES, scene=DIVIDER)
 
 TEN = VOLT_OF_CODES[np.arange(10) % 4]
 
@@ -184,10 +184,10 @@ for separator, debug in itertools.product(
     times = 0.1 * np.arange(10) if "ms" in separator else None
     name = f"{debug} between rows after {separator!r}"
     codes(name, debugged(separator, debug), *skipped, expected=TEN, times=times)
-LOST = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
-del LOST[LOST.index("Frame 4 t=400 ms") + 2]
+LOST_DEBUG = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
+del LOST_DEBUG[LOST_DEBUG.index("Frame 4 t=400 ms") + 2]
 SENTENCE = "has 2 of 3 lines and is missing"
-codes("a row that was lost", LOST, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
+codes("a row that was lost", LOST_DEBUG, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
 
 # Fields beside the readings.
 
@@ -231,7 +231,7 @@ for end in ("255", "END", "*", "-1"):
     rows_ended = [f"{line},{end}" for frame in CODES for line in lines(frame)]
     codes(f"{end} at the end of a row", rows_ended, "field 6 left out", "one row a line, 3 lines a frame")
 RISING = np.arange(60).reshape(4, 3, 5) / 10 + 50
-taken("readings that rise from field to field and from line to line", lines(RISING), expected=RISING, unit="ohm")
+accept("readings that rise from field to field and from line to line", lines(RISING), expected=RISING, unit="ohm")
 GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
 codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
 # matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.
@@ -250,7 +250,7 @@ TITLED = [text for n, frame in enumerate(CODES) for text in (f"Frame {n}: t = {2
 codes("one number a line below titles", TITLED, "one number a line", times=FOUR / 4)
 COUNTED = [f"{number % 15} {value}" for number, value in enumerate(CODES.ravel())]
 codes("a cell's number and a value a line", COUNTED, "one value a line as cell, value")
-refused(
+refuse(
     "too few numbers", NUMBERS[:7], ":1: 1 field; 3 × 5 cells need 15", "`layout` says what each field is", scene=LOADED
 )
 
@@ -298,9 +298,15 @@ codes("words of Windows-1252", WINDOWS, "Windows-1252", "column 'Zeit (s)' in s"
 
 # Columns that a layout skips.
 
-SKIPPED = ",".join(["-", *["-", "-"], *NAMES_OF_CELLS])
-BEFORE = [f"a,{n},7,{line}" for n, line in enumerate(lines(CODES))]
-codes("skipped columns", BEFORE, "fields 1, 2, 3 left out, as `layout` says", layout=SKIPPED, absent="left out: -")
+SKIPPED_COLUMNS = ",".join(["-", *["-", "-"], *NAMES_OF_CELLS])
+NUMBERS_BEFORE = [f"a,{n},7,{line}" for n, line in enumerate(lines(CODES))]
+codes(
+    "skipped columns",
+    NUMBERS_BEFORE,
+    "fields 1, 2, 3 left out, as `layout` says",
+    layout=SKIPPED_COLUMNS,
+    absent="left out: -",
+)
 ROW_LAYOUT = [f"x,{line},{n}" for n, row, line in NUMBERED]
 codes("skipped columns beside rows", ROW_LAYOUT, "one row a line", layout="-,c0,c1,c2,c3,c4,-")
 
@@ -315,29 +321,32 @@ for pattern, first in (
 ):  # fmt: skip
     header = ",".join(np.array(names(pattern, first).split(","))[ORDER])
     sentence = f"cells by their names, which count from {first}"
-    taken(f"cells called {pattern}", [header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
+    accept(f"cells called {pattern}", [header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
 TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
-FEWER = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
+FEWER_CELLS = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
 PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))]
-taken("names of a transposed panel", TURNED, transpose=True)
-taken(
-    "a cell without a column", FEWER, "1 cell without a column, missing", expected=with_nan(FRAMES, (slice(None), 2, 4))
+accept("names of a transposed panel", TURNED, transpose=True)
+accept(
+    "a cell without a column",
+    FEWER_CELLS,
+    "1 cell without a column, missing",
+    expected=with_nan(FRAMES, (slice(None), 2, 4)),
 )
-taken("a data frame", PANDAS, "left out: frame", times=FOUR)
+accept("a data frame", PANDAS, "left out: frame", times=FOUR)
 UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
-taken("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
+accept("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
 UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
-taken("a data frame without its index", UNNAMED, "line 1 taken as header", "cells by their numbers from 0, row by row")
-taken(
+accept("a data frame without its index", UNNAMED, "line 1 taken as header", "cells by their numbers from 0, row by row")
+accept(
     "readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(CODES.shape), unit="ohm"
 )
 for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
-    taken(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
+    accept(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
 CLOCKS = ["time,millis," + ",".join(NAMED), *(f"12:00:0{n},{7 * n},{line}" for n, line in enumerate(lines(WIDE)))]
-taken("two clocks, of which the first counts", CLOCKS, "column 'time'", times=FOUR)
+accept("two clocks, of which the first counts", CLOCKS, "column 'time'", times=FOUR)
 TWO_DIGITS = [",".join(np.array(names("R{r}{c}", 1).split(","))[ORDER]), *lines(WIDE[:, ORDER])]
-taken("cells of two digits", TWO_DIGITS, "by their numbers from 11, a digit for the row and one for the column")
-taken(
+accept("cells of two digits", TWO_DIGITS, "by their numbers from 11, a digit for the row and one for the column")
+accept(
     "unknown names",
     [names("{c}.{r}V"), *lines(WIDE)],
     "row by row; '0.0V' and the other names tell no cells",
@@ -348,19 +357,19 @@ for first in (0, 1):
     text = "\n\n".join(
         "\n".join([header, *(f"r{row + first},{lines(frame[:, ::-1])[row]}" for row in (1, 2, 0))]) for frame in FRAMES
     )
-    taken(f"named rows and columns from {first}", text, f"rows by their names, columns by their names from {first}")
+    accept(f"named rows and columns from {first}", text, f"rows by their names, columns by their names from {first}")
     turned = text.replace("r", "?").replace("c", "r").replace("?", "c")
-    refused(f"named rows and columns from {first}, transposed", turned, "`transpose` swaps")
+    refuse(f"named rows and columns from {first}, transposed", turned, "`transpose` swaps")
 
 SPREADSHEET = ["% exported on Monday", "Zeit [ms];" + names("Z{r}S{c} [kΩ]", 1, ";") + ";"]
 SPREADSHEET += [f"{250 * n};{line};" for n, line in enumerate(lines(FRAMES / 1000, ";", ","))]
 for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le"):
     text = "\r\n".join([*SPREADSHEET, ";" * 17, ""]).encode(encoding)
     sentences = ("unit kohm, as the header says", "decimal commas")
-    taken(f"a spreadsheet in {encoding}", text, *sentences, times=FOUR / 4)
+    accept(f"a spreadsheet in {encoding}", text, *sentences, times=FOUR / 4)
 EXPORTED = "\ufeff# exported\r\n\r\n" + "\r\n".join(lines(FRAMES, ";", ","))
-taken("decimal commas without a header", EXPORTED, "decimal commas")
-taken("numbers in quotes", (line.replace(",", '","').join('""') for line in lines(FRAMES)))
+accept("decimal commas without a header", EXPORTED, "decimal commas")
+accept("numbers in quotes", (line.replace(",", '","').join('""') for line in lines(FRAMES)))
 for written, number in (
     ("1.234,5", 1234.5), ('"1,234.5"', 1234.5), ("1234,5", 1234.5), ("1.2345e3", 1234.5), ("12.345.678,5", 12345678.5),
 ):  # fmt: skip
@@ -368,7 +377,7 @@ for written, number in (
     expected = np.concatenate([FRAMES, FRAMES[:1]])
     expected[4, 0, 0] = number
     text = [*others, others[0].replace(others[0].split(";")[0], written, 1)]
-    taken(f"thousands as {written}", text, expected=expected)
+    accept(f"thousands as {written}", text, expected=expected)
 
 # One frame a line; single values.
 
@@ -378,7 +387,7 @@ for sign, header, stamped in itertools.product((",", ";", "\t", " ", "   "), (Fa
     text = [head] * header + lines(rows, sign)
     times = [0, 0.5, 1.25, 2] if stamped else FOUR
     how = {"times": times, "role": [0, 1, 1, 1], "baseline_frames": 1, "absent": None if header else "header"}
-    taken(f"a frame a line: {sign!r}, {header}, {stamped}", text, "row by row", *["header"] * header, **how)
+    accept(f"a frame a line: {sign!r}, {header}, {stamped}", text, "row by row", *["header"] * header, **how)
 
 
 def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.ndarray:
@@ -390,17 +399,17 @@ def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.nda
 
 for first, swap in itertools.product((0, 1), (False, True)):
     shuffled = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
-    taken(f"values from {first}, {swap}", lines(shuffled), f"indices count from {first}", transpose=swap)
+    accept(f"values from {first}, {swap}", lines(shuffled), f"indices count from {first}", transpose=swap)
     single = ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])]
-    taken(f"values of a frame from {first}", single, expected=FRAMES[:1])
-AGAIN = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
+    accept(f"values of a frame from {first}", single, expected=FRAMES[:1])
+REPEATED_TABLE = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
 SENTENCE = "a new frame begins where a cell comes again"
-taken("single values without frames", AGAIN, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
+accept("single values without frames", REPEATED_TABLE, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
-OWN = lines(long_table(FRAMES)[:, [3, 2, 0, 1]])
+OWN_ORDER = lines(long_table(FRAMES)[:, [3, 2, 0, 1]])
 SENTENCE = "one value a line as frame, value, row, column"
-taken("values in a layout of one's own", OWN, SENTENCE, layout="frame, ohm, row, column")
-taken("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
+accept("values in a layout of one's own", OWN_ORDER, SENTENCE, layout="frame, ohm, row, column")
+accept("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
 for header, line, times in (
     ("millis,row,col,R [ohm]", "{ms},{r},{c},{v}", FOUR / 10),
     ("timestamp;Zeile;Spalte;Widerstand", "2025-01-31 12:00:00,{f};R{r};C{c};{v}", FOUR / 10),
@@ -412,10 +421,10 @@ for header, line, times in (
         fields = {"f": f, "ms": 100 * f, "s": f / 10, "r": r, "c": c, "r1": r + 1, "c1": c + 1}
         text.append(line.format(v=FRAMES[f, r, c], **fields))
     start = "2025-01-31T12:00:00.0" if "2025" in line else None
-    taken(header, text[:], times=times, start=start)
+    accept(header, text[:], times=times, start=start)
     del text[1 + 2 * 15 + 7]
-    taken(f"{header} without one", text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
-    refused(f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse")
+    accept(f"{header} without one", text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
+    refuse(f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse")
 
 # Single values without a header: a counter or a time before row and column.
 
@@ -427,24 +436,26 @@ for rows, columns in ((3, 4), (4, 3), (3, 5), (4, 4)):
             f"{before.format(n=f + first, s=f / 50)},{r + first},{c + first},{single[f, r, c]}"
             for f, r, c in np.ndindex(single.shape)
         ]
-        taken(
+        accept(
             f"{before} from {first} before row and column of {rows} × {columns}", text, "row, column, value",
             expected=(single + 0.5) * 3.3 / 4096, times=times, rows=rows, columns=columns, scene=small,
         )  # fmt: skip
-taken("one number a line", map(str, CODES.ravel()), "one number", absent="fields separated", expected=CODES, unit="ohm")
+accept(
+    "one number a line", map(str, CODES.ravel()), "one number", absent="fields separated", expected=CODES, unit="ohm"
+)
 
 # Panels whose lines have as many fields as single values, and tables that fit after a turn.
 
 SMALL = FRAMES[:, :2, :3]
-taken("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), expected=SMALL, rows=2, columns=3)
+accept("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), expected=SMALL, rows=2, columns=3)
 WIDER = lines(np.full((14, 7), 0.5))
-refused("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
+refuse("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
 
 # Lines of a sketch.
 
 SKETCH = [*[line for frame in lines(FRAMES) for line in (frame, "DEBUG heap ok")] * 5, ""]
 SENTENCE = f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG heap ok')"
-taken("lines of a sketch between frames", SKETCH, SENTENCE, expected=np.tile(FRAMES, (5, 1, 1)))
+accept("lines of a sketch between frames", SKETCH, SENTENCE, expected=np.tile(FRAMES, (5, 1, 1)))
 
 # Missing readings.
 
@@ -455,16 +466,18 @@ for word, sign in zip(WORDS, itertools.cycle((",", ";", "\t"))):
     text = [sign.join(fields) for fields in rows]
     name = f"{word!r} between {sign!r}"
     marked = "2 readings missing, in 2 of 4 frames: NaN in the recording"
-    taken(name, text, marked, expected=with_nan(FRAMES, (1, 2, 3), (2, 0, 0)), baseline_frames=2)
+    accept(name, text, marked, expected=with_nan(FRAMES, (1, 2, 3), (2, 0, 0)), baseline_frames=2)
     how = {"expected": FRAMES[[0, 3]], "times": [0, 3], "role": [0, 1], "baseline_frames": 2, "missing": "skip-frame"}
     sentences = ("these frames are left out", "2 frames of 3 × 5 cells, the first 1 unloaded")
-    taken(f"{name} without the frames", text, *sentences, **how)
-    refused(name, text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
+    accept(f"{name} without the frames", text, *sentences, **how)
+    refuse(name, text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
 INFINITE = FRAMES.copy()
 INFINITE[1, 0, 0] = np.inf
-taken("infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER, unit="ohm")
-OPEN = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
-codes("infinity in codes", OPEN, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
+accept(
+    "infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER, unit="ohm"
+)
+OPEN_CELL = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
+codes("infinity in codes", OPEN_CELL, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
 
 
 def lines_with(line: int, field: int, text: str) -> str:
@@ -488,22 +501,20 @@ REFUSED |= {
 }
 NEGATIVE = long_table(FRAMES, 1, swap=True)
 NEGATIVE[7, 2] = -1
-refused("a negative transposed value", lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True)
-refused("nothing but gaps", lines(np.full((2, 15), np.nan)), "all readings are missing")
+refuse("a negative transposed value", lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True)
+refuse("nothing but gaps", lines(np.full((2, 15), np.nan)), "all readings are missing")
 GAPPY = lines(with_nan(FRAMES, (slice(None), 0, 0)))
 SENTENCE = "no frame would be left; `missing='mark'` keeps them"
-refused("no frame without a gap", GAPPY, SENTENCE, missing="skip-frame")
+refuse("no frame without a gap", GAPPY, SENTENCE, missing="skip-frame")
 SENTENCE = "'drop' is unknown; there are mark, skip-frame, refuse"
-refused("another word for missing", lines(FRAMES), SENTENCE, missing="drop", absent="m.csv")
+refuse("another word for missing", lines(FRAMES), SENTENCE, missing="drop", absent="m.csv")
 
 
 @pytest.mark.parametrize("file", TABLES.values(), ids=TABLES)
-def test_a_table_gives_its_frames_times_and_sentences(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_table_is_imported_with_its_frames_times_and_notes(file: SimpleNamespace, tmp_path: Path) -> None:
     imports.check_taken(file, tmp_path)
 
 
 @pytest.mark.parametrize("file", REFUSED.values(), ids=REFUSED)
-def test_a_table_that_cannot_be_read_is_refused_with_the_place_of_its_fault(
-    file: SimpleNamespace, tmp_path: Path
-) -> None:
+def test_an_unreadable_table_is_refused_with_the_place_of_its_fault(file: SimpleNamespace, tmp_path: Path) -> None:
     imports.check_refused(file, tmp_path)

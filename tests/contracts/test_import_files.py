@@ -40,23 +40,23 @@ T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
 TEN_SECONDS = datetime.timedelta(seconds=10)
 TENS = 10 * np.arange(4)
 VOLTS = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
-LAST = FRAMES.transpose(1, 2, 0)
+FRAMES_LAST = FRAMES.transpose(1, 2, 0)
 GARBAGE = np.random.default_rng(3).bytes(4000)
 
 
-def array(values: Any, *notes: str, **how: Any) -> SimpleNamespace:
+def array(values: Any, *notes: str, **options: Any) -> SimpleNamespace:
     """A .npy file."""
-    return given(lambda path: np.save(path, values), *notes, name="m.npy", **how)
+    return given(lambda path: np.save(path, values), *notes, name="m.npy", **options)
 
 
-def matrices(*notes: str, packed: bool = False, arrays: dict[str, Any], **how: Any) -> SimpleNamespace:
+def matrices(*notes: str, packed: bool = False, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
     """A .mat file of level 5."""
-    return given(lambda path: scipy.io.savemat(path, arrays, do_compression=packed), *notes, name="m.mat", **how)
+    return given(lambda path: scipy.io.savemat(path, arrays, do_compression=packed), *notes, name="m.mat", **options)
 
 
-def archive(save: Callable[..., None], *notes: str, arrays: dict[str, Any], **how: Any) -> SimpleNamespace:
+def archive(save: Callable[..., None], *notes: str, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
     """An .npz file."""
-    return given(lambda path: save(path, **arrays), *notes, name="m.npz", **how)
+    return given(lambda path: save(path, **arrays), *notes, name="m.npz", **options)
 
 
 def matlab(path: Path, **arrays: np.ndarray) -> None:
@@ -72,15 +72,15 @@ def matlab(path: Path, **arrays: np.ndarray) -> None:
     path.write_bytes(header + path.read_bytes()[len(header) :])
 
 
-def book(sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **how: Any) -> SimpleNamespace:
+def book(sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **options: Any) -> SimpleNamespace:
     """An .xlsx file."""
-    made = openpyxl.Workbook()
-    made.remove(made.active)
+    workbook = openpyxl.Workbook()
+    workbook.remove(workbook.active)
     for name, rows in sheets.items():
-        sheet = made.create_sheet(name)
+        sheet = workbook.create_sheet(name)
         for row in rows:
             sheet.append(list(row))
-    return given(made.save, *notes, name="m.xlsx", **how)
+    return given(workbook.save, *notes, name="m.xlsx", **options)
 
 
 def sheet_of(frames: np.ndarray, changes: dict[tuple[int, int], Any] | None = None) -> list[list[Any]]:
@@ -119,7 +119,7 @@ FILES = {
     "frames, rows, columns": array(FRAMES, "read as (frames"),
     "frames, columns, rows": array(FRAMES.transpose(0, 2, 1), "read as (frames", transpose=True),
     "one transposed frame": array(FRAMES[0].T, expected=FRAMES[:1], transpose=True),
-    "frames last": array(LAST, "read as (rows, columns, frames)"),
+    "frames last": array(FRAMES_LAST, "read as (rows, columns, frames)"),
     "frames first or last": array(CUBE, AMBIGUOUS, expected=CUBE, rows=2, columns=2, unit="ohm"),
     "lines with resistances of their own": array(
         FRAMES,
@@ -145,7 +145,14 @@ FILES = {
     ),
     "a packed matrix beside what is none": matrices(
         "array R read as (rows, columns, frames)",
-        arrays={"note": "text", "fs": 1.0, "s": {"a": LAST}, "z": LAST * 1j, "i": np.arange(3), "R": LAST},
+        arrays={
+            "note": "text",
+            "fs": 1.0,
+            "s": {"a": FRAMES_LAST},
+            "z": FRAMES_LAST * 1j,
+            "i": np.arange(3),
+            "R": FRAMES_LAST,
+        },
         packed=True,
     ),
     "a sheet": book(
@@ -158,10 +165,10 @@ FILES = {
 }
 
 
-def records(value: Any, *notes: str, name: str = "m.json", **how: Any) -> SimpleNamespace:
+def records(value: Any, *notes: str, name: str = "m.json", **options: Any) -> SimpleNamespace:
     """A JSON file, or one with a value a line."""
     text = json.dumps(value) if name.endswith(".json") else "\n".join(map(json.dumps, value))
-    return given(text, *notes, name=name, **how)
+    return given(text, *notes, name=name, **options)
 
 
 def listed(values: np.ndarray) -> Any:
@@ -199,7 +206,7 @@ def csv_of(path: Path, frame: np.ndarray) -> None:
     path.write_text("\n".join(lines(frame)))
 
 
-THRICE = np.concatenate([FRAMES, FRAMES, FRAMES])
+TRIPLED = np.concatenate([FRAMES, FRAMES, FRAMES])
 DATED_RECORDS = [{"time": f"2025-01-31T12:00:0{n}Z", "grid": listed(frame)} for n, frame in enumerate(FRAMES)]
 TIMED = [{"t": n / 2, "seq": 7 + n, "data": listed(frame.ravel())} for n, frame in enumerate(FRAMES)]
 LONG_RECORDS = [{"frame": f, "row": r, "col": c, "ohm": FRAMES[f, r, c]} for f, r, c in np.ndindex(FRAMES.shape)]
@@ -242,11 +249,11 @@ FILES |= {
     ),
     "Parquet of lists": given(lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2),
     "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
-    "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=THRICE),
-    "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=THRICE),
-    "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=THRICE),
+    "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=TRIPLED),
+    "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=TRIPLED),
+    "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=TRIPLED),
 }  # fmt: skip
-for axes, values in (("last", LAST), ("first", FRAMES)):
+for axes, values in (("last", FRAMES_LAST), ("first", FRAMES)):
     FILES[f"MATLAB 7.3 with frames {axes}"] = given(
         lambda path, values=values: matlab(path, R=values, t=np.arange(4.0)[None] / 2),
         name="m.mat",
@@ -288,9 +295,9 @@ def claims(path: Path) -> None:
 
 
 def whole_sheet(path: Path) -> None:
-    made = openpyxl.Workbook()
-    made.active["A1"], made.active["XFD1048576"] = 1, 2
-    made.save(path)
+    workbook = openpyxl.Workbook()
+    workbook.active["A1"], workbook.active["XFD1048576"] = 1, 2
+    workbook.save(path)
 
 
 def truncated(path: Path) -> None:
@@ -298,8 +305,8 @@ def truncated(path: Path) -> None:
     os.truncate(path, 500)
 
 
-BEYOND = np.full((1, ROWS, COLUMNS), 500)
-BEYOND[0, 1, 2] = 1024
+BEYOND_CONVERTER = np.full((1, ROWS, COLUMNS), 500)
+BEYOND_CONVERTER[0, 1, 2] = 1024
 AT_RAIL = ("25 of 30 readings stand at the rail", "is readout.converter_volt, 2.5 V")
 
 
@@ -360,7 +367,7 @@ REFUSED = [
     array(FRAMES.transpose(0, 2, 1), "with `transpose` it would"),
     array(FRAMES[:, :2], "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
     array(with_value(FRAMES, -1, 3, 2, 1).transpose(1, 2, 0), "m.npy[2, 1, 3]: -1 must be a positive resistance"),
-    array(BEYOND, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"),
+    array(BEYOND_CONVERTER, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"),
     array(FRAMES, "volt values need a scene with a readout", unit="volt"),
     array(FRAMES, "`layout` is for tables", layout="row,column,value"),
     array(FRAMES, "the scene's panel has 3 × 5 cells, not 5 × 3", scene=DIVIDER, rows=5, columns=3, absent="m.npy"),
@@ -385,12 +392,12 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("file", FILES.values(), ids=FILES)
-def test_an_array_or_a_sheet_gives_its_frames_times_and_sentences(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_an_array_or_a_sheet_is_imported_with_its_frames_times_and_notes(file: SimpleNamespace, tmp_path: Path) -> None:
     check_taken(file, tmp_path)
 
 
 @pytest.mark.parametrize("file", REFUSED, ids=lambda file: f"{file.name}: {file.notes[0]}")
-def test_a_fault_in_a_file_is_one_sentence(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_fault_in_a_file_gives_one_sentence(file: SimpleNamespace, tmp_path: Path) -> None:
     check_refused(file, tmp_path)
 
 
@@ -413,27 +420,27 @@ def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
         read_scene(path)
 
 
-def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Callable[..., Any]) -> None:
+def test_the_import_sets_entries_of_a_scene(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     scene = tmp_path / "scene.yaml"
-    made = tmp_path / "m.h5"
+    out = tmp_path / "m.h5"
     scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
     np.save(tmp_path / "m.npy", FRAMES)
-    words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", made)
+    words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", out)
     assigned = ("--scene", scene, "--set", "series_resistance_ohm=70", "--set", "panel.pitch_mm=4")
-    done = lampest(*words, *assigned, "--period", "0.5", "--baseline", "1")
-    assert done.code == 0, done.err
-    assert "series resistance 70 ohm and pitch 4 mm, by the scene" in done.out
-    recording = Recording.load(made)
+    completed = lampest(*words, *assigned, "--period", "0.5", "--baseline", "1")
+    assert completed.code == 0, completed.err
+    assert "series resistance 70 ohm and pitch 4 mm, by the scene" in completed.out
+    recording = Recording.load(out)
     assert recording.scene == Scene(Panel(3, 5, 4.0), None, 70.0)
     assert (recording.time[1], recording.role.tolist()) == (0.5, [0, 1, 1, 1])
-    made.unlink()
+    out.unlink()
     wrong = lampest(*words, "--scene", scene, "--set", "panel.pitsch_mm=4")
-    assert (wrong.code, made.exists()) == (2, False) and "pitsch_mm" in wrong.err
+    assert (wrong.code, out.exists()) == (2, False) and "pitsch_mm" in wrong.err
     nowhere = lampest(*words, "--rows", 3, "--columns", 5, "--set", "panel.pitch_mm=4")
-    assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err
+    assert (nowhere.code, out.exists()) == (2, False) and "--scene" in nowhere.err
 
 
-def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_own(tmp_path: Path) -> None:
+def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path: Path) -> None:
     truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
     volts = OWN_VOLTAGES.circuit.exact_reading(truth)
     (tmp_path / "v.csv").write_text("\n".join(lines(volts)))
@@ -444,8 +451,8 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
     np.save(tmp_path / "c.npy", np.floor(volts / 2.5 * 1024).astype(int))
     recorded = import_file(tmp_path / "c.npy", scene=OWN_VOLTAGES)[0].recorded
     np.testing.assert_allclose(recorded, volts, atol=2.5 / 1024)
-    both = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
-    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
+    expected = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
+    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), expected)
     with pytest.raises(ValueError, match="converter_volt must lie between"):
         amplifiers(converter_volt=0.0)
 
@@ -453,7 +460,7 @@ def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_
 # The command.
 
 
-def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
+def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "howto" / "import.md").read_text(encoding="utf-8")
     typed = re.split(r"^\$ ", page.partition("```console\n")[2].partition("```")[0], flags=re.MULTILINE)[1:]
     answers = {line: answer for line, _, answer in (part.partition("\n") for part in typed)}
@@ -461,17 +468,17 @@ def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
         if line.startswith("cat "):
             (tmp_path / line.split()[1]).write_text(answer, encoding="utf-8")
     (call,) = (line for line in answers if line.startswith("lampest import "))
-    ended = run_command(*call.split()[1:], cwd=tmp_path)
-    assert (ended.returncode, ended.stderr, ended.stdout) == (0, "", answers[call])
+    completed = run_command(*call.split()[1:], cwd=tmp_path)
+    assert (completed.returncode, completed.stderr, completed.stdout) == (0, "", answers[call])
 
 
-def test_info_says_when_a_recording_began(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
+def test_info_prints_the_start_of_a_recording(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
     recording = Recording.from_array(FRAMES)
     replace(recording, start_time="2025-01-31T12:00:00+01:00").save(tmp_path / "m.h5")
     assert "start      2025-01-31T12:00:00+01:00 at 0 s" in lampest("info", tmp_path / "m.h5").out.splitlines()
 
 
-def test_a_signalling_nan_of_an_array_becomes_a_quiet_one(tmp_path: Path) -> None:
+def test_an_imported_signalling_nan_becomes_quiet(tmp_path: Path) -> None:
     """NumPy warns of it in later arithmetic."""
     values = FRAMES.copy()
     values.view(np.uint64)[1, 0, 0] = 0x7FF0000000000001

@@ -46,7 +46,7 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def found(recording: Recording) -> Reconstruction:
+def estimate(recording: Recording) -> Reconstruction:
     return reconstruct(recording, [Misfit(weighting="noise"), LogGradient(weight=1.0)])
 
 
@@ -65,7 +65,7 @@ def long_table() -> pandas.DataFrame:
     return pandas.DataFrame({"t": TIMES[frame], "row": row, "col": column, "ohm": VALUES.ravel()})
 
 
-def test_a_table_is_a_recording_whatever_its_layout() -> None:
+def test_a_table_of_any_layout_becomes_a_recording() -> None:
     wide = pandas.DataFrame(dict(zip(NAMES, VALUES.reshape(4, -1).T, strict=True)))
     dated = wide.set_index(pandas.date_range("2025-01-31T12:00:00", periods=4, freq="500ms"))
     shuffled = wide[NAMES[::-1]].assign(t=TIMES)
@@ -79,8 +79,8 @@ def test_a_table_is_a_recording_whatever_its_layout() -> None:
     assert Recording.from_dataframe(wide, unit="ohm", scene=scene).scene == scene
 
 
-def test_the_table_of_an_estimate_is_its_recording_again(found: Reconstruction) -> None:
-    table = found.to_dataframe()
+def test_the_table_of_an_estimate_gives_its_recording_back(estimate: Reconstruction) -> None:
+    table = estimate.to_dataframe()
     recording = Recording.from_dataframe(
         table, unit="ohm", rows=int(table.row.max() + 1), columns=int(table.column.max() + 1)
     )
@@ -88,7 +88,7 @@ def test_the_table_of_an_estimate_is_its_recording_again(found: Reconstruction) 
     np.testing.assert_allclose(recording.time, table.time.unique())
 
 
-def test_a_table_that_does_not_fit_is_refused_with_its_place() -> None:
+def test_an_inconsistent_table_is_refused_with_its_place() -> None:
     table = long_table()
     with pytest.raises(InputError, match="table: line 10, column 'row': row 2 is beyond the panel's 0 to 1"):
         Recording.from_dataframe(table, rows=2, columns=5)
@@ -102,7 +102,7 @@ def test_a_table_that_does_not_fit_is_refused_with_its_place() -> None:
         )
 
 
-def test_a_labelled_array_is_a_recording_in_any_order_of_its_dimensions() -> None:
+def test_a_labelled_array_becomes_a_recording_in_any_order_of_dimensions() -> None:
     dates = np.datetime64("2025-01-31T12:00:00") + (1000 * TIMES).astype("m8[ms]")
     for dims, times in ((("time", "row", "column"), TIMES), (("t", "y", "x"), dates), (("frame", "row", "col"), None)):
         coordinates = {} if times is None else {dims[0]: times}
@@ -121,17 +121,17 @@ def test_a_labelled_array_is_a_recording_in_any_order_of_its_dimensions() -> Non
 
 
 @pytest.mark.slow
-def test_readings_and_times_of_an_estimate_are_those_of_its_file(found: Reconstruction) -> None:
-    case = found.result()
-    np.testing.assert_array_equal(found.reading_model, case.reading_model)
-    np.testing.assert_array_equal(found.solve_time, case.solve_time)
-    assert found.to_xarray()["reading_sigma"].attrs["units"] == "volt"  # of readings in volt
-    assert found.to_dataframe().attrs["units"]["reading_sigma"] == "volt"
+def test_readings_and_times_of_an_estimate_equal_those_of_its_file(estimate: Reconstruction) -> None:
+    case = estimate.result()
+    np.testing.assert_array_equal(estimate.reading_model, case.reading_model)
+    np.testing.assert_array_equal(estimate.solve_time, case.solve_time)
+    assert estimate.to_xarray()["reading_sigma"].attrs["units"] == "volt"  # of readings in volt
+    assert estimate.to_dataframe().attrs["units"]["reading_sigma"] == "volt"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_picture_fits_into_given_axes_with_given_ends(kind: str, found: Reconstruction, axes: Any) -> None:
-    figure = found.plot(kind, ax=axes, vmin=1.0, vmax=7.0)
+def test_a_picture_fits_into_given_axes_with_given_ends(kind: str, estimate: Reconstruction, axes: Any) -> None:
+    figure = estimate.plot(kind, ax=axes, vmin=1.0, vmax=7.0)
     assert figure is axes.figure
     bar = figure.axes[-1]
     assert bar is not axes
@@ -141,8 +141,8 @@ def test_a_picture_fits_into_given_axes_with_given_ends(kind: str, found: Recons
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_new_picture_has_a_given_size_and_notebooks_show_it(kind: str, found: Reconstruction) -> None:
-    figure = found.plot(kind, figsize=(5.0, 4.0))
+def test_a_new_picture_has_the_given_size_and_is_shown_in_notebooks(kind: str, estimate: Reconstruction) -> None:
+    figure = estimate.plot(kind, figsize=(5.0, 4.0))
     assert tuple(figure.get_size_inches()) == (5.0, 4.0)
     assert figure._repr_png_().startswith(b"\x89PNG")
 
@@ -157,7 +157,7 @@ def test_a_recording_draws_its_readings(recording: Recording, axes: Any) -> None
         recording.plot(frame=6)
 
 
-def test_wrong_options_of_a_picture_are_refused(found: Reconstruction, axes: Any) -> None:
+def test_wrong_options_of_a_picture_are_refused(estimate: Reconstruction, axes: Any) -> None:
     for options, sentence in (
         ({"ax": 3}, "ax must be Matplotlib's Axes, not 3"),
         ({"ax": axes, "figsize": (3, 3)}, "figsize is for a new figure"),
@@ -165,30 +165,30 @@ def test_wrong_options_of_a_picture_are_refused(found: Reconstruction, axes: Any
         ({"vmin": 2.0, "vmax": 1.0}, "vmin and vmax must be in order"),
     ):
         with pytest.raises(InputError, match=sentence):
-            found.plot("change", **options)
+            estimate.plot("change", **options)
     with pytest.raises(InputError, match="in order and positive"):
-        found.plot("certainty", vmin=-1.0)
+        estimate.plot("certainty", vmin=-1.0)
 
 
 @pytest.mark.slow
-def test_the_map_of_a_wrong_circuit_says_so(recording: Recording, found: Reconstruction, axes: Any) -> None:
+def test_the_map_of_a_wrong_circuit_has_a_warning(recording: Recording, estimate: Reconstruction, axes: Any) -> None:
     words = "wrong circuit: it does not explain the readings"
     wrong = Scene(recording.scene.panel, TwoPointReadout(reference_ohm=10_000.0, readings=1, noise_lsb=1.0))
     readout = recording.scene.readout
     assert readout is not None and wrong.readout is not None
     misread = replace(recording, scene=wrong, recorded=wrong.readout.recorded_from_volt(recording.recorded))
-    estimate = reconstruct(misread, [Misfit(weighting="noise"), LogGradient(weight=1.0)])
-    assert estimate.model_check.mark == "no"
+    misread_estimate = reconstruct(misread, [Misfit(weighting="noise"), LogGradient(weight=1.0)])
+    assert misread_estimate.model_check.mark == "no"
     for kind in KINDS:
-        assert words in estimate.plot(kind).get_suptitle()
-        assert words not in found.plot(kind).get_suptitle()
-    estimate.plot("change", ax=axes)
+        assert words in misread_estimate.plot(kind).get_suptitle()
+        assert words not in estimate.plot(kind).get_suptitle()
+    misread_estimate.plot("change", ax=axes)
     assert words in axes.get_title()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, found: Reconstruction) -> None:
-    figure = found.plot(kind)
+def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, estimate: Reconstruction) -> None:
+    figure = estimate.plot(kind)
     figure.canvas.draw()
     drawn = figure.get_window_extent()
     for text in (figure._supxlabel, figure._supylabel, figure._suptitle, *(axes.title for axes in figure.axes)):
@@ -197,10 +197,10 @@ def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, found: Reconst
 
 
 @pytest.mark.slow
-def test_titles_break_between_words_alone(recording: Recording, tmp_path: Path) -> None:
+def test_titles_break_only_between_words(recording: Recording, tmp_path: Path) -> None:
     name = "LSR-gradient_of_log.weight 0.0001 and more"
-    found = reconstruct(recording, [Misfit(weighting="noise")])
-    lampest.write_results(tmp_path / "r.h5", [found.result(name), found.result("b"), found.result("c")])
+    estimate = reconstruct(recording, [Misfit(weighting="noise")])
+    lampest.write_results(tmp_path / "r.h5", [estimate.result(name), estimate.result("b"), estimate.result("c")])
     from lampest import ChangePlot, read_results
 
     figure = ChangePlot().draw(read_results(tmp_path / "r.h5").cases)
@@ -213,14 +213,14 @@ def test_titles_break_between_words_alone(recording: Recording, tmp_path: Path) 
 # Lines of objects.
 
 
-def test_objects_are_one_short_line(recording: Recording, found: Reconstruction, tmp_path: Path) -> None:
-    found.save(tmp_path / "r.h5")
-    stream = lampest.Stream.begin(found.estimator, recording.scene, 1.0, recording.readings()[0])
-    for thing in (
-        recording.readings(), lampest.read_results(tmp_path / "r.h5"), found.result(), found.steps[0],
-        found.steps[0].solution, stream,
+def test_objects_print_one_short_line(recording: Recording, estimate: Reconstruction, tmp_path: Path) -> None:
+    estimate.save(tmp_path / "r.h5")
+    stream = lampest.Stream.begin(estimate.estimator, recording.scene, 1.0, recording.readings()[0])
+    for item in (
+        recording.readings(), lampest.read_results(tmp_path / "r.h5"), estimate.result(), estimate.steps[0],
+        estimate.steps[0].solution, stream,
     ):  # fmt: skip
-        assert len(repr(thing)) < 400 and "\n" not in repr(thing) and repr(thing).startswith(type(thing).__name__)
+        assert len(repr(item)) < 400 and "\n" not in repr(item) and repr(item).startswith(type(item).__name__)
     assert repr(recording.readings()).startswith("Readings(value=6 × 12 × 4, sigma=6 × 12 × 4")
 
 
@@ -228,7 +228,7 @@ def test_objects_are_one_short_line(recording: Recording, found: Reconstruction,
 
 
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda path: path.stem)
-def test_the_last_line_of_an_example_shows_its_picture(script: Path) -> None:
+def test_the_last_line_of_an_example_shows_a_picture(script: Path) -> None:
     last = ast.parse(script.read_text(encoding="utf-8")).body[-1]
     drawn = "pyplot" in script.read_text(encoding="utf-8")
     assert drawn or "figure" not in script.read_text(encoding="utf-8") or (
@@ -237,7 +237,7 @@ def test_the_last_line_of_an_example_shows_its_picture(script: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_notebook_of_the_first_example_shows_its_picture(tmp_path: Path) -> None:
+def test_a_notebook_of_the_first_example_shows_a_picture(tmp_path: Path) -> None:
     import nbformat
     from nbclient import NotebookClient
 

@@ -66,30 +66,30 @@ def subscribed(port: int) -> Iterator[list[dict[str, Any]]]:
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion
 
-    came: list[dict[str, Any]] = []
+    messages: list[dict[str, Any]] = []
     heard = threading.Event()
     client = Client(CallbackAPIVersion.VERSION2)
-    client.on_message = lambda _, __, message: came.append(json.loads(message.payload))
+    client.on_message = lambda _, __, message: messages.append(json.loads(message.payload))
     client.on_subscribe = lambda *_: heard.set()
     client.connect("127.0.0.1", port)
     client.subscribe("panel/one")
     client.loop_start()
     assert heard.wait(10)
     try:
-        yield came
+        yield messages
     finally:
         client.disconnect()
         client.loop_stop()
 
 
-def replayed(lampest: Run, where: str, frames: int = 6, speed: float = 10.0, *words: str) -> SimpleNamespace:
+def replayed(lampest: Run, receiver: str, frames: int = 6, speed: float = 10.0, *words: str) -> SimpleNamespace:
     """A published recording."""
     source = ("--recording", LAMPREY, "--speed", speed, "--count", frames)
-    return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", where, *words)
+    return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", receiver, *words)
 
 
 @contextmanager
-def beside(listen: Callable[[], None]) -> Iterator[None]:
+def in_thread(listen: Callable[[], None]) -> Iterator[None]:
     """A listener in a thread, which ends before the block does."""
     thread = threading.Thread(target=listen)
     thread.start()
@@ -98,107 +98,114 @@ def beside(listen: Callable[[], None]) -> Iterator[None]:
     assert not thread.is_alive()
 
 
-def check_message(told: dict[str, Any]) -> None:
+def check_message(message: dict[str, Any]) -> None:
     """One message against the schema, and against itself."""
     from jsonschema import Draft202012Validator
 
-    Draft202012Validator(SCHEMA).validate(told)
-    assert len(told["cells"]) == len(told["change"]) == len(told["pressure"]) == 100
-    assert told["health"]["solved"] and told["health"]["arrived"] <= told["health"]["sent"]
-    pressed = sum(min(kpa, 40.0) for kpa in told["pressure"] if kpa > 0)
-    assert 0 < told["force"] <= pressed * 1e-1 + 0.02, "kPa on 10 mm × 10 mm"
-    assert told["force_saturated"] <= len(told["health"]["saturated"]), "a cell that sucks adds no force"
-    assert (told["force_saturated"] > 0) == (max(told["pressure"]) > 40.0), "the response's curve ends at 40 kPa"
-    assert told["verdict"].startswith("pressing"), "the rim of a mouth presses"
+    Draft202012Validator(SCHEMA).validate(message)
+    assert len(message["cells"]) == len(message["change"]) == len(message["pressure"]) == 100
+    assert message["health"]["solved"] and message["health"]["arrived"] <= message["health"]["sent"]
+    pressed = sum(min(kpa, 40.0) for kpa in message["pressure"] if kpa > 0)
+    assert 0 < message["force"] <= pressed * 1e-1 + 0.02, "kPa on 10 mm × 10 mm"
+    assert message["force_saturated"] <= len(message["health"]["saturated"]), "a cell that sucks adds no force"
+    assert (message["force_saturated"] > 0) == (max(message["pressure"]) > 40.0), "the response's curve ends at 40 kPa"
+    assert message["verdict"].startswith("pressing"), "the rim of a mouth presses"
 
 
 @pytest.mark.slow
 @needs_broker
 def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
     port = free_port()
-    with broker(tmp_path, port), subscribed(port) as came:
-        done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one")
-        assert done.code == 0 and f"mqtt://127.0.0.1:{port}/panel/one\n" in done.out
-        until(lambda: came and came[-1]["sequence"] == UNLOADED + 6)
-    numbers = [told["sequence"] for told in came]
+    with broker(tmp_path, port), subscribed(port) as messages:
+        completed = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one")
+        assert completed.code == 0 and f"mqtt://127.0.0.1:{port}/panel/one\n" in completed.out
+        until(lambda: messages and messages[-1]["sequence"] == UNLOADED + 6)
+    numbers = [message["sequence"] for message in messages]
     assert numbers == sorted(numbers) and numbers[0] > UNLOADED, "in order, unloaded ones first"
-    signs = [(told["sequence"], told["detection"] and told["detection"]["sentence"], told["alarm"]) for told in came]
+    signs = [
+        (message["sequence"], message["detection"] and message["detection"]["sentence"], message["alarm"])
+        for message in messages
+    ]
     assert len(set(signs)) == len(signs), "again only once the answer or the alarm has changed"
-    assert came[-1]["detection"]["answer"] == "sucks", "the last answer comes after the last frame"
-    for told in came:
-        check_message(told)
+    assert messages[-1]["detection"]["answer"] == "sucks", "the last answer comes after the last frame"
+    for message in messages:
+        check_message(message)
 
 
 @pytest.mark.slow
 @needs_broker
-def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path: Path) -> None:
+def test_live_reports_a_lost_broker_and_reconnects(lampest: Run, tmp_path: Path) -> None:
     port = free_port()
-    after = list[dict[str, Any]]()
+    received = list[dict[str, Any]]()
     first = ExitStack()
     first.enter_context(broker(tmp_path, port))
 
     def renew() -> None:
         time.sleep(3)
         first.close()
-        with broker(tmp_path, port), subscribed(port) as came:
-            until(lambda: came, 40)
-            after.extend(came)
+        with broker(tmp_path, port), subscribed(port) as messages:
+            until(lambda: messages, 40)
+            received.extend(messages)
 
-    with beside(renew):
-        done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one", frames=20, speed=2.0)
-    assert done.code == 0, done.err
-    assert "the broker is gone" in done.err and "the broker is back" in done.err
-    assert after and "password" not in done.err
+    with in_thread(renew):
+        completed = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one", frames=20, speed=2.0)
+    assert completed.code == 0, completed.err
+    assert "the broker is gone" in completed.err and "the broker is back" in completed.err
+    assert received and "password" not in completed.err
 
 
 @needs_broker
-def test_a_broker_that_refuses_is_one_sentence(lampest: Run, tmp_path: Path) -> None:
+def test_a_refusing_broker_gives_one_sentence(lampest: Run, tmp_path: Path) -> None:
     port = free_port()
     with broker(tmp_path, port, "allow_anonymous false"):
-        done = replayed(lampest, f"mqtt://mouse:secret@127.0.0.1:{port}/panel/one")
-    assert done.code == 2 and "the broker refuses (Not authorized)" in done.err and done.err.count("\n") == 1
-    assert "secret" not in done.err + done.out
+        completed = replayed(lampest, f"mqtt://mouse:secret@127.0.0.1:{port}/panel/one")
+    assert (
+        completed.code == 2
+        and "the broker refuses (Not authorized)" in completed.err
+        and completed.err.count("\n") == 1
+    )
+    assert "secret" not in completed.err + completed.out
 
 
 @pytest.mark.slow
-def test_websocket_carries_the_message_to_who_has_the_token(lampest: Run) -> None:
+def test_websocket_carries_the_message_to_clients_with_the_token(lampest: Run) -> None:
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
     port = free_port()
-    came = []
+    messages = []
 
     def listening() -> None:
         until(lambda: listens(port))
         with connect(f"ws://127.0.0.1:{port}/?token={TOKEN}") as connection, suppress(ConnectionClosed):
             while True:
-                came.append(json.loads(connection.recv()))
+                messages.append(json.loads(connection.recv()))
 
-    with beside(listening):
-        done = replayed(lampest, f"websocket://0.0.0.0:{port}", 20, 4.0, "--token", TOKEN)
-    assert done.code == 0 and f"ws://0.0.0.0:{port}/?token={TOKEN}\n" in done.out
-    assert came[-1]["sequence"] == UNLOADED + 20, "who listens gets the last frame"
-    check_message(came[-1])
+    with in_thread(listening):
+        completed = replayed(lampest, f"websocket://0.0.0.0:{port}", 20, 4.0, "--token", TOKEN)
+    assert completed.code == 0 and f"ws://0.0.0.0:{port}/?token={TOKEN}\n" in completed.out
+    assert messages[-1]["sequence"] == UNLOADED + 20, "who listens gets the last frame"
+    check_message(messages[-1])
 
 
 @pytest.mark.slow
-def test_lsl_is_a_described_stream(lampest: Run) -> None:
+def test_lsl_outlet_describes_its_stream(lampest: Run) -> None:
     import pylsl
 
-    came: dict[str, Any] = {}
+    received: dict[str, Any] = {}
 
     def listening() -> None:
-        (found,) = pylsl.resolve_byprop("name", "lampest-test", timeout=20)
-        inlet = pylsl.StreamInlet(found)
-        came["info"] = inlet.info(10)
-        came["sample"], stamp = inlet.pull_sample(10)
-        came["age"] = pylsl.local_clock() - stamp
+        (outlet,) = pylsl.resolve_byprop("name", "lampest-test", timeout=20)
+        inlet = pylsl.StreamInlet(outlet)
+        received["info"] = inlet.info(10)
+        received["sample"], stamp = inlet.pull_sample(10)
+        received["age"] = pylsl.local_clock() - stamp
         inlet.close_stream()
 
-    with beside(listening):
+    with in_thread(listening):
         assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
-    info = came["info"]
-    sample = np.array(came["sample"])
+    info = received["info"]
+    sample = np.array(received["sample"])
     assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 315, pylsl.cf_float32)
     labels = info.get_channel_labels()
     units = info.get_channel_units()
@@ -209,17 +216,17 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
     place = cell.child("location")
     assert (float(place.child_value("X")), float(place.child_value("Y"))) == (0.04, 0.03)
     assert sample[3] == 1 and 0 < sample[1] <= np.clip(sample[104:204], 0, 40).sum() / 10 + 0.02
-    assert 0 <= came["age"] < 60
+    assert 0 <= received["age"] < 60
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_or_not_there_is_one_sentence_and_live_ends_after_so_many_frames(lampest: Run) -> None:
+def test_an_unavailable_port_gives_one_sentence_and_live_ends_after_its_frames(lampest: Run) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        done = replayed(lampest, f"websocket://127.0.0.1:{taken.getsockname()[1]}")
-    assert done.code == 2 and "cannot listen at 127.0.0.1" in done.err and done.err.count("\n") == 1
-    done = lampest("live", "--port", "/nowhere/port", "--http", "127.0.0.1:0")
-    assert done.code == 2 and "/nowhere/port: cannot be opened" in done.err and done.err.count("\n") == 1
-    done = replayed(lampest, f"osc://127.0.0.1:{free_port(socket.SOCK_DGRAM)}", 4, 1e6)
-    assert done.code == 0 and done.out.startswith("http://127.0.0.1:")
+        completed = replayed(lampest, f"websocket://127.0.0.1:{taken.getsockname()[1]}")
+    assert completed.code == 2 and "cannot listen at 127.0.0.1" in completed.err and completed.err.count("\n") == 1
+    completed = lampest("live", "--port", "/nowhere/port", "--http", "127.0.0.1:0")
+    assert completed.code == 2 and "/nowhere/port: cannot be opened" in completed.err and completed.err.count("\n") == 1
+    completed = replayed(lampest, f"osc://127.0.0.1:{free_port(socket.SOCK_DGRAM)}", 4, 1e6)
+    assert completed.code == 0 and completed.out.startswith("http://127.0.0.1:")

@@ -45,7 +45,7 @@ def written(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("shape", [(3, 10, 10), (1, 1, 1), (2, 1, 8), (70, 5, 12)])
-def test_what_goes_in_comes_out(tmp_path: Path, shape: tuple[int, int, int]) -> None:
+def test_written_results_are_read_unchanged(tmp_path: Path, shape: tuple[int, int, int]) -> None:
     """Names out of alphabetical order: the order of the configuration must survive."""
     known = {"z": {"truth": True, "start_time": "2026-05-04T09:30:00+02:00"}, "b": {"truth": False}}
     cases = [invented_case(name, stem, shape, **known[stem]) for stem in known for name in reversed(METHODS)]
@@ -53,12 +53,12 @@ def test_what_goes_in_comes_out(tmp_path: Path, shape: tuple[int, int, int]) -> 
     write_results(tmp_path / "r.h5", cases, PUBLISHED)
     results = read_results(tmp_path / "r.h5")
     assert results.recordings() == ("z", "b") and results.published == PUBLISHED
-    for found, wanted in zip(results.cases, cases, strict=True):
+    for stored, expected in zip(results.cases, cases, strict=True):
         for item in dataclasses.fields(CaseResult):
-            np.testing.assert_equal(getattr(found, item.name), getattr(wanted, item.name), err_msg=item.name)
+            np.testing.assert_equal(getattr(stored, item.name), getattr(expected, item.name), err_msg=item.name)
 
 
-def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
+def test_a_failed_frame_holds_nan_and_a_sentence(written: Path) -> None:
     case = read_results(written).cases[0]
     assert np.isnan(case.cell_resistance[1]).all()
     assert case.status[1] == "stopped: too many iterations"
@@ -98,10 +98,10 @@ def test_xarray_opens_it_unchanged(written: Path, engine: str) -> None:
 
 def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) -> None:
     assert written.read_bytes()[8] == 3, "superblock of the format 1.10, the oldest with checksums of its own"
-    seen = []
+    names = []
 
     def look(name: str, node: h5py.Group | h5py.Dataset) -> None:
-        seen.append(name)
+        names.append(name)
         for attribute in node.attrs:
             if attribute in ("DIMENSION_LIST", "REFERENCE_LIST"):
                 continue  # how HDF5 attaches axes
@@ -116,26 +116,26 @@ def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) ->
 
     with h5py.File(written) as file:
         file.visititems(look)
-    assert "entry/a/LSM/cost/misfit" in seen
-    assert len(seen) > 20 and all(part.isidentifier() for name in seen for part in name.replace("-", "_").split("/"))
+    assert "entry/a/LSM/cost/misfit" in names
+    assert len(names) > 20 and all(part.isidentifier() for name in names for part in name.replace("-", "_").split("/"))
 
 
-def test_a_full_disk_leaves_nothing_behind_and_an_older_file_as_it_is(
+def test_a_full_disk_leaves_no_fragment_and_keeps_the_older_file(
     tmp_path: Path, written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = written.read_bytes()
+    original = written.read_bytes()
     full = mock.Mock(side_effect=OSError(28, "No space left on device"))
     for place, name in ((os, "fsync"), (Path, "write_bytes")):
         with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left on device"):
             patch.setattr(place, name, full)
             write_results(tmp_path / "new.h5" if place is os else written, [invented_case()])
-        assert written.read_bytes() == before and list(tmp_path.iterdir()) == [written]
+        assert written.read_bytes() == original and list(tmp_path.iterdir()) == [written]
 
 
 @pytest.mark.parametrize(
     "name", ["", ".", "..", "../x", "a/b", "/etc", " a", "a ", "x\n", "λ", "tab\t", "a\0b", "\x1b[31m", "x" * 201]
 )
-def test_names_that_cannot_be_groups(name: str) -> None:
+def test_names_that_cannot_be_groups_are_refused(name: str) -> None:
     for place in ("estimator", "recording"):
         with pytest.raises(InputError, match="cannot name") as refused:
             invented_case(**{place: name})
@@ -144,7 +144,7 @@ def test_names_that_cannot_be_groups(name: str) -> None:
         invented_case("recording")
 
 
-def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
+def test_inconsistent_cases_are_refused(tmp_path: Path) -> None:
     case = invented_case()
     with pytest.raises(InputError, match="two cases are called mouth × LSM"):
         write_results(tmp_path / "r.h5", [case, case])
@@ -153,23 +153,23 @@ def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
         "start_time": "2026-05-05T09:30:00+02:00",
     }
     for name, value in changes.items():
-        other = invented_case("LSR-CR", **{name: value})
+        conflicting = invented_case("LSR-CR", **{name: value})
         with pytest.raises(InputError, match=rf"different recordings of the name mouth \({name} differs\)"):
-            write_results(tmp_path / "r.h5", [case, other])
+            write_results(tmp_path / "r.h5", [case, conflicting])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
+def test_results_hold_the_whole_scene(tmp_path: Path) -> None:
     faults = Faults(open=((0, 1),), dead_rows=(3,))
     water = Water(70.0)
     further = (faults, water, Temperature(-0.003, 20.0, 12.0), Systematic(0.01, 3.0))
     subject = MeasuredSubject("L7", "Petromyzon marinus", 420.0, 150.0)
     people = {"subject": subject, "experiment": Experiment("attachment", water_temperature_celsius=12.5)}
-    whole = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.5), 140.0, *further, **people)
-    dataclasses.replace(Recording.load(LAMPREY), scene=whole).save(tmp_path / "recording.h5")
-    assert Recording.load(tmp_path / "recording.h5").scene == whole
-    write_results(tmp_path / "r.h5", [invented_case(method, scene=whole) for method in METHODS[:2]])
-    assert [case.scene for case in read_results(tmp_path / "r.h5").cases] == [whole] * 2
+    scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.5), 140.0, *further, **people)
+    dataclasses.replace(Recording.load(LAMPREY), scene=scene).save(tmp_path / "recording.h5")
+    assert Recording.load(tmp_path / "recording.h5").scene == scene
+    write_results(tmp_path / "r.h5", [invented_case(method, scene=scene) for method in METHODS[:2]])
+    assert [case.scene for case in read_results(tmp_path / "r.h5").cases] == [scene] * 2
     with h5py.File(tmp_path / "r.h5") as file:
         group = file["entry/mouth/recording"]
         assert group["scene"].shape == () and group["scene"].dtype.kind == "S"
@@ -177,7 +177,7 @@ def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
         invented_case(scene=Scene(Panel(4, 5)))
 
 
-def test_no_file_no_hdf5_and_a_cut_file(written: Path) -> None:
+def test_missing_foreign_and_truncated_files_are_refused(written: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_results(written.with_name("none.h5"))
     data = written.read_bytes()
@@ -187,17 +187,17 @@ def test_no_file_no_hdf5_and_a_cut_file(written: Path) -> None:
             read_results(written)
 
 
-def test_damaged_values_and_long_texts_are_found(tmp_path: Path) -> None:
+def test_damaged_values_and_long_texts_are_detected(tmp_path: Path) -> None:
     """HDF5 keeps attributes of more than 4 kB where it has no checksum."""
     path = tmp_path / "r.h5"
     write_results(path, [invented_case(case_yaml="k" * 8000)])
-    whole = path.read_bytes()
-    path.write_bytes(whole.replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
     with pytest.raises(InputError, match="case is damaged"):
         read_results(path)
-    path.write_bytes(whole)
+    path.write_bytes(content)
     with h5py.File(path) as file:
         place = file["/entry/mouth/LSM/cell_resistance"].id.get_chunk_info(0).byte_offset + 40
-    path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
+    path.write_bytes(content[:place] + bytes([content[place] ^ 255]) + content[place + 1 :])
     with pytest.raises(InputError, match="/entry/mouth/LSM/cell_resistance is damaged"):
         read_results(path)

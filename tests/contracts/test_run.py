@@ -25,15 +25,15 @@ def cases(folder: Path) -> tuple[CaseResult, ...]:
     return read_results(folder / "results.h5").cases
 
 
-def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_run_writes_its_estimates(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
-    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
-    assert "3 cases solved, 0 were done before, 0 failed" in ended.out
-    found = cases(out)
+    completed = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "")
+    assert "3 cases solved, 0 were done before, 0 failed" in completed.out
+    written = cases(out)
     names = ("LSM", "LSR-CR", "LSR-dCR")
-    assert [(case.recording, case.estimator) for case in found] == [("small", name) for name in names]
-    for case in found:
+    assert [(case.recording, case.estimator) for case in written] == [("small", name) for name in names]
+    for case in written:
         assert case.status == ("optimum verified",) * 2 and not case.joint_start
         assert case.frame.tolist() == case.time.tolist() == [1, 2] and case.scene.series_resistance_ohm == 140
         assert np.all(case.solve_time > 0) and np.all(case.kkt_residual < 1e-6)
@@ -43,26 +43,26 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
         np.testing.assert_allclose(case.relative_change, change, rtol=1e-9)
         assert case.case_id in {path.stem for path in (out / "cases").iterdir()}
         assert "recording_sha256" in case.case_yaml
-    np.testing.assert_allclose(found[0].cell_resistance, found[0].truth, rtol=1e-6)
+    np.testing.assert_allclose(written[0].cell_resistance, written[0].truth, rtol=1e-6)
     penalties = ({}, {"cell_resistance"}, {"relative_change"})
-    assert [set(case.costs) for case in found] == [{"misfit", *penalty} for penalty in penalties]
+    assert [set(case.costs) for case in written] == [{"misfit", *penalty} for penalty in penalties]
 
 
-def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_second_run_solves_nothing_unless_fresh(disk: SimpleNamespace, lampest: Command) -> None:
     run = disk.folder / "run.yaml"
     out = disk.folder / "out"
     lampest("run", run, "--out", out, "--jobs", "1")
-    before = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
+    first_times = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     assert "0 cases solved, 3 were done before" in lampest("run", run, "--out", out, "--jobs", "1").out
-    assert {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()} == before
+    assert {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()} == first_times
     assert "3 cases solved, 0 were done before" in lampest("run", run, "--out", out, "--jobs", "1", "--fresh").out
-    after = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
-    assert after.keys() == before.keys()
-    assert all(after[path] > before[path] for path in before)
+    fresh_times = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
+    assert fresh_times.keys() == first_times.keys()
+    assert all(fresh_times[path] > first_times[path] for path in first_times)
 
 
 @pytest.mark.slow
-def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
+def test_changed_cases_are_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
     """Another weight: one case. Another recording of that name: all. A damaged result, or another case's: that one."""
     out = disk.folder / "out"
     lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
@@ -77,13 +77,13 @@ def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -
         assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
 
 
-def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_failed_frame_holds_nan_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
     terms = "verify: {frames: none}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}"
-    few = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
-    path = disk.run(disk.text.replace("  LSM: {", few))
-    ended = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
+    limited = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
+    path = disk.run(disk.text.replace("  LSM: {", limited))
+    completed = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "")
     failed, *fine = cases(disk.folder / "out")
     assert set(failed.status) == {"the iteration limit was reached before an optimum"}
     assert not np.any(failed.solved) and not np.any(failed.open_cell) and all(np.all(case.solved) for case in fine)
@@ -91,7 +91,7 @@ def test_frame_that_fails_is_no_number_and_stops_nothing(disk: SimpleNamespace, 
         assert np.all(np.isnan(values))
 
 
-def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
     out.mkdir()
     with (out / ".lock").open("w") as lock:
@@ -109,7 +109,7 @@ def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampes
     assert "formulation: per_pixel" in second.case_yaml and "weight: 3" in first.case_yaml
 
 
-def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_along(
+def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figures(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And the results where the command is called, in results/<name of the file>."""
@@ -117,22 +117,22 @@ def test_recordings_are_found_relative_to_the_file_and_published_figures_travel_
     (disk.folder / "configs").mkdir()
     (disk.folder / "configs" / "mine.yaml").write_text(disk.text.replace("small.h5", "../small.h5") + figures)
     monkeypatch.chdir(disk.folder)
-    ended = lampest("run", "configs/mine.yaml", "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "")
+    completed = lampest("run", "configs/mine.yaml", "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "")
     results = read_results(disk.folder / "results" / "mine" / "results.h5")
     assert len(results.cases) == 3 and results.published["LSM"].all.time_s == 16.45
     given = results.published["LSR-dCR"]
     assert given.initial.time_s == 58.63 and given.following is None
 
 
-def test_the_schema_is_the_shipped_one_and_knows_every_term(lampest: Command) -> None:
+def test_the_schema_equals_the_shipped_one_and_has_every_term(lampest: Command) -> None:
     shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
     assert lampest("show", "schema").out == shipped, "lampest show schema > configs/lampest.schema.json"
     assert all(f'"{word}"' in shipped for word in (*term_types(), "huber", "per_pixel", "sweep", "published"))
 
 
 @pytest.mark.parametrize("name", ["table1", "all_scenes"])
-def test_shipped_runs_are_in_order(name: str) -> None:
+def test_shipped_runs_are_valid(name: str) -> None:
     path = ROOT / "configs" / f"{name}.yaml"
     run = read_run(path)
     recordings = {case.recording for case in run.cases}
@@ -151,14 +151,14 @@ def test_shipped_runs_are_in_order(name: str) -> None:
     }
 
 
-def test_missing_library_is_one_sentence(
+def test_a_missing_library_gives_one_sentence(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     path = disk.run(disk.text + "executor: {kind: dask}\n")
-    ended = lampest("run", path, "--out", disk.folder / "out")
-    assert (ended.code, ended.out) == (2, "")
-    assert ended.err == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
+    completed = lampest("run", path, "--out", disk.folder / "out")
+    assert (completed.code, completed.out) == (2, "")
+    assert completed.err == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
     assert not (disk.folder / "out").exists()
     assert lampest("run", path, "--out", disk.folder / "out", "--jobs", "1").code == 0
 
@@ -183,13 +183,13 @@ def large(disk: SimpleNamespace, frames: int) -> None:
     "executor",
     ["serial", *(pytest.param(f"{kind}, workers: 2", marks=pytest.mark.slow) for kind in ("processes", "dask"))],
 )
-def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) -> None:
+def test_an_interrupt_keeps_finished_cases(executor: str, disk: SimpleNamespace) -> None:
     large(disk, 9)
     weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 300)]
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
     out = disk.folder / "out"
-    how = f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
-    path = disk.run(disk.text + sweep + how)
+    settings = f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
+    path = disk.run(disk.text + sweep + settings)
     assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", "lampest: interrupted; what was finished is kept\n")
     finished = read_results(out / "results.h5").cases
     assert 3 <= len(finished) < 302 and all(case.solved.all() for case in finished)
@@ -198,7 +198,7 @@ def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
-def test_a_case_that_is_broken_off_keeps_its_finished_frames(executor: str, disk: SimpleNamespace) -> None:
+def test_an_interrupted_case_keeps_its_finished_frames(executor: str, disk: SimpleNamespace) -> None:
     large(disk, 1502)
     text = disk.text[: disk.text.index("  LSR-CR")] + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
     out = disk.folder / "out"

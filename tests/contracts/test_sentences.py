@@ -63,31 +63,31 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
         ("readout=5", "readout: must be a mapping with a 'kind', not 5"),
     ],
 )
-def test_a_wrong_value_is_named_with_what_to_write(
+def test_the_error_of_a_wrong_value_names_valid_ones(
     assigned: str, sentence: str, codes: Path, scene: Path, lampest: Command
 ) -> None:
-    ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
-    assert ended.code == 2 and sentence in ended.err and "Input should" not in ended.err
+    completed = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    assert completed.code == 2 and sentence in completed.err and "Input should" not in completed.err
 
 
 @pytest.mark.parametrize("assigned", ["readout.driven=diagonals", "readout.kind=bridge", "purpose=insole"])
 def test_a_word_that_resembles_no_known_one_has_no_suggestion(
     assigned: str, codes: Path, scene: Path, lampest: Command
 ) -> None:
-    ended = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
-    assert ended.code == 2 and "did you mean" not in ended.err
+    completed = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    assert completed.code == 2 and "did you mean" not in completed.err
 
 
-def test_a_file_in_place_of_which_another_appears_is_named(codes: Path, scene: Path, lampest: Command) -> None:
-    made = codes.with_suffix(".h5")
-    first, second = (lampest("import", codes, "--scene", scene, "--out", made) for _ in range(2))
-    assert first.out.splitlines()[-1] == str(made)
-    assert second.out.splitlines()[-1] == f"{made} (in place of the file that had this name)"
+def test_import_says_that_it_replaced_a_file(codes: Path, scene: Path, lampest: Command) -> None:
+    out = codes.with_suffix(".h5")
+    first, second = (lampest("import", codes, "--scene", scene, "--out", out) for _ in range(2))
+    assert first.out.splitlines()[-1] == str(out)
+    assert second.out.splitlines()[-1] == f"{out} (in place of the file that had this name)"
 
 
-def test_only_what_frames_cannot_tell_is_called_assumed(codes: Path, scene: Path, lampest: Command) -> None:
-    said = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
-    assert "polarity" not in said
+def test_import_calls_only_undetermined_entries_assumed(codes: Path, scene: Path, lampest: Command) -> None:
+    output = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
+    assert "polarity" not in output
     scene.write_text(f"{PANEL}readout: {LOADED.replace('adc_bits: 12, ', '')}\n")
     assert (
         "adc_bits: 10 assumed: the scene does not say"
@@ -95,16 +95,16 @@ def test_only_what_frames_cannot_tell_is_called_assumed(codes: Path, scene: Path
     )
 
 
-def test_infinite_resistances_without_a_readout_are_at_no_rail(tmp_path: Path) -> None:
+def test_infinite_resistances_without_a_readout_are_not_at_a_rail(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", np.where(CODES.max() == CODES, np.inf, CODES))
     _, notes = lampest.import_file(tmp_path / "m.npy", 3, 5, unit="ohm")
     assert any("zero or infinite: kept as bounds" in note for note in notes) and not any("rail" in n for n in notes)
 
 
-def test_a_setting_of_an_unknown_estimator_is_refused_by_its_name(starter: Path, lampest: Command) -> None:
-    ended = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
-    assert ended.code == 2
-    assert "there is no estimator 'smoth'; did you mean smooth?" in ended.err
+def test_the_error_names_an_unknown_estimator_of_a_setting(starter: Path, lampest: Command) -> None:
+    completed = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
+    assert completed.code == 2
+    assert "there is no estimator 'smoth'; did you mean smooth?" in completed.err
     unlike = lampest("run", starter / "run.yaml", "--set", "estimators.x.error_bars=false")
     assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
 
@@ -152,8 +152,8 @@ def test_a_pattern_without_quotation_marks_is_explained_and_the_starter_file_sho
     text = run.read_text()
     assert '"*.h5"' in text
     run.write_text(text.replace("[example.h5]", "[*.h5]"))
-    ended = lampest("run", run)
-    assert ended.code == 2 and "in YAML a * begins an alias: write such a text in quotation marks" in ended.err
+    completed = lampest("run", run)
+    assert completed.code == 2 and "in YAML a * begins an alias: write such a text in quotation marks" in completed.err
     run.write_text(text.replace("[example.h5]", '["*.h5"]'))
     assert len(lampest_cases(run)) == 3
 
@@ -165,7 +165,7 @@ def lampest_cases(run: Path) -> Any:
 @pytest.mark.slow
 @pytest.mark.parametrize("circuit", ["two_mux", "pull_ups", "grounded", "amplifiers"])
 @pytest.mark.parametrize("unloaded", [True, False])
-def test_the_starter_recording_has_no_line_that_seems_to_touch(
+def test_info_of_the_starter_recording_reports_no_touching_lines(
     circuit: str, unloaded: bool, tmp_path: Path, lampest: Command
 ) -> None:
     assert lampest("init", tmp_path / "mine", "--readout", circuit).code == 0
@@ -173,16 +173,22 @@ def test_the_starter_recording_has_no_line_that_seems_to_touch(
     if not unloaded:
         from lampest import Recording
 
-        whole = Recording.load(path)
-        loaded = whole.role == 1
-        Recording(whole.scene, whole.recorded[loaded], whole.time[loaded], whole.role[loaded]).save(path)
-    said = lampest("info", path)
-    assert said.code == 0 and "in every frame: if they touch" not in said.out and "shorted together" not in said.out
-    assert ("the strongest change against the unloaded ones" in said.out) is unloaded
+        recording = Recording.load(path)
+        loaded = recording.role == 1
+        Recording(recording.scene, recording.recorded[loaded], recording.time[loaded], recording.role[loaded]).save(
+            path
+        )
+    completed = lampest("info", path)
+    assert (
+        completed.code == 0
+        and "in every frame: if they touch" not in completed.out
+        and "shorted together" not in completed.out
+    )
+    assert ("the strongest change against the unloaded ones" in completed.out) is unloaded
 
 
 @pytest.mark.slow
-def test_changes_without_unloaded_frames_are_not_against_the_unloaded_panel(tmp_path: Path, lampest: Command) -> None:
+def test_info_names_the_reference_of_the_changes(tmp_path: Path, lampest: Command) -> None:
     from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct
 
     values = np.random.default_rng(2).uniform(500, 600, (3, 4, 4))
@@ -194,7 +200,7 @@ def test_changes_without_unloaded_frames_are_not_against_the_unloaded_panel(tmp_
 
 
 @pytest.mark.slow
-def test_noise_that_agrees_with_the_scene_is_no_news(tmp_path: Path, lampest: Command) -> None:
+def test_noise_that_agrees_with_the_scene_is_not_reported(tmp_path: Path, lampest: Command) -> None:
     from lampest import LoadedColumnsReadout, Panel, Recording, Scene
 
     readout = LoadedColumnsReadout(load_ohm=3300.0, readings=1, noise_lsb=0.0)
@@ -222,7 +228,7 @@ def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
         ("cut.h5", "it is cut off, 5000 of "),
     ],
 )
-def test_a_file_of_another_kind_is_named_with_the_command_that_reads_it(
+def test_the_error_names_the_command_for_a_file_of_another_kind(
     starter: Path, lampest: Command, name: str, kind: str
 ) -> None:
     example = (starter / "example.h5").read_bytes()
@@ -230,11 +236,11 @@ def test_a_file_of_another_kind_is_named_with_the_command_that_reads_it(
     if not (starter / name).exists():
         (starter / name).write_bytes(contents.get(name, b"1,2,3\n"))
     for command in ("info", "plot"):
-        ended = lampest(command, starter / name)
-        assert ended.code == 2 and kind in ended.err and "synchronously" not in ended.err, ended.err
+        completed = lampest(command, starter / name)
+        assert completed.code == 2 and kind in completed.err and "synchronously" not in completed.err, completed.err
 
 
-def test_recordings_and_results_are_not_confused(starter: Path, lampest: Command) -> None:
+def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Command) -> None:
     assert "a recording, lampest run computes results of it" in lampest("plot", starter / "example.h5").err
     assert "HDF5, a recording or results; lampest info describes it" in lampest("run", starter / "example.h5").err
     assert "a folder; name a file in it" in lampest("info", starter).err
@@ -243,7 +249,9 @@ def test_recordings_and_results_are_not_confused(starter: Path, lampest: Command
 CIRCUITS = ["two_mux", "parallel_mux", "pull_ups", "pull_downs", "grounded", "grounded_one", "amplifiers", "diodes"]
 
 
-@pytest.mark.parametrize("circuit", ["grounded", *(pytest.param(one, marks=pytest.mark.slow) for one in CIRCUITS)])
+@pytest.mark.parametrize(
+    "circuit", ["grounded", *(pytest.param(circuit, marks=pytest.mark.slow) for circuit in CIRCUITS)]
+)
 def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_errors(
     circuit: str, tmp_path: Path, lampest: Command
 ) -> None:

@@ -61,8 +61,8 @@ def started(folder: Path, *words: str) -> SimpleNamespace:
     """Run Python as a user does; return code, out and err."""
     environment = {**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *words]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
-    return SimpleNamespace(code=done.returncode, out=done.stdout, err=done.stderr)
+    completed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
+    return SimpleNamespace(code=completed.returncode, out=completed.stdout, err=completed.stderr)
 
 
 def studied(
@@ -86,10 +86,14 @@ def table_of(file: Path) -> list[Row]:
 def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     study: str, disk: SimpleNamespace, lampest: Command
 ) -> None:
-    done, out = studied(lampest, disk, study, SETTINGS[study])
+    completed, out = studied(lampest, disk, study, SETTINGS[study])
     left_out = "small/both left out: it has 2 penalty terms, not one" if study == "weights" else ""
-    assert done.code == 0 and left_out in done.err and (bool(done.err) == bool(left_out) or study == "audit"), done.err
-    shown = done.out.split("cells, change, press.")[0].splitlines()
+    assert (
+        completed.code == 0
+        and left_out in completed.err
+        and (bool(completed.err) == bool(left_out) or study == "audit")
+    ), completed.err
+    shown = completed.out.split("cells, change, press.")[0].splitlines()
     assert max(len(line.rstrip()) for line in shown) <= 100 + len(str(disk.folder))
     stem = out / {"weights": "tune"}.get(study, study)
     with h5py.File(stem.with_suffix(".h5")) as file:
@@ -99,11 +103,11 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
             assert values.attrs["units"] and values.attrs["long_name"], name
         assert len({len(values) for values in datasets.values()}) == 1
         if study == "audit":
-            nothing, noisy = table_of(stem.with_suffix(".csv"))
-            assert (nothing["effect"], nothing["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
+            undisturbed, noisy = table_of(stem.with_suffix(".csv"))
+            assert (undisturbed["effect"], undisturbed["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
             assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(noisy["cells"]) > 80
-            assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
-            assert "measured in unloaded frames; the scene specifies" in done.out
+            assert float(noisy["chi_square"]) > 5 > 2 > float(undisturbed["chi_square"])
+            assert "measured in unloaded frames; the scene specifies" in completed.out
             held = group["cells_covered"][3:].sum()
             cells = group["cells"][3:].sum()
             assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
@@ -122,22 +126,27 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
         pytest.param("baseline_frames: 5", "baseline_frames: 1", "audit.yaml", marks=pytest.mark.slow),
     ],
 )
-def test_a_mistake_in_the_file_of_a_script_is_one_sentence(
+def test_a_mistake_in_the_file_of_a_script_gives_one_sentence(
     disk: SimpleNamespace, lampest: Command, old: str, new: str, place: str
 ) -> None:
-    done, out = studied(lampest, disk, "audit", AUDIT.replace(old, new))
-    assert done.code == 2 and place in done.err and len(done.err.strip().splitlines()) == 1 and not out.exists()
+    completed, out = studied(lampest, disk, "audit", AUDIT.replace(old, new))
+    assert (
+        completed.code == 2
+        and place in completed.err
+        and len(completed.err.strip().splitlines()) == 1
+        and not out.exists()
+    )
 
 
-def test_weights_without_noise_and_truth_are_chosen_by_risk_alone(disk: SimpleNamespace, lampest: Command) -> None:
+def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespace, lampest: Command) -> None:
     path = disk.recording(disk.folder / "small.h5", scene=UNKNOWN_NOISE)
     with h5py.File(path, "a") as file:
         del file["entry/truth"]
     text = GRADIENT_ALONE + "bounds: {upper: none}\n"
-    done, out = studied(lampest, disk, "weights", text + "auto_weight: {rule: evidence}\n")
-    assert done.code == 2 and "auto_weight.rule: evidence needs the noise" in done.err and not out.exists()
-    done, out = studied(lampest, disk, "weights", text)
-    assert done.code == 0, done.err
+    completed, out = studied(lampest, disk, "weights", text + "auto_weight: {rule: evidence}\n")
+    assert completed.code == 2 and "auto_weight.rule: evidence needs the noise" in completed.err and not out.exists()
+    completed, out = studied(lampest, disk, "weights", text)
+    assert completed.code == 0, completed.err
     rules = {row["rule"]: row for row in table_of(out / "tune.csv")}
     assert set(rules) == {"risk", "Morozov", "L-curve"}
     assert rules["risk"]["in_use"] == "1" and rules["Morozov"]["weight"] == ""
@@ -147,27 +156,29 @@ def test_weights_without_noise_and_truth_are_chosen_by_risk_alone(disk: SimpleNa
 @pytest.mark.slow
 def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamespace, lampest: Command) -> None:
     setting = ("--set", "estimators.g.terms.gradient.weight=0.002")
-    done, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)
-    assert done.code == 0, done.err
+    completed, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)
+    assert completed.code == 0, completed.err
     (given,) = (row for row in table_of(out / "tune.csv") if row["rule"] == "given")
     assert float(given["weight"]) == 0.002
 
 
 @pytest.mark.slow
-def test_the_papers_page_needs_nothing_else_and_its_scenes_give_most_of_its_numbers(tmp_path: Path) -> None:
+def test_the_papers_page_is_self_contained_and_its_scenes_give_its_numbers(tmp_path: Path) -> None:
     main = ("-c", "from lampest.cli import main; main()")
     folder = tmp_path / "out"
-    done = started(tmp_path, *main, "study", "paper", "--out", "out", "--jobs", "1")
-    assert done.code == 0, done.err
-    assert all((tmp_path / line).is_file() for line in done.out.splitlines())
+    completed = started(tmp_path, *main, "study", "paper", "--out", "out", "--jobs", "1")
+    assert completed.code == 0, completed.err
+    assert all((tmp_path / line).is_file() for line in completed.out.splitlines())
     page = (folder / "paper.html").read_text(encoding="utf-8")
     text = re.sub(r"base64,[\w+/=]+", "", page)  # whose letters may spell anything
     assert "http" not in text.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
     assert all(part in page for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I"))
     assert {file.stem.split("_")[0] for file in folder.glob("*.png")} == {"fig1e", "fig2", "fig6", "fig8", "fig9"}
     rows = table_of(folder / "numbers.csv")
-    ours = {(row["figure"], row["quantity"]): float(row["clean scenes"]) for row in rows}
+    simulated = {(row["figure"], row["quantity"]): float(row["clean scenes"]) for row in rows}
     # The two mouths cover as many cells as published; plain least squares follows its readings far more closely.
-    assert [ours[key] for key in ours if key[0].startswith("Fig. 9")] == [4, 4, 3, 3]
-    assert ours["Table I", "LSM, all steps: data error"] < 0.05 < 1.33
-    assert ours["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), "series resistance included"
+    assert [simulated[key] for key in simulated if key[0].startswith("Fig. 9")] == [4, 4, 3, 3]
+    assert simulated["Table I", "LSM, all steps: data error"] < 0.05 < 1.33
+    assert simulated["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), (
+        "series resistance included"
+    )

@@ -14,7 +14,7 @@ from zipfile import ZipFile
 import h5py
 import pytest
 from packaging.requirements import Requirement
-from supply import LICENCES, locked, plain, told
+from supply import LICENCES, audit_verdict, locked, plain
 
 from lampest import InputError, datasets, read_run
 
@@ -33,7 +33,7 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Path) -> None:
+def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: Path) -> None:
     (wheel,) = dist.glob("*.whl")
     site = tmp_path / "site"
     empty = tmp_path / "empty"
@@ -43,9 +43,11 @@ def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Pat
 
     def run(*command: object) -> str:
         options = {"cwd": empty, "env": os.environ | {"PYTHONPATH": str(site)}, "timeout": 120}
-        ended = subprocess.run([str(word) for word in command], **options, capture_output=True, text=True, check=False)
-        assert ended.returncode == 0, ended.stderr
-        return ended.stdout
+        completed = subprocess.run(
+            [str(word) for word in command], **options, capture_output=True, text=True, check=False
+        )
+        assert completed.returncode == 0, completed.stderr
+        return completed.stdout
 
     lampest = (sys.executable, site / "bin" / "lampest")
     started = run(*lampest, "init")
@@ -68,7 +70,7 @@ def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Pat
     assert "nodal" in table and "results/bench/bench.csv" in table
 
 
-def test_the_page_of_a_package_index_has_no_dead_links_and_the_sdist_tests_and_pages(dist: Path) -> None:
+def test_the_package_page_has_no_dead_links_and_the_sdist_holds_tests_and_pages(dist: Path) -> None:
     (wheel,), (archive,) = dist.glob("*.whl"), dist.glob("*.tar.gz")
     with ZipFile(wheel) as held:
         (name,) = (name for name in held.namelist() if name.endswith(".dist-info/METADATA"))
@@ -81,15 +83,15 @@ def test_the_page_of_a_package_index_has_no_dead_links_and_the_sdist_tests_and_p
     assert names.issuperset(files) and not any(name.startswith(("results/", ".venv/", ".git/")) for name in names)
 
 
-def test_a_start_replaces_nothing(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
+def test_init_replaces_no_file(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "run.yaml").write_text("mine")
-    ended = lampest("init", tmp_path / "new")
-    assert ended.code == 2 and "run.yaml: is there already" in ended.err
+    completed = lampest("init", tmp_path / "new")
+    assert completed.code == 2 and "run.yaml: is there already" in completed.err
     assert [path.read_text() for path in (tmp_path / "new").iterdir()] == ["mine"]
 
 
-def test_recordings_are_called_by_name() -> None:
+def test_datasets_load_by_name() -> None:
     assert "lamprey_35mm" in datasets.names()
     for name in datasets.names():
         simulated = not name.startswith("insole")
@@ -99,7 +101,7 @@ def test_recordings_are_called_by_name() -> None:
 
 
 @pytest.mark.parametrize("name", EXTRAS)
-def test_the_lock_holds_what_the_project_asks_for_as_the_constraints_allow_with_hashes(name: str) -> None:
+def test_the_lock_pins_all_requirements_within_the_constraints_with_hashes(name: str) -> None:
     pinned = locked(ROOT / name)
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     constraints = [Requirement(line) for line in lines if line.strip()]
@@ -111,14 +113,14 @@ def test_the_lock_holds_what_the_project_asks_for_as_the_constraints_allow_with_
         versions = {str(each.specifier) for each in constraints if plain(each.name) == package}
         assert not versions or f"=={version}" in versions, f"{package}: run make lock"
     blocks = re.split(r"\n(?=\S)", (ROOT / name).read_text().strip())
-    assert len(blocks) > 20
+    assert len(blocks) > 20, "the packages of the lock were read"
     for block in blocks:
         first, *hashes = [line.strip().removesuffix("\\").strip() for line in block.splitlines()]
         assert re.fullmatch(r"[A-Za-z0-9_.\[\]-]+==\S+( ;.*)?", first), first
         assert hashes and all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", digest) for digest in hashes), first
 
 
-def test_set_up_installs_nothing_without_a_hash() -> None:
+def test_set_up_installs_only_packages_with_a_hash() -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     recipes = re.search(r"\$\(VENV\)/\.installed: .*?(?=\$\(VENV\)/\.installed-supply)", text, re.DOTALL)
     installs = [line for line in recipes[0].splitlines() if "pip install" in line or "$(LOCKED)" in line]
@@ -139,7 +141,7 @@ def test_licences_are_listed_and_none_is_copyleft_for_users() -> None:
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_ours_alone_and_no_gpl(dist: Path) -> None:
+def test_the_wheel_holds_only_the_package_and_no_gpl(dist: Path) -> None:
     (wheel,) = dist.glob("*.whl")
     with ZipFile(wheel) as archive:
         names = archive.namelist()
@@ -149,11 +151,11 @@ def test_the_wheel_holds_ours_alone_and_no_gpl(dist: Path) -> None:
             assert not re.search(rb"GNU General Public|GPL-[23]|simavr\.h", text), name
 
 
-def test_an_audit_says_what_it_could_not_check(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_audit_names_unchecked_packages(capsys: pytest.CaptureFixture[str]) -> None:
     fine = {"name": "good", "version": "1", "vulns": []}
     bad = {"name": "bad", "version": "2", "vulns": [{"id": "CVE-1", "fix_versions": ["3"]}]}
     strange = {"name": "odd", "skip_reason": "not found"}
-    for packages, code, said in (
+    for packages, code, sentence in (
         (None, 1, "could not be reached; nothing was checked (no route)"),
         ([], 1, "nothing was checked"),
         ([strange], 1, "nothing was checked"),
@@ -161,5 +163,5 @@ def test_an_audit_says_what_it_could_not_check(capsys: pytest.CaptureFixture[str
         ([fine, strange], 1, "not in the database, so not checked: odd"),
         ([fine, bad], 1, "bad 2: CVE-1, mended in 3"),
     ):
-        assert told(None if packages is None else {"dependencies": packages}, "no route") == code
-        assert said in capsys.readouterr().out
+        assert audit_verdict(None if packages is None else {"dependencies": packages}, "no route") == code
+        assert sentence in capsys.readouterr().out

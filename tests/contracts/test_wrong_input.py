@@ -34,10 +34,10 @@ def test_words_of_a_command_that_cannot_be_are_one_sentence(
 ) -> None:
     monkeypatch.chdir(disk.folder)
     command, complaint = words
-    before = everything(disk.folder)
-    ended = lampest(*command.replace("LAMPREY", str(LAMPREY)).split())
-    assert (ended.code, ended.out) == (2, "") and complaint in ended.err
-    assert re.fullmatch("lampest: .*\n", ended.err) and everything(disk.folder) == before
+    original = everything(disk.folder)
+    completed = lampest(*command.replace("LAMPREY", str(LAMPREY)).split())
+    assert (completed.code, completed.out) == (2, "") and complaint in completed.err
+    assert re.fullmatch("lampest: .*\n", completed.err) and everything(disk.folder) == original
     gc.collect()
 
 
@@ -61,10 +61,10 @@ def test_a_full_disk_keeps_what_fits(disk: SimpleNamespace, lampest: Command, mo
     for suffix, codes in ((".h5", (2, 3)), ("results.h5", (2,))):
         with monkeypatch.context() as patch:
             full(patch, suffix)
-            ended = lampest("run", run, "--out", out, "--jobs", "1")
-        assert ended.code in codes and "No space left" in ended.err and "Traceback" not in ended.err
+            completed = lampest("run", run, "--out", out, "--jobs", "1")
+        assert completed.code in codes and "No space left" in completed.err and "Traceback" not in completed.err
         assert not list(out.rglob(f"*{suffix}*"))
-    assert (ended.out, ended.err.count("\n")) == ("", 1) and "results.h5" in ended.err
-    ended = lampest("run", run, "--out", out, "--jobs", "1")
-    assert (ended.code, ended.err) == (0, "") and "0 cases solved, 3 were done before" in ended.out
+    assert (completed.out, completed.err.count("\n")) == ("", 1) and "results.h5" in completed.err
+    completed = lampest("run", run, "--out", out, "--jobs", "1")
+    assert (completed.code, completed.err) == (0, "") and "0 cases solved, 3 were done before" in completed.out
     assert (out / "results.h5").is_file()

@@ -108,14 +108,14 @@ def content(path: Path) -> dict[str, Any]:
     return values
 
 
-def same(ours: dict[str, Any], theirs: dict[str, Any], tolerance: float = 0.0) -> None:
+def same(actual: dict[str, Any], reference: dict[str, Any], tolerance: float = 0.0) -> None:
     """Assert equality bit by bit, or to the tolerance of a solver that a cached factor saves some iterations."""
-    assert set(ours) == set(theirs)
-    for name, value in ours.items():
+    assert set(actual) == set(reference)
+    for name, value in actual.items():
         if tolerance and name.endswith(("/iterations", "/starts", "/kkt_residual", "@model_check")):
             continue
         value = np.asarray(value)
-        expected = np.asarray(theirs[name])
+        expected = np.asarray(reference[name])
         assert value.dtype == expected.dtype, name
         if value.dtype.kind == "f":
             np.testing.assert_allclose(value, expected, rtol=tolerance, atol=tolerance, err_msg=name)

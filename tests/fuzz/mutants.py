@@ -106,7 +106,7 @@ NASTY_VALUES: tuple[Any, ...] = (
     {}, {"": 1}, {"kind": "rod"}, {"uniform": [0, 1]},
     {"a.b": 1}, [None], {"misfit": {}}, {"uniform": [1e11, 9e11]},
 )  # fmt: skip
-MOST_READ = 100_000
+MAX_VALUES_READ = 100_000
 BYTES = (
     b"\0", b"\xff", b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff", struct.pack("<Q", 10**9), struct.pack("<I", 2**31),
 )  # fmt: skip
@@ -136,7 +136,7 @@ class Corpus(NamedTuple):
         rng = np.random.default_rng([number, list(KINDS).index(kind)])
         seeds = self.files[kind]
         style = str(rng.choice(KINDS[kind][1]))
-        content = one_of(seeds, rng)
+        content = choose(seeds, rng)
         count = int(rng.integers(1, 5))
         if style == "meaning":
             return Mutant(kind, changed_tree(CONTENT[kind], count, rng))
@@ -202,9 +202,9 @@ def good_results(folder: Path) -> bytes:
     shape = (2, 3, 4)
     cases = [invented_case("LSM", "small", shape), invented_case("LSR-dCR", "small", shape, failed=(1,))]
     write_results(folder / "good.h5", cases, {"LSM": PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))})
-    whole = bytes((folder / "good.h5").read_bytes())
+    content = bytes((folder / "good.h5").read_bytes())
     (folder / "good.h5").unlink()
-    return whole
+    return content
 
 
 def without_checksums(make: Callable[[Path], Any], folder: Path) -> Any:
@@ -224,17 +224,17 @@ def good_imports(folder: Path, kind: str) -> tuple[bytes, ...]:
     return tuple(contents)
 
 
-def one_of(things: Any, rng: np.random.Generator) -> Any:
+def choose(choices: Any, rng: np.random.Generator) -> Any:
     """One thing of several."""
-    return things[int(rng.integers(len(things)))]
+    return choices[int(rng.integers(len(choices)))]
 
 
 def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
     """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand, or a turned bit."""
     at = int(rng.integers(len(content) + 1))
     length = int(rng.integers(1, 64))
-    other = one_of(seeds, rng)
-    start = int(rng.integers(len(other) + 1))
+    donor = choose(seeds, rng)
+    start = int(rng.integers(len(donor) + 1))
     kind = rng.integers(7)
     if kind < 2:
         return content[:at] + content[at + (length if kind else len(content)) :]
@@ -243,11 +243,11 @@ def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Gener
         return bytes(int(rng.integers(256)) if place in places else byte for place, byte in enumerate(content))
     if kind == 3:
         at = at // 8 * 8
-        piece = one_of(BYTES, rng)
+        piece = choose(BYTES, rng)
     elif kind == 4:
         piece = bytes([byte ^ 1 << int(rng.integers(8)) for byte in content[at : at + 1]])
     else:
-        piece = rng.bytes(length) if kind == 5 else other[start : start + length]
+        piece = rng.bytes(length) if kind == 5 else donor[start : start + length]
     return content[:at] + piece + content[at + len(piece) :]
 
 
@@ -256,7 +256,7 @@ def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         parts = {name: archive.read(name) for name in archive.namelist()}
     for _ in range(count):
-        name = one_of(list(parts), rng)
+        name = choose(list(parts), rng)
         change = changed_bytes if name.endswith(".npy") else changed_text
         parts[name] = change(parts[name], (parts[name],), rng)
     stream = io.BytesIO()
@@ -271,16 +271,16 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
     lines = content.split(b"\n")
     kind = rng.integers(7)
     words = [match.span() for match in re.finditer(rb"[^\s,:;\[\]{}']+", content)]
-    nasty = one_of(NASTY_TEXTS, rng).encode("utf-8", "surrogatepass")
-    at, other = (int(place) for place in rng.integers(0, len(lines), 2))
+    nasty = choose(NASTY_TEXTS, rng).encode("utf-8", "surrogatepass")
+    at, second = (int(place) for place in rng.integers(0, len(lines), 2))
     if kind == 0:
-        lines.insert(at, lines[other])
+        lines.insert(at, lines[second])
     elif kind == 1:
         del lines[at]
     elif kind == 2:
-        lines[at], lines[other] = lines[other], lines[at]
+        lines[at], lines[second] = lines[second], lines[at]
     elif kind in (3, 4) and words:
-        (start, end), (first, last) = one_of(words, rng), one_of(words, rng)
+        (start, end), (first, last) = choose(words, rng), choose(words, rng)
         return content[:start] + (nasty if kind == 3 else content[first:last]) + content[end:]
     elif kind == 5:
         place = int(rng.integers(len(content) + 1))
@@ -294,13 +294,13 @@ def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
     """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML too."""
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
-        (node, place), (other, there) = _somewhere(tree, rng), _somewhere(tree, rng)
-        value = copy.deepcopy(one_of(NASTY_VALUES, rng))
+        (node, place), (second_node, second_place) = _somewhere(tree, rng), _somewhere(tree, rng)
+        value = copy.deepcopy(choose(NASTY_VALUES, rng))
         kind = rng.integers(5)
         if kind == 0:
-            node[place] = json.loads(json.dumps(other[there]))
+            node[place] = json.loads(json.dumps(second_node[second_place]))
         elif kind == 1 and isinstance(node, dict):
-            node[str(value)[:40] if isinstance(value, str | float) else str(there)] = node.pop(place)
+            node[str(value)[:40] if isinstance(value, str | float) else str(second_place)] = node.pop(place)
         elif kind == 2:
             del node[place]
         else:
@@ -314,7 +314,7 @@ def _somewhere(tree: Any, rng: np.random.Generator) -> tuple[Any, Any]:
     """A container within the tree and a key or index of it."""
     node = tree
     while True:
-        key = one_of(list(node) if isinstance(node, dict) else range(len(node)), rng)
+        key = choose(list(node) if isinstance(node, dict) else range(len(node)), rng)
         if not isinstance(node[key], dict | list) or not node[key] or rng.random() < 0.25:
             return node, key
         node = node[key]
@@ -328,7 +328,7 @@ def changed_nodes(content: bytes, count: int, rng: np.random.Generator) -> bytes
             file.visit(names.append)
             impossible = (ValueError, TypeError, LookupError, OSError, RuntimeError, AttributeError)
             with suppress(*impossible), np.errstate(all="ignore"):
-                changed_node(file, one_of(names, rng), rng)
+                changed_node(file, choose(names, rng), rng)
         file.flush()
         stream = io.BytesIO()
         with h5py.File(stream, "w") as fresh:
@@ -342,16 +342,16 @@ def changed_nodes(content: bytes, count: int, rng: np.random.Generator) -> bytes
         return stream.getvalue()
 
 
-def _replaced(file: Any, name: str, data: Any = None, **how: Any) -> None:
+def _replaced(file: Any, name: str, data: Any = None, **options: Any) -> None:
     attributes = dict(file[name].attrs) if name in file else {}
     del file[name]
-    dataset = file.create_dataset(name, data=data, **how)
+    dataset = file.create_dataset(name, data=data, **options)
     dataset.attrs.update({key: attributes[key] for key in ("units", "long_name") if key in attributes})
 
 
 def _values(file: Any, name: str) -> Any:
     """What a dataset holds; the claims that an earlier change made are not read."""
-    if file[name].size is None or file[name].size > MOST_READ:
+    if file[name].size is None or file[name].size > MAX_VALUES_READ:
         raise ValueError(name)
     return np.asarray(file[name][()])
 
@@ -364,30 +364,32 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
     if kind == 0:  # the same numbers as another type, or as something that is no number
         values = _values(file, name)
         types = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
-        dtype = one_of(types, rng)
+        dtype = choose(types, rng)
         _replaced(file, name, values.astype(dtype) if dtype != "V8" else np.zeros(values.shape, dtype))
     elif kind == 1:  # one axis more, less, longer or empty; a scalar; nothing at all
         values = _values(file, name)
         shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T)
-        _replaced(file, name, one_of((*shapes, values[..., 0], h5py.Empty("f8")), rng))
+        _replaced(file, name, choose((*shapes, values[..., 0], h5py.Empty("f8")), rng))
     elif kind == 2:  # a thousand million frames that are not there
         shape = (10 ** int(rng.integers(3, 13)), *shape[1:])
-        dtype = one_of(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else node.dtype
+        dtype = choose(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else node.dtype
         _replaced(file, name, shape=shape, dtype=dtype, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
-    elif kind == 3 and node.size <= MOST_READ:  # no number, infinite, zero, negative, huge or tiny: once or everywhere
-        value = one_of((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
-        where = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
-        node[where] = np.asarray(value).astype(node.dtype)
+    elif (
+        kind == 3 and node.size <= MAX_VALUES_READ
+    ):  # no number, infinite, zero, negative, huge or tiny: once or everywhere
+        value = choose((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
+        index = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
+        node[index] = np.asarray(value).astype(node.dtype)
     elif kind == 4:  # a text: of variable length, long, not ASCII, nested YAML
         options = ("text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE))
-        chosen = one_of((*options, "!!python/object:os.system {}", one_of(NASTY_TEXTS, rng).replace("\0", "")), rng)
+        chosen = choose((*options, "!!python/object:os.system {}", choose(NASTY_TEXTS, rng).replace("\0", "")), rng)
         _replaced(file, name, chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")))
     elif kind == 5:  # a link to nowhere, to itself, to an ancestor, to another file or to the machine's files
         layout = h5py.VirtualLayout(shape=shape, dtype="f8")
         layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
-        outside = h5py.ExternalLink(one_of(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}")
+        outside = h5py.ExternalLink(choose(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}")
         soft = map(h5py.SoftLink, ("/nowhere", f"/{name}", "/"))
-        target = one_of((*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng)
+        target = choose((*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng)
         if target is None:
             _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
             return
@@ -402,14 +404,14 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
     elif kind == 7 and rng.random() < 0.5:
         del file[name]
     elif kind == 7:
-        other = one_of(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
-        file.move(name, f"{name.rpartition('/')[0]}/{other}")
+        new_name = choose(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
+        file.move(name, f"{name.rpartition('/')[0]}/{new_name}")
     else:  # an attribute that is gone, or something else
         parts = name.split("/")
-        holder = one_of([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
+        holder = choose([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
         further = ("readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start")
-        chosen = one_of([*holder.attrs, *further], rng)
-        value = one_of(ATTRIBUTES, rng)
+        chosen = choose([*holder.attrs, *further], rng)
+        value = choose(ATTRIBUTES, rng)
         if value is None:
             del holder.attrs[chosen]
         else:

@@ -16,11 +16,11 @@ from fuzz.mutants import IMPORTED, KINDS, RUN, Mutant, text
 from lampest import InputError, Recording, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
 
-FINE = "taken"
+TAKEN = "taken"
 REFUSED = "refused"
-MOST_SECONDS = 5.0
-MOST_KILOBYTES = 1_200_000
-HUNG_SECONDS = 120
+MAX_SECONDS = 5.0
+MAX_KILOBYTES = 1_200_000
+HANG_SECONDS = 120
 SMALL_SIMULATION = 50_000
 
 
@@ -37,33 +37,33 @@ def receive(mutant: Mutant, folder: Path) -> str:
     """
     path = folder / f"input{KINDS[mutant.kind][0]}"
     path.write_bytes(mutant.content)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    initial_peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin = time.process_time()
-    faulthandler.dump_traceback_later(HUNG_SECONDS, exit=True)
+    faulthandler.dump_traceback_later(HANG_SECONDS, exit=True)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             outcome = _received(mutant, path)
     finally:
         faulthandler.cancel_dump_traceback_later()
-        left = cleared(folder) - {path.name}
-    if left:
-        raise ReceptionError(f"left {left}")
+        leftovers = cleared(folder) - {path.name}
+    if leftovers:
+        raise ReceptionError(f"left {leftovers}")
     seconds = time.process_time() - begin
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    if seconds > MOST_SECONDS:
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - initial_peak
+    if seconds > MAX_SECONDS:
         raise ReceptionError(f"{seconds:.1f} s")
-    if grown > MOST_KILOBYTES:
+    if grown > MAX_KILOBYTES:
         raise ReceptionError(f"{grown // 1000} MB")
     return outcome
 
 
 def cleared(folder: Path) -> set[str]:
     """Delete everything but the recording that runs name; returns what was there."""
-    found = [item for item in folder.iterdir() if item.name != "small.h5"]
-    for item in found:
+    leftovers = [item for item in folder.iterdir() if item.name != "small.h5"]
+    for item in leftovers:
         shutil.rmtree(item) if item.is_dir() else item.unlink()
-    return {item.name for item in found}
+    return {item.name for item in leftovers}
 
 
 def _received(mutant: Mutant, path: Path) -> str:
@@ -80,7 +80,7 @@ def _received(mutant: Mutant, path: Path) -> str:
         raise ReceptionError("".join(traceback.format_exception(error)[-4:])) from error
     if mutant.kind in ("recording", "results"):
         _check_command(arguments, 0)
-    return FINE
+    return TAKEN
 
 
 def _check_sentence(sentence: str) -> None:
@@ -92,11 +92,11 @@ def _check_sentence(sentence: str) -> None:
 
 def _check_command(arguments: list[str], code: int) -> None:
     """The command ends with that code, and says one line on stderr where it refuses."""
-    ended = called(*arguments, folder=Path.cwd())
-    lines = ended.err.count("\n")
-    refused = "lampest: " in ended.err and not ended.out
-    if ended.code != code or lines != (code != 0) or (code and not refused):
-        raise ReceptionError(ended.described(f"lampest {arguments[0]} must end with {code}"))
+    completed = called(*arguments, folder=Path.cwd())
+    lines = completed.err.count("\n")
+    refused = "lampest: " in completed.err and not completed.out
+    if completed.code != code or lines != (code != 0) or (code and not refused):
+        raise ReceptionError(completed.described(f"lampest {arguments[0]} must end with {code}"))
 
 
 def _setting(path: Path) -> None:

@@ -12,9 +12,7 @@ from lampest import Recording, read_results
 
 @pytest.mark.slow
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_recording_that_goes_or_changes_during_a_run_costs_its_own_cases_alone(
-    tmp_path: Path, replaced: bool
-) -> None:
+def test_a_recording_lost_or_changed_during_a_run_costs_only_its_own_cases(tmp_path: Path, replaced: bool) -> None:
     """Cases of a deleted recording fail with a sentence each. No result of a replaced one holds the new numbers."""
     cases = batch(tmp_path, 12)
     out = tmp_path / "out"
@@ -46,7 +44,7 @@ def test_a_recording_that_goes_or_changes_during_a_run_costs_its_own_cases_alone
         pytest.param(8, (1e-4, 1e-3, 1e-2), 50, marks=pytest.mark.soak),
     ],
 )
-def test_runs_that_are_killed_resume_and_lose_and_alter_no_result(
+def test_killed_runs_resume_without_losing_or_altering_results(
     tmp_path: Path, frames: int, weights: tuple[float, ...], kills: int
 ) -> None:
     killed_again_and_again(tmp_path, batch(tmp_path, frames, weights), kills)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from attack.attack import SEED
 from fuzz.mutants import KINDS, RUN, Corpus, Mutant, corpus
-from fuzz.readers import FINE, REFUSED, cleared, receive
+from fuzz.readers import REFUSED, TAKEN, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -71,30 +71,30 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def good(folder: Path) -> Corpus:
-    found = corpus(folder)
+    seeds = corpus(folder)
     cleared(folder)
-    return found
+    return seeds
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
+def test_good_files_are_accepted(good: Corpus, folder: Path, kind: str) -> None:
     for content in good.files[kind]:
-        assert receive(Mutant(kind, content), folder) == FINE
+        assert receive(Mutant(kind, content), folder) == TAKEN
 
 
 @pytest.mark.parametrize(
     "count", [pytest.param(40, marks=pytest.mark.slow), pytest.param(2500, marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("kind", KINDS)
-def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
+def test_mutated_files_are_accepted_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
     """The number of an input stands for the same one in every process."""
-    again = corpus(folder)
+    second_corpus = corpus(folder)
     cleared(folder)
     for number in np.random.default_rng(SEED).integers(2**31, size=count).tolist():
         mutant = good.mutant(number, kind)
-        assert kind not in TEXTS or mutant == again.mutant(number, kind)
-        assert receive(mutant, folder) in (FINE, REFUSED), number
+        assert kind not in TEXTS or mutant == second_corpus.mutant(number, kind)
+        assert receive(mutant, folder) in (TAKEN, REFUSED), number
 
 
 @pytest.mark.parametrize("scene", KNOWN, ids=["none", "divider", "loaded"])
@@ -106,7 +106,7 @@ def test_files_that_are_nearly_right_are_taken_or_refused(good: Corpus, folder: 
     st.sampled_from(["mark", "skip-frame", "refuse"]),
 )
 @QUICK
-def test_any_table_is_taken_or_refused_with_one_sentence(
+def test_any_table_is_accepted_or_refused_with_one_sentence(
     tmp_path_factory: pytest.TempPathFactory,
     scene: Scene | None,
     rows: list[list[str]],
@@ -129,7 +129,7 @@ def test_any_table_is_taken_or_refused_with_one_sentence(
 
 @given(st.text(max_size=40))
 @QUICK
-def test_any_name_is_a_part_of_a_path_or_refused(name: str) -> None:
+def test_any_name_is_usable_in_a_path_or_refused(name: str) -> None:
     """A name that is accepted is one part of a path and leads nowhere else."""
     try:
         check_name(name, "recording")
@@ -155,8 +155,10 @@ def test_an_endless_file_as_a_run_is_refused() -> None:
 
 @pytest.mark.parametrize("frames", [10**9, 10**15])
 @pytest.mark.parametrize("names", [("resistance", "time", "role", "sigma"), ("time",), ("role",)])
-def test_recording_that_claims_many_frames(good: Corpus, folder: Path, names: tuple[str, ...], frames: int) -> None:
-    """It is refused, and nothing of that size is touched."""
+def test_a_recording_that_claims_many_frames_is_refused(
+    good: Corpus, folder: Path, names: tuple[str, ...], frames: int
+) -> None:
+    """No memory of that size is touched."""
     stream = io.BytesIO(good.files["recording"][0])
     with h5py.File(stream, "a") as file:
         for name in (f"entry/two_point/{name}" for name in names):
@@ -181,7 +183,7 @@ OUTSIDE = {
 
 @pytest.mark.parametrize("link", OUTSIDE.values(), ids=OUTSIDE)
 @pytest.mark.parametrize("name", ["/entry/two_point/resistance", "/entry/scene", "/entry/acquisition"])
-def test_nothing_outside_the_file_is_read(good: Corpus, tmp_path: Path, link: Any, name: str) -> None:
+def test_readers_read_nothing_outside_the_file(good: Corpus, tmp_path: Path, link: Any, name: str) -> None:
     path = tmp_path / "linked.h5"
     path.write_bytes(good.files["recording"][0])
     (tmp_path / "other.h5").write_bytes(good.files["recording"][0])

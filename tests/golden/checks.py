@@ -207,13 +207,13 @@ def outliers_row() -> dict[str, Any]:
     touched = lp.two_point_resistance(touched)
     apart = np.stack([value, 1000 + 5 * (value - 1000)], axis=1)
     none = np.zeros(apart.shape, dtype=bool)
-    rest = np.arange(16) < 8
+    unloaded = np.arange(16) < 8
     pair = lp.Readings(apart, np.full(apart.shape, 9.0), np.zeros(apart.shape), np.ones(apart.shape))
     sizes = (pair.sigma, None, 5 * pair.sigma, 0.2 * pair.sigma)
-    each = partial(outliers.without_outliers, none[:, 0])
-    panels = [[each(replace(pair, sigma=size)[:, panel], rest) for panel in (0, 1)] for size in sizes]
-    flagged = [np.stack([outlying for outlying, _ in both], axis=1) for both in panels]
-    course = value + np.where(rest, 0.0, 3.0)[:, None, None] * (value - np.median(value, axis=0))
+    corrected = partial(outliers.without_outliers, none[:, 0])
+    panels = [[corrected(replace(pair, sigma=size)[:, panel], unloaded) for panel in (0, 1)] for size in sizes]
+    flagged = [np.stack([outlying for outlying, _ in halves], axis=1) for halves in panels]
+    course = value + np.where(unloaded, 0.0, 3.0)[:, None, None] * (value - np.median(value, axis=0))
     course[np.arange(8, 15), np.arange(7) % 4, np.arange(7) % 5] += (90, 150, 250, 400, -150, -250, 900)
     course[np.arange(8) % 7, np.arange(8) % 4, np.arange(8) % 5] += (120, -120) * 4
     course[[10, 10, 12, 12, 12], [0, 3, 1, 2, 3], [1, 3, 0, 4, 1]] += 500.0
@@ -222,8 +222,8 @@ def outliers_row() -> dict[str, Any]:
     return {
         "whole": outliers.detect_outliers(value, scale), "few": outliers.detect_outliers(value[:4], scale[:4], 0.1),
         "scales": flagged[1:], "panels": (flagged[0], panels[0][0][1].together(panels[0][1][1], axis=1)),
-        "loaded": outliers.without_outliers(course > 16000, loaded, rest),
-        "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], rest[7:9])[0].sum(),
+        "loaded": outliers.without_outliers(course > 16000, loaded, unloaded),
+        "two frames": outliers.without_outliers(none[:2, 0], loaded[7:9], unloaded[7:9])[0].sum(),
         "live": live, "impossible": outliers.impossible_readings(scene.circuit, impossible),
         "median": outliers.median(value)[0], "touch": outliers.detect_outliers(touched, 1e-3 * touched)[0].sum(),
     }  # fmt: skip
@@ -240,13 +240,13 @@ def scatter_row() -> dict[str, Any]:
         "lines": plain + 4 * rng.standard_normal((9, 10, 1)),
     }  # fmt: skip
     single = [rng.standard_normal((6, *shape)) for shape in ((1, 1), (1, 12), (12, 1))]
-    few = 500 * np.exp(0.01 * plain[:, :2, :3])
-    few[:, 0, 0], few[1:, 0, 1], few[:, 0, 2] = 500.0, np.nan, np.nan
+    small_group = 500 * np.exp(0.01 * plain[:, :2, :3])
+    small_group[:, 0, 0], small_group[1:, 0, 1], small_group[:, 0, 2] = 500.0, np.nan, np.nan
     recording = recorded()
     measured = recording.measured_frames()
     readings = recording.readings()
     resting = baseline_readings(recording, readings)
-    lonely, (frame, *beside) = recording.time == 4, deciding_frames(recording, readings, resting)
+    lonely, (frame, *neighbours) = recording.time == 4, deciding_frames(recording, readings, resting)
     return {
         "scatter": [scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
         "few frames": [scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
@@ -257,8 +257,8 @@ def scatter_row() -> dict[str, Any]:
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)], "frame": frame,
         "unknown": noise_factor(replace(readings, sigma=None)), "factor": noise_factor(readings[:4]),
         "lonely": deciding_frames(replace(recording, role=lonely.astype(np.uint8)), readings, resting)[1:],
-        "beside": np.array(beside),
-        "possible": [str(each) for each in possible_effects((3, 4))], "scattered": detection._scattered(few),
+        "beside": np.array(neighbours),
+        "possible": [str(each) for each in possible_effects((3, 4))], "scattered": detection._scattered(small_group),
     }  # fmt: skip
 
 
@@ -458,16 +458,18 @@ def verdict_row(name: str) -> dict[str, Any]:
 
 def prior_row() -> list[Any]:
     """What loads cost beforehand: further ones, and ones in one place."""
-    nothing = np.zeros(0)
+    empty = np.zeros(0)
     costs = []
     mouth = lp.OralDisc.candidate
     rod = lp.Rod.candidate
     disc = SHAPES["oral_disc"].disc()._replace(x_mm=20.0, y_mm=20.0)
-    for parts, away in product(((rod,), (mouth,), (rod, rod), (mouth, rod), (mouth, mouth)), (0.0, 20.0, 27.0, 40.0)):
+    for parts, distance in product(
+        ((rod,), (mouth,), (rod, rod), (mouth, rod), (mouth, mouth)), (0.0, 20.0, 27.0, 40.0)
+    ):
         candidate = parts[0] if len(parts) == 1 else Several.of(parts)
-        places = (disc, disc._replace(y_mm=20.0 + away, diameter_mm=20.0))
+        places = (disc, disc._replace(y_mm=20.0 + distance, diameter_mm=20.0))
         parameters = np.concatenate([part.start(place) for part, place in zip(parts, places, strict=False)])
-        costs.append(prior_cost(Fit(candidate, parameters, nothing, nothing, nothing, 80.0, 0.0, 0.0, 0.0)))
+        costs.append(prior_cost(Fit(candidate, parameters, empty, empty, empty, 80.0, 0.0, 0.0, 0.0)))
     return costs
 
 
@@ -485,35 +487,36 @@ def breathing_row() -> dict[str, Any]:
     changes = settled(swing + rng.standard_normal(swing.shape))
     interval = SteadyFrames.of(times, changes)
     swing_breath = breath(interval, changes, patterns)
-    few = [
+    results = [
         breath(SteadyFrames.of(times[part], changes[part]), changes[part], patterns)
         for part in (slice(10), slice(None, None, 2))
     ]
-    parted, left = interval.parted((3.0, 5.5))
-    stepped = changes[left] + 40.0 * (parted.part == 1)[:, None] * slopes / 300.0
-    few += [parted.times, parted.part, parted.trend(), breath(parted, stepped, patterns)]
+    parted, remaining = interval.parted((3.0, 5.5))
+    stepped = changes[remaining] + 40.0 * (parted.part == 1)[:, None] * slopes / 300.0
+    results += [parted.times, parted.part, parted.trend(), breath(parted, stepped, patterns)]
     pull = (times > 2.9) & (times < 5.1)
-    few.append(breath(interval, changes + 0.5 * pull[:, None] * slopes, patterns))
+    results.append(breath(interval, changes + 0.5 * pull[:, None] * slopes, patterns))
     belief = [Breathing()]
     courses = list[Any]()
     for full in (False, True, True):
         belief.append(belief[-1].after(swing_breath, 8.0, full=full))
     for _ in range(12):
-        each = Breathing()
+        state = Breathing()
         for window in range(6):
             suction = float(rng.choice([0.02, 0.4, 0.7, 0.96]))
-            seen = Breath(float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02))
-            each = each.after(seen if rng.random() < 0.9 else None, 8.0, full=bool(rng.random() < 0.6))
+            observed = Breath(float(rng.choice([-4.0, -0.3, 0.4, 3.0])), suction, (1.0, 0.1 * window), (0.1, 0.02))
+            state = state.after(observed if rng.random() < 0.9 else None, 8.0, full=bool(rng.random() < 0.6))
             courses.append(
-                [each.odds, each.previous_odds, each.suction, each.last, each.causes, (each.hertz or (0, 0))[1]]
+                [state.odds, state.previous_odds, state.suction, state.last, state.causes, (state.hertz or (0, 0))[1]]
             )
     pumping = Pumping.begin(np.ones(4) / 4, np.zeros(4), 0.0, 3)
     for number in range(30):
         pumping = pumping.after(0.02 * rng.standard_normal(4) + 0.3 * (number % 10 > 6), 0.5 * number)
     moved = Pumping.begin(np.ones(4), np.ones(4), 15.0, 4, pumping).after(np.array([4 * [1.0], 4 * [1.2]]), 17.0)
     return {
-        "breath": swing_breath, "belief": belief, "probability": [each.probability for each in belief],
-        "slow": too_slow(1.5), "too few": few, "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
+        "breath": swing_breath, "belief": belief, "probability": [state.probability for state in belief],
+        "slow": too_slow(1.5), "too few": results,
+        "pumping": [pumping.odds, np.sort(pumping.logarithm, axis=-1)],
         "pumps": [pumping.pumps, pumping.interval_s, pumping.observed_s],
         "courses": courses, "moved": [moved.odds, np.sort(moved.logarithm, axis=-1)],
     }  # fmt: skip
@@ -528,11 +531,11 @@ def patterns_row() -> list[Any]:
     logarithms = np.log(value) + 1e-3 * rng.standard_t(2, (9, 42))
     rows = list[Any]()
     for depth in (0.0, 2.0):
-        seen = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
-        each = patterns_of(seen, verdict.best, whitening, Detector(6.0))
-        rows += [each, [pattern and pattern.suction_weights(whitening) for pattern in each]]
+        submerged = replace(frame, water=depth + np.arange(42).reshape(6, 7) / 40)
+        patterns = patterns_of(submerged, verdict.best, whitening, Detector(6.0))
+        rows += [patterns, [pattern and pattern.suction_weights(whitening) for pattern in patterns]]
         interval = SteadyFrames.of(np.arange(9) / 4, logarithms)
-        rows.append(changes_without_water(interval, seen, verdict.best))
+        rows.append(changes_without_water(interval, submerged, verdict.best))
     return rows
 
 
@@ -546,23 +549,26 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
 def recognised_row() -> list[Any]:
     """A watch that recognises a rod, a faint one or nothing, at once or again, and a rod that has left before."""
     (verdict, _), rows = verdict_of("rod"), list[Any]()
-    begun, readings = watch_begun()
-    resting = begun.rest.mean
-    begun = replace(begun, present=True, level=replace(begun.level, since_s=3.0))
+    initial, readings = watch_begun()
+    resting = initial.rest.mean
+    initial = replace(initial, present=True, level=replace(initial.level, since_s=3.0))
     loaded = np.log(readings.value[3].ravel())
     best = np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
-    look = Look(verdict, np.ones(len(begun.test.loud)), 2.5)
-    states = [replace(begun, look=seen, known=known) for seen, known in product((None, look), (False, True))]
-    for state, nothing, share in product(states, (1.0, 0.05, 0.04), (1.0, 0.0)):
+    look = Look(verdict, np.ones(len(initial.test.loud)), 2.5)
+    states = [
+        replace(initial, look=previous_look, known=known)
+        for previous_look, known in product((None, look), (False, True))
+    ]
+    for state, nothing_share, share in product(states, (1.0, 0.05, 0.04), (1.0, 0.0)):
         shown = share * resting + (1 - share) * loaded
-        shares = tuple((1 - nothing) * best + nothing * np.eye(len(best))[0])
+        shares = tuple((1 - nothing_share) * best + nothing_share * np.eye(len(best))[0])
         level = replace(state.level, mean=shown)
         watch = replace(state, level=level, window=tuple((3.5 + k, shown) for k in range(3)))
         with patch.object(Detector, "verdict", return_value=replace(verdict, shares=shares, goodness=1.0)):
             watch = watch._looked(5.0)
         times = [(load.since_s, load.until_s or 0.0) for load in watch.attachments]
-        seen = watch.look and [watch.look.time_s, watch.look.over, watch.look.size.sum()]
-        rows.append([watch.present, watch.known, watch.next_s, watch.history, seen, watch.rest.frames, times])
+        last_look = watch.look and [watch.look.time_s, watch.look.over, watch.look.size.sum()]
+        rows.append([watch.present, watch.known, watch.next_s, watch.history, last_look, watch.rest.frames, times])
         rows.append([np.sum(part) for part in (watch.rest.mean, watch.film_sd)])
     return rows
 
@@ -570,10 +576,10 @@ def recognised_row() -> list[Any]:
 def steps_row() -> list[Any]:
     """A watch that follows noise, a rod, a harder press that ends, and the end of the rod; and frames against it."""
     (verdict, _), rng, rows = verdict_of("rod"), np.random.default_rng(6), list[Any]()
-    begun, readings = watch_begun()
-    watch = begun
+    initial, readings = watch_begun()
+    watch = initial
     states = list[Watch]()
-    resting = begun.rest.mean
+    resting = initial.rest.mean
     rod = np.log(readings.value[3].ravel()) - resting
     shares = (0, 0, 0, 0.01, 1, 1, 1, 1, 1.6, 1.6, 1.6, 1, 1, 1, 0, 0, 0, 0, 0.3, 0.3, 0.3)
     times = 3.0 + 0.25 * np.arange(len(shares)) + 30.0 * (np.arange(len(shares)) > 16)
@@ -587,50 +593,52 @@ def steps_row() -> list[Any]:
             watch = replace(watch, known=True, look=Look(verdict, size, time), former=None)
         if number == 16:
             watch = watch._gone(time)
-    for state in (*states, states[10].former or begun):
-        levels = [[np.sum(one.mean), one.frames, one.since_s, one.until_s] for one in (state.rest, state.level)]
+    for state in (*states, states[10].former or initial):
+        levels = [
+            [np.sum(phase.mean), phase.frames, phase.since_s, phase.until_s] for phase in (state.rest, state.level)
+        ]
         held = [state.present, state.known, state.next_s, state.steps, np.sum(state.recent), state.stands_out]
         rows.append([levels, held, state.test.loud.sum(), state.doubt, state.faults])
         rows.append([(at, *frame[:3]) for at, frame in state.window])
         rows.append(state.look and state.look.fading(40.0).sum())
     stepped = replace(states[8], film_sd=0.03)
     for share in (1.6, 0.5, 0.15, 0.1, 0.0):
-        seen = stepped._frame(resting + share * rod, 7.0)
-        rows.append([seen.baseline.covariance.diagonal(), stepped._left(seen), np.sum(stepped._keeps(seen))])
+        later = stepped._frame(resting + share * rod, 7.0)
+        rows.append([later.baseline.covariance.diagonal(), stepped._left(later), np.sum(stepped._keeps(later))])
         rows.append(stepped._resumed(resting + share * rod).known)
-    loud = np.geomspace(0.01, 30.0, len(begun.test.loud))
-    rows += [replace(begun.test, loud=factor * loud).least() for factor in (0.01, 1.0)]
+    loud = np.geomspace(0.01, 30.0, len(initial.test.loud))
+    rows += [replace(initial.test, loud=factor * loud).least() for factor in (0.01, 1.0)]
     frames = np.repeat(readings.value[:1], 6, axis=0)
     frames[2:5] = readings.value[3]
     missing = np.where(np.arange(42).reshape(6, 7) == 8, np.nan, frames)
-    return [*rows, [begun.touched(part) for part in (frames[:3], frames[:4], frames, missing, frames[:2])]]
+    return [*rows, [initial.touched(part) for part in (frames[:3], frames[:4], frames, missing, frames[:2])]]
 
 
 def swings_row() -> list[Any]:
     """Windows of a mouth beside a rod that are too short, partial and full, and samples of its suction."""
     (verdict, frame), rng, rows = verdict_of("two"), np.random.default_rng(3), list[Any]()
-    begun, _ = watch_begun()
-    patterns = patterns_of(frame, verdict.best, begun.test.whitening, begun.panelled.detector)
+    initial, _ = watch_begun()
+    patterns = patterns_of(frame, verdict.best, initial.test.whitening, initial.panelled.detector)
     pattern = next(filter(None, patterns))
     mouth = Attachment(0.9, 0.0, (44.0, 1.0), (36.0, 1.0), patterns=pattern)
-    gone = replace(mouth, until_s=4.0)
+    departed = replace(mouth, until_s=4.0)
     faint = replace(mouth, sucks=0.4)
     rod = replace(mouth, patterns=None)
     logarithm = np.log(frame.measured.ravel())
-    suction = np.linalg.solve(begun.test.whitening, pattern.own[:, 0])
-    look = Look(verdict, np.ones(len(begun.test.loud)), 0.0)
+    suction = np.linalg.solve(initial.test.whitening, pattern.own[:, 0])
+    look = Look(verdict, np.ones(len(initial.test.loud)), 0.0)
     for lasts, full_s in ((3.0, -np.inf), (6.0, -np.inf), (8.0, -np.inf), (12.0, 4.0), (12.0, 5.0)):
         at = 1.0 + np.arange(0.0, lasts, 0.25)
         swings = logarithm + 0.06 * np.outer(np.sin(2 * np.pi * at), suction)
         window = tuple(zip(at.tolist(), swings + 1e-3 * rng.standard_normal(swings.shape), strict=True))
         breath = Breathing(full_s=full_s)
-        loads = tuple(replace(load, breath=breath) for load in (mouth, gone, faint, rod))
-        watch = replace(begun, present=True, known=True, look=look, window=window, attachments=loads)
+        loads = tuple(replace(load, breath=breath) for load in (mouth, departed, faint, rod))
+        watch = replace(initial, present=True, known=True, look=look, window=window, attachments=loads)
         heard = watch._heard(at[-1])
         rows.append([load.breath for load in heard.attachments])
         moved = tuple(replace(load, moved_s=times) for load in heard.attachments for times in ((), (2.0,)))
-        again = replace(heard, attachments=moved)._heard(at[-1] + 0.5)
-        for track in filter(None, (load.track for load in (*heard.attachments, *again.attachments))):
+        returned = replace(heard, attachments=moved)._heard(at[-1] + 0.5)
+        for track in filter(None, (load.track for load in (*heard.attachments, *returned.attachments))):
             rows.append([track.odds, track.since_s, track.moves, np.abs(track.weights).sum(), track.mean.sum()])
     return [*rows, replace(mouth, patterns=patterns[0]) == replace(mouth, patterns=pattern._replace(rim=1)), str(mouth)]
 
@@ -665,8 +673,8 @@ def states_of(watch: ImageWatch) -> list[Any]:
 
 def state_of(state: Watch) -> list[Any]:
     levels = [[level.mean, level.frames, level.since_s, level.until_s] for level in (state.rest, state.level)]
-    rest = [state.recent, state.film_sd, state.window, state.steps, state.present, state.known, state.next_s]
-    return [levels, rest, state.history, state.faults, state.stands_out]
+    scalars = [state.recent, state.film_sd, state.window, state.steps, state.present, state.known, state.next_s]
+    return [levels, scalars, state.history, state.faults, state.stands_out]
 
 
 def opened_row() -> list[Any]:
@@ -682,15 +690,17 @@ def opened_row() -> list[Any]:
             recent=(part.level.mean + number, part.level.mean + 2 * number),
         ) for number, part in watch.modules.items()
     }  # fmt: skip
-    whole, corner = (Window.about(watch.panelled.scene, np.array(place)) for place in ((20.0, 20.0), (55.0, -9.0)))
+    middle, corner = (Window.about(watch.panelled.scene, np.array(place)) for place in ((20.0, 20.0), (55.0, -9.0)))
     watch = replace(watch, modules=parts)
-    begun = watch._begun(whole, sigma)
+    initial = watch._begun(middle, sigma)
     numbers = np.arange(36.0)
-    rest = replace(begun.rest, mean=numbers)
-    level = replace(begun.level, mean=numbers + 40)
-    left = replace(begun, rest=rest, level=level, recent=(numbers + 80, numbers + 120), history="it left at 6.0 s")
-    opened = replace(watch, opened=((whole, left, 20.0), (corner, left, 21.0)))
-    rows: list[Any] = [state_of(begun), begun.test.loud, whole.numbers, corner.numbers]
+    baseline = replace(initial.rest, mean=numbers)
+    level = replace(initial.level, mean=numbers + 40)
+    departed = replace(
+        initial, rest=baseline, level=level, recent=(numbers + 80, numbers + 120), history="it left at 6.0 s"
+    )
+    opened = replace(watch, opened=((middle, departed, 20.0), (corner, departed, 21.0)))
+    rows: list[Any] = [state_of(initial), initial.test.loud, middle.numbers, corner.numbers]
     return rows + [states_of(opened._closed(time)) for time in (79.9, 80.0)]
 
 
@@ -749,13 +759,13 @@ def windows_row() -> Any:
 
 def answers_row() -> dict[str, Any]:
     """What is said of loads: alone, together, gone, with breath and pumps of every probability, at two frame rates."""
-    seen = Attachment(
+    observed = Attachment(
         0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), cells=12, area_mm2=(1200.0, 100.0),
     )  # fmt: skip
     breath = Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01))
-    mouth = replace(seen, sucks_s=8.0, moved_s=(12.0,), breath=breath)
-    rod = replace(seen, sucks=0.0, suctions=())
-    gone = replace(mouth, since_s=5.0, until_s=30.0)
+    mouth = replace(observed, sucks_s=8.0, moved_s=(12.0,), breath=breath)
+    rod = replace(observed, sucks=0.0, suctions=())
+    departed = replace(mouth, since_s=5.0, until_s=30.0)
     still = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
     pumping = replace(still, logarithm=still.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
     contacts = [replace(rod, diameter_mm=None, x_mm=(float(x), 1.0)) for x in range(8)]
@@ -764,9 +774,16 @@ def answers_row() -> dict[str, Any]:
         {"odds": 4.0, "suction": 0.02}, {"odds": 0.0, "hertz": None},
     )  # fmt: skip
     breaths = [replace(mouth, breath=replace(breath, **change)) for change in changes]
-    alone = [mouth, gone, rod, replace(mouth, sucks=1.0), replace(mouth, sucks=0.02), *breaths]
-    alone += [replace(each, track=track) for each in (seen, breaths[2]) for track in (still, pumping)]
-    groups = [[load] for load in alone] + [[mouth, gone], [gone, mouth], [rod, mouth], [mouth, mouth], contacts, []]
+    alone = [mouth, departed, rod, replace(mouth, sucks=1.0), replace(mouth, sucks=0.02), *breaths]
+    alone += [replace(attachment, track=track) for attachment in (observed, breaths[2]) for track in (still, pumping)]
+    groups = [[load] for load in alone] + [
+        [mouth, departed],
+        [departed, mouth],
+        [rod, mouth],
+        [mouth, mouth],
+        contacts,
+        [],
+    ]
     answers = [Detected.of("mouth", tuple(loads), rate) for loads in groups for rate in (1.0, 4.0)]
     return {
         "answers": list(map(answer_row, answers)), "lives": [[load.lives, load.pumps] for load in alone],
@@ -780,7 +797,7 @@ def attachments_row() -> Any:
     courses = []
     for _ in range(20):
         present: tuple[Attachment, ...] = ()
-        for time, again in ((1.0, False), (4.0, False), (4.0, True), (6.0, False)):
+        for time, returns in ((1.0, False), (4.0, False), (4.0, True), (6.0, False)):
             drawn = zip(rng.uniform(0, 60, 3), rng.integers(8, size=3), strict=True)
             loads = [
                 Attachment(
@@ -788,16 +805,16 @@ def attachments_row() -> Any:
                     clear=float(900 * (kind % 3)),
                 ) for x, kind in drawn
             ]  # fmt: skip
-            present = continued_by(present, loads, time, again=again)
+            present = continued_by(present, loads, time, again=returns)
         courses.append(
             [(*load.place, load.since_s, load.until_s or 0.0, load.sucks, len(load.moved_s)) for load in present]
         )
     loads = [Attachment(0.2, float(k), (20.0 * k, 0.6), (9.0 * k, 0.6), (15.0, 1.0), cells=5) for k in range(4)]
     present = continued_by((), loads[:2], 1.0)
     present = continued_by(present, [replace(loads[1], x_mm=(24.0, 0.6), sucks=0.9, since_s=3.0), loads[3]], 3.0)
-    again = continued_by(present, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True)
+    returned = continued_by(present, [replace(loads[3], y_mm=(30.0, 0.5), diameter_mm=(20.0, 2.0))], 3.0, again=True)
     return {
-        "attachments": [present, again, continued_by(again, [], 8.0)], "courses": courses,
+        "attachments": [present, returned, continued_by(returned, [], 8.0)], "courses": courses,
         "sizes": [[load.size, load.width, load.lives] for load in present],
     }  # fmt: skip
 

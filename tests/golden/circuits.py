@@ -95,7 +95,7 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
     rng = np.random.default_rng(1)
     step, weights = rng.standard_normal((2, *scene.panel.shape))
     second = network.second_order(weights)
-    few = np.array([1, 6, 7])
+    nodes = np.array([1, 6, 7])
     row = {
         "reading": network.reading(), "forward": network.forward(step), "adjoint": network.adjoint(weights),
         "sensitivity": network.sensitivity(), "own": network.own_response(), "condition": network.condition(),
@@ -103,7 +103,8 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
     }  # fmt: skip
     if scene.panel.modules is None:
         row |= {
-            "some": network.sensitivity()[np.ix_(few[:2], few)], "some second": second.matrix()[np.ix_(few, few)],
+            "some": network.sensitivity()[np.ix_(nodes[:2], nodes)],
+            "some second": second.matrix()[np.ix_(nodes, nodes)],
             "potentials": network.potentials(), "by lines": by_lines(network.normal_by_lines(weights**2)),
             "wire": wiring.wire_responses(network, scene.lines or lp.Lines()),
         }  # fmt: skip
@@ -350,16 +351,16 @@ def tare_row() -> list[Any]:
     """When zero is taken anew, and by what, for deviations and memories of several sizes that grow; a frame fails."""
     rng = np.random.default_rng(2)
     rows = list[Any]()
-    for size, kept in product((0.0, 0.003, 0.02, 0.07, 0.1), (0.0, 0.1, 0.5)):
-        uneven = np.ones((4, 5)) if kept else (-1.0) ** np.indices((4, 5)).sum(axis=0)
+    for size, memory_share in product((0.0, 0.003, 0.02, 0.07, 0.1), (0.0, 0.1, 0.5)):
+        uneven = np.ones((4, 5)) if memory_share else (-1.0) ** np.indices((4, 5)).sum(axis=0)
         zero = size * uneven * (1 + 0.4 * rng.standard_normal((4, 5)))
-        memory = kept * rng.uniform(size=(4, 5))
+        memory = memory_share * rng.uniform(size=(4, 5))
         watch = TareWatch(lp.Tare(frames=6))
         for number in range(40):
-            left = zero * (1 + number / 8) + 0.002 * rng.standard_normal((4, 5)) + 0.2 * (number == 13)
-            left[1, 2] = np.nan if number > 9 else left[1, 2]
-            watch, mean, why = watch.after(left * (np.nan if number == 4 else 1.0), memory, 20.0 * number)
-            rows += [[size, kept, number, mean, why]] if why else []
+            change = zero * (1 + number / 8) + 0.002 * rng.standard_normal((4, 5)) + 0.2 * (number == 13)
+            change[1, 2] = np.nan if number > 9 else change[1, 2]
+            watch, mean, reason = watch.after(change * (np.nan if number == 4 else 1.0), memory, 20.0 * number)
+            rows += [[size, memory_share, number, mean, reason]] if reason else []
     return rows
 
 
@@ -399,7 +400,7 @@ def of_loads() -> Rows:
         | {f"shape {name}": partial(shape_row, load) for name, load in SHAPES.items()}
         | {
             f"candidate {each.label}": partial(candidate_row, each)
-            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, BOTH)
+            for each in (*candidates.UNIFORM, *candidates.LOADS, candidates.FIELD, DISC_AND_ROD)
         }
         | {f"pressure in {name}": partial(pressure_row, scene) for name, scene in LOADED.items()}
         | {
@@ -421,5 +422,5 @@ def of_loads() -> Rows:
     )
 
 
-BOTH = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
+DISC_AND_ROD = candidates.Several.of((lp.OralDisc.candidate, lp.Rod.candidate))
 OUTLINES = ((annulus_mm2, (10.0, 20.0)), (contact_of_weight, (300.0, 400.0)), (bearing_kpa, (-9.0, 15.0, 24.0)))

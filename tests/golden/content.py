@@ -11,12 +11,12 @@ from scipy import sparse
 
 # significant digits; numbers of an array that is stored whole, and of a longer one
 DIGITS = 9
-LONG = 40
-CHOSEN = 16
+MAX_VALUES = 40
+SAMPLE_SIZE = 16
 # of a number, and of the largest of its array
-RELATIVE = 1e-6
-ABSOLUTE = 1e-7
-MARGIN = 100.0  # factor on the differences between processors, as others differ from these
+RELATIVE_TOLERANCE = 1e-6
+ABSOLUTE_TOLERANCE = 1e-7
+TOLERANCE_FACTOR = 100.0  # factor on the differences between processors, as others differ from these
 
 
 def content(value: Any) -> Any:
@@ -45,12 +45,12 @@ def of_array(values: np.ndarray[Any, Any]) -> Any:
     flat = values.ravel().astype(float)
     if not values.ndim:
         return rounded(flat[0])
-    if flat.size <= LONG:
+    if flat.size <= MAX_VALUES:
         return [rounded(number) for number in flat]
     finite = np.isfinite(flat)
-    some = flat[np.linspace(0, flat.size - 1, CHOSEN).astype(int)]
+    sample = flat[np.linspace(0, flat.size - 1, SAMPLE_SIZE).astype(int)]
     summary = {"shape": str(values.shape), "unknown": int((~finite).sum()), "mean": rounded(flat[finite].mean())}
-    return summary | {"some": [rounded(number) for number in some]}
+    return summary | {"some": [rounded(number) for number in sample]}
 
 
 def rounded(number: float) -> float:
@@ -77,24 +77,28 @@ def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = 
         return ""
     if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
         pairs = ((stored[key], computed[key], f"{place}.{key}") for key in stored)
-        return next(filter(None, (difference(*two, tolerances, where) for *two, where in pairs)), "")
+        return next(filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), "")
     if isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed):
         if not is_numbers(stored + computed):
             pairs = ((*two, f"{place}[{k}]") for k, two in enumerate(zip(stored, computed, strict=True)))
-            return next(filter(None, (difference(*two, tolerances, where) for *two, where in pairs)), "")
+            return next(filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), "")
     elif not is_numbers([stored, computed]):
         if shortened(stored) == shortened(computed):
             return ""
         return f"{place}: {stored!r} was stored, {computed!r} is computed"
-    before = np.atleast_1d(np.array(stored, dtype=float))
-    now = np.atleast_1d(np.array(computed, dtype=float))
+    reference = np.atleast_1d(np.array(stored, dtype=float))
+    current = np.atleast_1d(np.array(computed, dtype=float))
     far = ~np.isclose(
-        now, before, rtol=RELATIVE, atol=(tolerances.get(anywhere) or ABSOLUTE) * largest(before), equal_nan=True
+        current,
+        reference,
+        rtol=RELATIVE_TOLERANCE,
+        atol=(tolerances.get(anywhere) or ABSOLUTE_TOLERANCE) * largest(reference),
+        equal_nan=True,
     )
     if not far.any():
         return ""
     first = int(np.argmax(far))
-    return f"{place}[{first}]: {before[first]:.10g} was stored, {now[first]:.10g} is computed"
+    return f"{place}[{first}]: {reference[first]:.10g} was stored, {current[first]:.10g} is computed"
 
 
 def is_numbers(values: Sequence[Any]) -> bool:
@@ -121,8 +125,8 @@ def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str,
     if not lists and not is_numbers([stored, computed]):
         yield place, None
         return
-    before = np.atleast_1d(np.array(stored, dtype=float))
-    now = np.atleast_1d(np.array(computed, dtype=float))
-    share = MARGIN * largest(now - before) / max(largest(before), np.finfo(float).tiny)
-    same = np.array_equal(np.isfinite(before), np.isfinite(now))
-    yield place, 10.0 ** np.ceil(np.log10(share)) if same and share < 0.1 else None
+    reference = np.atleast_1d(np.array(stored, dtype=float))
+    current = np.atleast_1d(np.array(computed, dtype=float))
+    share = TOLERANCE_FACTOR * largest(current - reference) / max(largest(reference), np.finfo(float).tiny)
+    alike = np.array_equal(np.isfinite(reference), np.isfinite(current))
+    yield place, 10.0 ** np.ceil(np.log10(share)) if alike and share < 0.1 else None

@@ -161,11 +161,11 @@ FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
 }
 
 
-def import_row(text: str, how: dict[str, Any]) -> dict[str, Any]:
+def import_row(text: str, options: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.csv"
         path.write_text(text, encoding="utf-8")
-        recording, notes = lp.import_file(path, 2, 3, **how)
+        recording, notes = lp.import_file(path, 2, 3, **options)
     understood = [line.replace(folder, "") for line in understood_lines(recording, notes)]
     return {
         "recorded": recording.recorded, "time": recording.time, "role": recording.role, "start": recording.start_time,
@@ -176,8 +176,8 @@ def import_row(text: str, how: dict[str, Any]) -> dict[str, Any]:
 def killed_row() -> list[Any]:
     """What a killed recorder leaves, and date and time at 0 s by a board's clock of the host."""
     with tempfile.TemporaryDirectory() as folder:
-        left = unclosed_recording(Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3)
-        recording = lp.Recording.load(left)
+        path = unclosed_recording(Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3)
+        recording = lp.Recording.load(path)
     board = recording.acquisition
     assert board is not None
     hosts = [replace(board, host_time=board.host_time + moved) for moved in (3600.5, -1.7e9, np.inf, 1e15)]
@@ -210,7 +210,7 @@ def of_recording() -> Rows:
 
 # Estimates
 
-ASIDE = (
+OMITTED_FIELDS = (
     "case_id", "case_yaml", "versions", "iterations", "starts", "solve_time", "error_bar_time", "baseline_solve_time",
     "kkt_residual", "scene",
 )  # fmt: skip
@@ -256,7 +256,7 @@ def case_row(case: lp.CaseResult) -> dict[str, Any]:
     for seconds in (case.solve_time, case.error_bar_time, case.baseline_solve_time):
         taken = np.asarray(seconds, dtype=float)
         assert not np.any((taken < 0) | (taken > 600)), "a time that no solve takes"
-    names = [field.name for field in fields(case) if field.name not in ASIDE]
+    names = [field.name for field in fields(case) if field.name not in OMITTED_FIELDS]
     return {name: getattr(case, name) for name in names}
 
 
@@ -300,27 +300,27 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def resistors_row(scene: lp.Scene, more: float = 0.0) -> dict[str, Any]:
+def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
     """Known resistors of several values on every cell, with other circuit numbers than the scene has."""
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
-    calibration = calibrate_resistors([on_resistors(scene, printed, more)], [printed], tolerance=1e-3)
+    calibration = calibrate_resistors([on_resistors(scene, printed, shift)], [printed], tolerance=1e-3)
     return calibration_row(calibration) | {
-        "numbers": [(each.label, each.value, each.sigma, each.lines) for each in calibration.numbers]
+        "numbers": [(number.label, number.value, number.sigma, number.lines) for number in calibration.numbers]
     }  # fmt: skip
 
 
 def on_resistors(
-    scene: lp.Scene, printed: lp.Array, more: float = 0.0, spread: float = 9.0, **true: Any
+    scene: lp.Scene, printed: lp.Array, shift: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
     """Six frames of known resistors, infinite where there is none, with other channels and these other parts."""
-    made = replace(scene, **true)
+    actual = replace(scene, **true)
     memory = true.get("converter_memory")
-    rows = np.linspace(-spread, spread, 4) + more
-    columns = np.linspace(-4, 8, 5) + more
+    rows = np.linspace(-spread, spread, 4) + shift
+    columns = np.linspace(-4, 8, 5) + shift
     if scene.circuit.unit == "volt" and "readout" not in true:
-        made = replace(made, readout=replace(made.circuit, drive_ohm=90.0))
-    volt = made.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), made, rows, columns)
-    volt = with_memory(made.circuit, memory, volt) if memory else volt
+        actual = replace(actual, readout=replace(actual.circuit, drive_ohm=90.0))
+    volt = actual.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), actual, rows, columns)
+    volt = with_memory(actual.circuit, memory, volt) if memory else volt
     noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
     return lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
 
@@ -371,9 +371,9 @@ def refused_resistors_row() -> list[str]:
         (on_resistors(scene, known, readout=replace(scene.circuit, drive_ohm=9.001)), known),
     ]  # fmt: skip
     answers = []
-    for each, table in cases:
+    for case, table in cases:
         try:
-            answers.append(calibrate_resistors([each], [table], tolerance=1e-3).summary)
+            answers.append(calibrate_resistors([case], [table], tolerance=1e-3).summary)
         except InputError as error:
             answers.append(str(error))
     return answers
@@ -430,15 +430,15 @@ def frame_noise_row() -> list[Any]:
 
 def joint_row() -> list[Any]:
     """All frames as one problem, with errors that all share and some that each has, at three points."""
-    made = simulated("gain_spread", SHARED_ERRORS)
+    recording = simulated("gain_spread", SHARED_ERRORS)
     rng = np.random.default_rng(2)
     rows = list[Any]()
     robust = (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),)
     estimator = Estimator(robust, "reduced", bounds=lp.Bounds(lower=2500.0))
-    data = [estimator.data(made.readings()[frame].alone(), Background(made.scene)) for frame in range(3, 7)]
-    cells = np.log(made.truth_cell_resistance[3:7]).reshape(4, -1) + 0.01 * rng.standard_normal((4, 20))
-    noise = FrameNoise(made.scene, 4, 0.004, *np.zeros((2, 5, 0)))
-    begun = Joint.of([estimator.cost(made.scene, 1)] * 4, data, Shared.of(made.scene), cells, noise, 2)
+    data = [estimator.data(recording.readings()[frame].alone(), Background(recording.scene)) for frame in range(3, 7)]
+    cells = np.log(recording.truth_cell_resistance[3:7]).reshape(4, -1) + 0.01 * rng.standard_normal((4, 20))
+    noise = FrameNoise(recording.scene, 4, 0.004, *np.zeros((2, 5, 0)))
+    begun = Joint.of([estimator.cost(recording.scene, 1)] * 4, data, Shared.of(recording.scene), cells, noise, 2)
     stiffness = rng.uniform(10, 1e4, (3, 20))
     begun = replace(begun, stiffness=stiffness, shift=0.2 * rng.standard_normal(len(begun.shift)))
     for joint in (begun, begun.stepped().sharing(), begun.stepped().stepped()):
@@ -450,14 +450,14 @@ def joint_row() -> list[Any]:
             joint.shared_estimate, [each.held for each in held], held[-1].value, held[-1].newton()[1],
             joint.answer(joint.shared[:, :, :2]), [each.uncertain.variance for each in (joint, held[-1])],
         ]  # fmt: skip
-    return [*rows, error_bars(begun.stepped(), 2, Shared.of(made.scene))]
+    return [*rows, error_bars(begun.stepped(), 2, Shared.of(recording.scene))]
 
 
 def batches_row() -> dict[str, Any]:
     """Which frames of streams are solved together, by estimator and by readings that are missing, and their cells."""
     misfit = lp.Misfit(weighting="noise")
     penalty = lp.LogGradient(weight=3.0)
-    made = simulated()
+    recording = simulated()
     rows = {}
     bare = partial(Estimator, (misfit, penalty), "reduced", error_bars=False)
     frame = lp.AutoWeight(per="frame")
@@ -473,11 +473,11 @@ def batches_row() -> dict[str, Any]:
         "truncated": Estimator((misfit, penalty), "truncated"),
     }  # fmt: skip
     for name, estimator in cases.items():
-        stream = Stream.begin(estimator, made.scene, 1.0, made.readings()[:4].mean())
-        recorded = made.recorded[4:7].copy()
+        stream = Stream.begin(estimator, recording.scene, 1.0, recording.readings()[:4].mean())
+        recorded = recording.recorded[4:7].copy()
         inverses = InverseHessians.nothing(3, 20)
         recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
-        pairs = push_streams([stream, None, stream], lp.Readings.of(made.scene, recorded), inverses)
+        pairs = push_streams([stream, None, stream], lp.Readings.of(recording.scene, recorded), inverses)
         steps = [step and step.cell_resistance for _, step in pairs]
         rows[name] = [inverses.positive, np.isnan(inverses.position).any(axis=1), steps]
     return rows
@@ -505,8 +505,11 @@ def modules_row() -> list[Any]:
             parts = [part and (part.weights, part.weight_sigma, part.weighed_at) for part in stream.modules]
             rows.append([step.cell_resistance, parts])
         fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
-        kept = CarriedOver.of(stream)
-        rows += [kept.arrays, *(each.push(readings[3])[1].cell_resistance for each in (kept.onto(fresh), stream))]
+        carried = CarriedOver.of(stream)
+        rows += [
+            carried.arrays,
+            *(target.push(readings[3])[1].cell_resistance for target in (carried.onto(fresh), stream)),
+        ]
         rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
     return rows
 

@@ -132,17 +132,17 @@ TIMES: dict[str, tuple[str, dict[str, Any]]] = {
 HEADERS = ("R [kOhm]", "U [V]", "adc", "volt", "mV", "pressure [kPa]", "Time;R (Ohm)", "r0c0 (mV)", "x_ohm", "R [Mohm]")
 
 
-def imported(name: str, content: str | bytes, **how: Any) -> Any:
+def imported(name: str, content: str | bytes, **options: Any) -> Any:
     """What is read from a file, or why it is not."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        return read_anew(path, **how)
+        return read_anew(path, **options)
 
 
-def read_anew(path: Path, **how: Any) -> Any:
+def read_anew(path: Path, **options: Any) -> Any:
     try:
-        recording, notes = lp.import_file(path, *(() if "scene" in how else (2, 3)), **how)
+        recording, notes = lp.import_file(path, *(() if "scene" in options else (2, 3)), **options)
     except InputError as error:
         return str(error).replace(f"{path.parent}/", "")
     lines = [line.replace(f"{path.parent}/", "") for line in understood_lines(recording, notes)]
@@ -230,13 +230,13 @@ def python_row() -> dict[str, Any]:
     scenes_of = {"none": None, "ohm": lp.TwoPointReadout(), "volt": lp.LoadedColumnsReadout()}
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "scene.yaml").write_text("panel: {rows: 2, columns: 3}\nreadout: {kind: two_point}\n")
-        for (name, readout), (unit, scale), (way, how) in product(scenes_of.items(), SCALES.items(), HOW.items()):
+        for (name, readout), (unit, scale), (way, options) in product(scenes_of.items(), SCALES.items(), HOW.items()):
             scene = readout and lp.Scene(lp.Panel(2, 3), readout)
-            known = {"values": scale * VALUES.round(), "unit": unit, "scene": scene} | how
+            known = {"values": scale * VALUES.round(), "unit": unit, "scene": scene} | options
             known["scene"] = Path(folder) / "scene.yaml" if known["scene"] == "file" else known["scene"]
             try:
-                made = lp.Recording.from_array(**known)
-                rows[f"{name} {unit} {way}"] = [made.recorded[0], made.time, made.role, made.scene.panel.rows]
+                result = lp.Recording.from_array(**known)
+                rows[f"{name} {unit} {way}"] = [result.recorded[0], result.time, result.role, result.scene.panel.rows]
             except InputError as error:
                 rows[f"{name} {unit} {way}"] = str(error)
     return rows
@@ -265,13 +265,13 @@ def configurations() -> dict[str, Any]:
                 known[name] = kind()
             except (TypeError, ValueError):  # what has no default stands below
                 continue
-    made = (
+    examples = (
         lp.Huber(corner=3.0), lp.Student(corner=3.0), lp.Panel(3, 4), *SHAPES.values(), *RESPONSES.values(), FILM,
         lp.Temperature(-0.003, 20.0, 8.0), lp.Water(9.0), COURSE, CONTACTS, PER_LINE, MODULES.modules,
         lp.Simulation(1, 2, scenes()["noisy"]), lp.Scene(lp.Panel(2, 3)), executors.Processes(), executors.Dask(),
         bench.BenchFile(1, (3,)), extremes.Grid((3,)), tradeoff.TradeoffFile(1, ("a.h5",)),
     )  # fmt: skip
-    return known | {type(each).__name__: each for each in made}
+    return known | {type(example).__name__: example for example in examples}
 
 
 def ranges_row(owner: Any) -> dict[str, Any]:
@@ -297,7 +297,7 @@ def ranges_row(owner: Any) -> dict[str, Any]:
 def of_inputs() -> Rows:
     return (
         {f"text {name}": partial(imported, "m.csv", text) for name, text in TEXTS.items()}
-        | {f"time {name}": partial(imported, "m.csv", text, **how) for name, (text, how) in TIMES.items()}
+        | {f"time {name}": partial(imported, "m.csv", text, **options) for name, (text, options) in TIMES.items()}
         | {f"range {name}": partial(ranges_row, owner) for name, owner in configurations().items()}
         | {"units": units_row, "arrays in Python": python_row, "arrays and sheets": arrays_row}
     )

@@ -29,19 +29,19 @@ from tempfile import TemporaryDirectory
 import lampest
 from tests.golden.content import content, unsteady
 
-HERE = Path(__file__).parent
-DEFAULTS = HERE / "defaults.json"
-DATA = HERE / "data"
-CONSTANTS = HERE / "constants.json"
-TOLERANCES = HERE / "tolerances.json"
+GOLDEN_FOLDER = Path(__file__).parent
+DEFAULTS = GOLDEN_FOLDER / "defaults.json"
+DATA = GOLDEN_FOLDER / "data"
+CONSTANTS = GOLDEN_FOLDER / "constants.json"
+TOLERANCES = GOLDEN_FOLDER / "tolerances.json"
 # Other processors, as environment variables: kernels of OpenBLAS, instructions of NumPy, and a second thread
-OLD = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
+OLD_PROCESSOR = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
 PROCESSORS = (
     *({"OPENBLAS_CORETYPE": kernel} for kernel in ("Prescott", "Nehalem", "SkylakeX")),
-    *({"OPENBLAS_CORETYPE": kernel} | OLD for kernel in ("Sandybridge", "Haswell", "Cooperlake")),
+    *({"OPENBLAS_CORETYPE": kernel} | OLD_PROCESSOR for kernel in ("Sandybridge", "Haswell", "Cooperlake")),
     {"OPENBLAS_NUM_THREADS": "2"},
 )
-LONGEST = 400  # characters of a constant; longer ones are lists whose entries have rows
+MAX_LENGTH = 400  # characters of a constant; longer ones are lists whose entries have rows
 
 
 def defaults() -> dict[str, dict[str, str]]:
@@ -79,7 +79,7 @@ def constants() -> dict[str, dict[str, list[str]]]:
             named |= {f"{function.__qualname__}({name})": value.default for name, value in arguments}
         for name, value in named.items():
             text = repr(value)
-            if has_number(value) and len(text) < LONGEST and "<" not in text and text not in room.get(name, ()):
+            if has_number(value) and len(text) < MAX_LENGTH and "<" not in text and text not in room.get(name, ()):
                 room.setdefault(name, []).append(text)
     return table
 
@@ -101,10 +101,10 @@ def write_table(*rooms: str) -> None:
 
         def compute(number: int, variables: dict[str, str]) -> bool:
             command = [sys.executable, "-m", "tests.golden.make", "rows", f"{folder}/{number}.json", *rooms]
-            ended = subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables)
-            if ended.returncode == -signal.SIGILL and variables:
+            completed = subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables)
+            if completed.returncode == -signal.SIGILL and variables:
                 return False
-            ended.check_returncode()
+            completed.check_returncode()
             return True
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -134,7 +134,7 @@ def write_table(*rooms: str) -> None:
 
 def write_rows(path: str, *rooms: str) -> None:
     """Write the rows of rooms, or of all, as this process computes them."""
-    sys.path.insert(0, str(HERE.parent))
+    sys.path.insert(0, str(GOLDEN_FOLDER.parent))
     from golden.table import table
 
     chosen = {room: rows for room, rows in table().items() if room in rooms or not rooms}
@@ -146,15 +146,15 @@ def write_rows(path: str, *rooms: str) -> None:
 
 def main() -> None:
     """Replace the files of this folder."""
-    what, *rooms = sys.argv[1:] or ["all"]
-    if what == "rows":
+    target, *rooms = sys.argv[1:] or ["all"]
+    if target == "rows":
         write_rows(*rooms)
         return
-    if what != "table":
+    if target != "table":
         DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
         rooms = (f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items())
         CONSTANTS.write_text("{\n" + ",\n".join(rooms) + "\n}\n")
-    if what != "defaults":
+    if target != "defaults":
         write_table(*rooms)
 
 

@@ -59,11 +59,11 @@ def example(frames: int) -> tuple[problem.Data, lp.Array]:
     measured = lp.two_point_resistance(truth) * np.exp(0.05 * rng.standard_normal(truth.shape))
     sigma = 10.0 * np.exp(0.3 * rng.standard_normal(truth.shape))
     side = np.zeros(truth.shape)
-    seen = np.ones(truth.shape)
-    side[:, 0, 0], side[:, 3, 4], seen[:, 1, 2] = 1.0, -1.0, 0.0
+    observed = np.ones(truth.shape)
+    side[:, 0, 0], side[:, 3, 4], observed[:, 1, 2] = 1.0, -1.0, 0.0
     known = {name: cells_of(PANEL.shape, seed) for name, seed in (("previous", 3), ("baseline", 4))}
     known["previous_deviation"] = 0.1 * np.exp(0.3 * rng.standard_normal(PANEL.shape))
-    given = Given(measured=measured, sigma=sigma, side=side, seen=seen, **(known if frames == 1 else {}))
+    given = Given(measured=measured, sigma=sigma, side=side, seen=observed, **(known if frames == 1 else {}))
     return problem.Data(given, measured / 10, measured * 1e3), truth * np.exp(0.2 * rng.standard_normal(truth.shape))
 
 
@@ -224,8 +224,8 @@ def point(cost: str, circuit: str = "whole", frames: int = 1, decades: float = 0
         recorded[:, 1, 3] = np.nan
     readings = Readings.of(scene, recorded)
     estimator = Estimator(terms, "reduced")
-    before = {"previous": cells_of(PANEL.shape, 3), "baseline": cells_of(PANEL.shape, 4)} if frames == 1 else {}
-    data = estimator.data(readings, Background(scene, **before))
+    known = {"previous": cells_of(PANEL.shape, 3), "baseline": cells_of(PANEL.shape, 4)} if frames == 1 else {}
+    data = estimator.data(readings, Background(scene, **known))
     return multistart.evaluated(
         estimator.cost(scene, frames, partial=data.partial), data,
         cells * np.exp(0.1 * rng.standard_normal(cells.shape)),
@@ -405,15 +405,15 @@ def search_row() -> dict[str, Any]:
 
     loop = least_squares.LevenbergMarquardt(60, 1e-16, longest=0.5)
     position, squares = loop.minimum(decay, np.array([1.0, 0.5]), (0.0, 1.4))
-    few = replace(loop, evaluations=7, longest=np.array([0.1, 0.4, 1.0]))
+    limited = replace(loop, evaluations=7, longest=np.array([0.1, 0.4, 1.0]))
     far = np.array([-1.2, 1, 7.0])
     tried = []
-    few.minimum(valley, far)
-    ends = [each.minimum(valley, far)[0] for each in (loop, replace(loop, damping=0.0), replace(loop, longest=9.0))]
-    _, ended = loop.minimum(valley, far, ended=lambda at, count: at.cost < 1 or count > 30)
+    limited.minimum(valley, far)
+    ends = [search.minimum(valley, far)[0] for search in (loop, replace(loop, damping=0.0), replace(loop, longest=9.0))]
+    _, stopped = loop.minimum(valley, far, ended=lambda at, count: at.cost < 1 or count > 30)
     return {
         "steps": solved, "position": position, "cost": squares.cost, "few": tried[:7], "tried": len(tried),
-        "ends": ends, "ended": ended.cost,
+        "ends": ends, "ended": stopped.cost,
     }  # fmt: skip
 
 
@@ -450,13 +450,13 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
     model = LinearModel(at, np.tanh(at.nonsmooth), own_error=2.0, weight_sigma=(np.nan, *[0.7] * (len(terms) - 1)))
     root = 0.3 * rng.standard_normal((2 * size, 2 * size))
     drawn = np.asarray(model.through @ rng.standard_normal((size, 2)))
-    before = root @ root.T
+    earlier = root @ root.T
     columns = rng.standard_normal((3, len(model.noise), 2))
     if sampled:
         memory: Any = SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
         errors: covariance.DenseErrors = covariance.SampledErrors(model, memory, drawn, samples=20)
     else:
-        memory = DenseMemory(before.reshape(2, size, 2, size).swapaxes(1, 2))
+        memory = DenseMemory(earlier.reshape(2, size, 2, size).swapaxes(1, 2))
         errors = covariance.DenseErrors(model, memory, drawn)
     known = rng.standard_normal((2, size, 2))
     later = errors.memory()

@@ -114,8 +114,8 @@ def invented() -> tuple[lp.CaseResult, ...]:
 
 def swept_cases() -> tuple[lp.CaseResult, ...]:
     """An estimator without swept keys, one with a swept weight, and one with two."""
-    both = product((1.0, 10.0), ("L2", "L1"))
-    swept = [{}, *({"g.weight": 10.0**n} for n in range(3)), *({"g.weight": n, "loss": loss} for n, loss in both)]
+    pairs = product((1.0, 10.0), ("L2", "L1"))
+    swept = [{}, *({"g.weight": 10.0**n} for n in range(3)), *({"g.weight": n, "loss": loss} for n, loss in pairs)]
     return tuple(
         replace(invented_case(f"a{n}", shape=(2, 4, 5)), swept_json=json.dumps(keys) if keys else "")
         for n, keys in enumerate(swept)
@@ -123,15 +123,15 @@ def swept_cases() -> tuple[lp.CaseResult, ...]:
 
 
 def table_row() -> dict[str, Any]:
-    each = lp.StepFigures(0.2, 0.1, 3.0, 1.0)
+    base = lp.StepFigures(0.2, 0.1, 3.0, 1.0)
     later = lp.StepFigures(0.4, 0.3, 5.0, 2.0)
-    figures = {"all": each}, {"initial": each}, {"following": each}, {"all": each, "following": later}
-    published = {"LSM": lp.PublishedFigures(all=each)}
+    figures = {"all": base}, {"initial": base}, {"following": base}, {"all": base, "following": later}
+    published = {"LSM": lp.PublishedFigures(all=base)}
     rows = compare.compare(lp.Results(invented(), published), "a.h5") + compare.compare(
         lp.Results(swept_cases()), "b.h5",
     )  # fmt: skip
     blocks = compare.screen_blocks(rows, published=True)
-    many = [row | {"recording": f"{row['recording']}{number}"} for number in range(4) for row in rows]
+    repeated = [row | {"recording": f"{row['recording']}{number}"} for number in range(4) for row in rows]
     fast = np.full(3, 1e-7)
     failed = invented_case("LSR-CR", shape=(3, 2, 3), failed=(0, 1, 2))
     bare = compare.compare(lp.Results((invented_case(shape=(3, 2, 3), truth=False, solve_time=fast), failed)))
@@ -143,12 +143,12 @@ def table_row() -> dict[str, Any]:
         for joint, known in product((False, True), figures)
     ]
     return {
-        "quoted": [[[text for key, text in row.items() if "published" in key] for row in some] for some in quoted],
+        "quoted": [[[text for key, text in row.items() if "published" in key] for row in texts] for texts in quoted],
         "rows": rows, "blocks": blocks, "legend": compare.legend(rows, blocks), "notes": compare.model_notes(rows),
-        "many": compare.screen_blocks(many),
+        "many": compare.screen_blocks(repeated),
         "csv": compare.comma_separated([lines[0], *(line.values() for line in lines[:1])]),
         "keys": compare.swept_keys(rows),
-        "pressed": [(each.values, each.errors, each.saturated) for each in pressed.pressed(lp.Results(invented()))],
+        "pressed": [(table.values, table.errors, table.saturated) for table in pressed.pressed(lp.Results(invented()))],
         "pressed table": pressed.pressed_table(pressed.pressed(lp.Results(invented()))),
         "strongest": [strongest_index(cases) for cases in (invented()[:3], invented()[2:3], swept_cases())],
         "bare": [compare.screen_blocks(bare, published=True), compare.legend(bare, compare.screen_blocks(bare))],
@@ -233,35 +233,35 @@ def page_row() -> dict[str, Any]:
 
 def drawn_row(figure: Figure) -> dict[str, Any]:
     """What a reader of a figure sees, and the numbers under it."""
-    axes = []
+    rows = []
     figure.draw_without_rendering()
-    for each in figure.findobj(Axes):
-        images = [*each.images, *each.collections]
-        axes.append(
+    for axes in figure.findobj(Axes):
+        images = [*axes.images, *axes.collections]
+        rows.append(
             {
-                "labels": [getattr(each, f"get_{of}")() for of in ("xlabel", "ylabel", "title", "xscale", "yscale")],
-                "limits": [*each.get_xlim(), *each.get_ylim()],
-                "ticks": [each.get_xticks(), each.get_yticks()],
+                "labels": [getattr(axes, f"get_{of}")() for of in ("xlabel", "ylabel", "title", "xscale", "yscale")],
+                "limits": [*axes.get_xlim(), *axes.get_ylim()],
+                "ticks": [axes.get_xticks(), axes.get_yticks()],
                 "texts": [
                     (text.get_text(), text.get_position(), text.get_size(), text.zorder, str(text.get_color()))
-                    for text in each.texts
+                    for text in axes.texts
                 ],
-                "lines": [np.asarray(line.get_xydata(), dtype=float) for line in each.lines],
+                "lines": [np.asarray(line.get_xydata(), dtype=float) for line in axes.lines],
                 "looks": [
                     [getattr(line, f"get_{of}")() for of in ("linewidth", "markersize", "zorder", "alpha")]
                     + [str(getattr(line, f"get_{of}")()) for of in ("color", "linestyle", "marker", "markerfacecolor")]
-                    for line in each.lines
+                    for line in axes.lines
                 ],
-                "offsets": [np.asarray(image.get_offsets(), dtype=float) for image in each.collections],
-                "widths": [image.get_linewidths() for image in each.collections],
+                "offsets": [np.asarray(image.get_offsets(), dtype=float) for image in axes.collections],
+                "widths": [image.get_linewidths() for image in axes.collections],
                 "shapes": [
                     np.concatenate([path.vertices for path in image.get_paths()] or [np.zeros((0, 2))])
-                    for image in each.collections
+                    for image in axes.collections
                 ],
-                "patches": [[str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in each.patches],
-                "place": [*each.get_position().bounds, each.get_visible(), each.axison, str(each.get_facecolor())],
+                "patches": [[str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in axes.patches],
+                "place": [*axes.get_position().bounds, axes.get_visible(), axes.axison, str(axes.get_facecolor())],
                 "halos": [
-                    [halo._gc for halo in part.get_path_effects() or ()] for part in (*each.texts, *each.collections)
+                    [halo._gc for halo in part.get_path_effects() or ()] for part in (*axes.texts, *axes.collections)
                 ],
                 "values": [
                     np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
@@ -270,13 +270,13 @@ def drawn_row(figure: Figure) -> dict[str, Any]:
                 ],
                 "missing": [image.get_cmap().get_bad() for image in images if image.get_array() is not None],
                 "range": [image.get_clim() for image in images if image.get_array() is not None],
-                "legend": [text.get_text() for text in each.get_legend().get_texts()] if each.get_legend() else [],
+                "legend": [text.get_text() for text in axes.get_legend().get_texts()] if axes.get_legend() else [],
             }
         )
     words = [text.get_text() for text in figure.findobj(Text)]
-    legends = [[each.get_frame_on(), each._ncols, each._outside_loc] for each in figure.legends]
+    legends = [[legend.get_frame_on(), legend._ncols, legend._outside_loc] for legend in figure.legends]
     return {
-        "axes": axes, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word),
+        "axes": rows, "size": figure.get_size_inches(), "words": "|".join(word for word in words if word),
         "legends": legends,
     }  # fmt: skip
 
@@ -370,7 +370,7 @@ def published_row() -> dict[str, Any]:
     views = shown_views()
     outlets = list[Any]()
     tried = list[Any]()
-    said = list[str]()
+    sentences = list[str]()
     messages = [Message.of(views[number]) for number in (0, 1, 1, 2, 2, 2)]
     lsl = SimpleNamespace(
         set_config_content=str, IRREGULAR_RATE=0.0, StreamInfo=Element, local_clock=lambda: 5.0,
@@ -388,8 +388,8 @@ def published_row() -> dict[str, Any]:
     waited = list[Any]()
     waits = patch.object(publish, "waited", lambda done, most: waited.append([done(), most]) or waited[-1][0])
     with patch.dict(sys.modules, pylsl=lsl), packets, patch.object(publish, "time", clock), broker, waits:
-        for where in ("lsl://panel", "osc://127.0.0.1:9", "mqtt://me:no@h/t"):
-            with publish_at(where).opened(said.append) as (_, send):
+        for receiver in ("lsl://panel", "osc://127.0.0.1:9", "mqtt://me:no@h/t"):
+            with publish_at(receiver).opened(sentences.append) as (_, send):
                 for message in messages:
                     tried.append([client.publish.call_count, send(message)])
                 for event in (client.on_disconnect, client.on_connect):
@@ -405,14 +405,14 @@ def published_row() -> dict[str, Any]:
             raise OSError(5, "no way")
 
     news = [*views, views[2], views[0], replace(views[0], picture=None), *(replace(view, alarm="a") for view in views)]
-    shown: Any = SimpleNamespace(after=lambda seen: News(seen + 1, news[seen]) if seen < len(news) else None)
-    publish._forward(shown, send_sometimes, "here", said.append)
+    shown: Any = SimpleNamespace(after=lambda number: News(number + 1, news[number]) if number < len(news) else None)
+    publish._forward(shown, send_sometimes, "here", sentences.append)
     return {
-        "outlets": [each.parts if isinstance(each, Element) else repr(each) for each in outlets], "said": said,
+        "outlets": [part.parts if isinstance(part, Element) else repr(part) for part in outlets], "said": sentences,
         "tried": tried, "attempts": attempts, "waited": waited,
         "broker": [[call.args[0], call.kwargs] for call in client.publish.mock_calls],
         "client": [
-            each.call_args.args for each in (
+            mocked.call_args.args for mocked in (
                 client.connect, client.username_pw_set, client.reconnect_delay_set, connected.setsockopt,
             )
         ],
@@ -426,8 +426,8 @@ def live_row(estimator: str) -> dict[str, Any]:
     state = PanelState.begin(ESTIMATORS[estimator], recording.scene, 1.0, readings[[0, 1, 2, 3]].mean(), hasty=True)
     pictures = []
     looks = []
-    few = 3 if estimator == "smoother" else None
-    for number, frame in enumerate(recording.measured_frames()[:few], 1):
+    limit = 3 if estimator == "smoother" else None
+    for number, frame in enumerate(recording.measured_frames()[:limit], 1):
         state = replace(state, missing=2) if number == 3 and estimator == "tared" else state  # a zero is asked for
         sigma = recording.sigma if recording.sigma is None or recording.sigma.ndim == 2 else recording.sigma[frame]
         scan = Scan(recording.recorded[frame], sigma, float(number), 0.0)
@@ -440,9 +440,9 @@ def live_row(estimator: str) -> dict[str, Any]:
         )  # fmt: skip
         if state.look is not None:
             findings = state.look.findings()
-            kept = replace(state.look, stream=replace(state.look.stream, keeps_weights=True))
+            fixed_weights = replace(state.look, stream=replace(state.look.stream, keeps_weights=True))
             costs = () if looks else (0.0, np.inf)
-            lower = [replace(kept, objective=cost).findings().lower is None for cost in costs]
+            lower = [replace(fixed_weights, objective=cost).findings().lower is None for cost in costs]
             previous = findings.apply_to(state.stream).previous
             looks.append((findings.weights, findings.lower, findings.force, previous, lower))
     return {"pictures": pictures, "looks": looks}
@@ -479,23 +479,23 @@ CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 def watched_row() -> list[Any]:
     """Answers while nothing touches a panel, of a broken frame, with loads that left, and about a new zero."""
     recording = simulated(frames=6, baseline_frames=3)
-    said = []
+    answers = []
     scans = [scan_of(recording, frame) for frame in range(9)]
-    left = [replace(LAMPREY, since_s=since, until_s=8.0) for since in (1.0, 2.0)]
+    departed = [replace(LAMPREY, since_s=since, until_s=8.0) for since in (1.0, 2.0)]
     mat = replace(recording.scene, panel=lp.Panel(33, 32))
     wide, broken = (replace(scans[3], recorded=np.full(shape, 1000.0)) for shape in ((33, 32), (2, 2)))
     news: list[Any] = [scans[3], Unloaded(recording.scene, tuple(scans[:3])), *scans[3:5], broken, scans[5]]
-    news += [(CUP, *left), scans[6], (LAMPREY,), 2, *scans[7:], Unloaded(mat, (wide,) * 3)]
+    news += [(CUP, *departed), scans[6], (LAMPREY,), 2, *scans[7:], Unloaded(mat, (wide,) * 3)]
     watched = Watched("rod")
     with patch.object(watcher, "MAX_REMEMBERED", 1):
-        for each in news:
-            loads = isinstance(each, tuple)
-            watched = replace(watched, watch=replace(watched.watch, attachments=each)) if loads else watched.after(each)
+        for item in news:
+            loads = isinstance(item, tuple)
+            watched = replace(watched, watch=replace(watched.watch, attachments=item)) if loads else watched.after(item)
             answer = watched.detected
-            begun = watched.watch and watched.watch.rest.until_s
+            rest_end = watched.watch and watched.watch.rest.until_s
             times = [(load.since_s, load.until_s) for load in answer.attachments]
-            said.append([answer.answer, answer.why, answer.frames_per_second, watched.missing, begun, times])
-    return said
+            answers.append([answer.answer, answer.why, answer.frames_per_second, watched.missing, rest_end, times])
+    return answers
 
 
 def live_words_row() -> dict[str, Any]:
@@ -508,48 +508,48 @@ def live_words_row() -> dict[str, Any]:
         open_cell = np.zeros((4, 5), dtype=bool)
         for cell, factor in change.items():
             ratio[cell] = factor
-        resting, now = (lp.Readings.of(scene, lp.two_point_resistance(each)) for each in (cells, cells * ratio))
+        resting, loaded = (lp.Readings.of(scene, lp.two_point_resistance(ohm)) for ohm in (cells, cells * ratio))
         ratio[3, 4], open_cell[3, 4] = (1e6, True) if broken else (1.0, False)
-        verdicts.append(verdict_of(now, resting, ratio, open_cell))
-    gone = replace(LAMPREY, until_s=9.0)
+        verdicts.append(verdict_of(loaded, resting, ratio, open_cell))
+    past = replace(LAMPREY, until_s=9.0)
     later = replace(LAMPREY, since_s=20.0)
     view = View("here", "LSM", "receiving", lp.Panel(2, 3))
     alarms = []
-    for loads, seen in (((CUP,), 0), ((LAMPREY,), 0), ((gone,), 0), ((), 1), ((gone,), 0), ((LAMPREY, later), 0)):
+    for loads, confirmed in (((CUP,), 0), ((LAMPREY,), 0), ((past,), 0), ((), 1), ((past,), 0), ((LAMPREY, later), 0)):
         view = with_detected(view, Detected.of("here", loads, 4.0))
         alarms.append((view.alarm, sorted(view.acknowledged)))
-        view = acknowledged(view) if seen else view
+        view = acknowledged(view) if confirmed else view
     map_ = np.ones((2, 3))
     for number in range(1, HISTORY_FRAMES + 3):
         picture = Picture(number, number, 0.0, map_, map_, map_ > 2, Force(1.0, 0.1), "fine", 0.0, 0)
         view = with_picture(view, picture)
     scans: list[Any] = [Unloaded(simulated().scene, ()), *(Scan(map_, None, float(number), 0.0) for number in range(6))]
     with patch.object(watcher, "MAX_WAITING", 4):
-        waiting = [[scans.index(each) for each in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
-        waiting += [[scans.index(each) for each in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
+        waiting = [[scans.index(scan) for scan in in_one_batch(scans[n:], [scans[:n]])[0]] for n in (2, 3)]
+        waiting += [[scans.index(scan) for scan in in_one_batch(scans[1:n], [])[0]] for n in (5, 6, 7)]
     scene = lp.Scene(lp.Panel(3, 4), lp.TwoPointReadout(), 140.0)
     still = np.full((3, 4), 1000.0)
-    resting, nothing = (lp.Readings.of(scene, factor * still) for factor in (1.0, np.nan))
+    resting, unreadable = (lp.Readings.of(scene, factor * still) for factor in (1.0, np.nan))
     methods = product(("smooth", "relative_change"), (True, False))
     states = [PanelState.begin(LIVE[name], scene, 1.0, resting, hasty=hasty) for name, hasty in methods]
-    ways = (1, resting), (2, resting), (1, nothing)
+    arrivals = (1, resting), (2, resting), (1, unreadable)
     states.append(PanelState.begin(ESTIMATORS["auto"], scene, 1.0, resting, hasty=True))
-    states += [replace(each, missing=count).after(zero, None, 1.0) for each in states for count, zero in ways]
-    states += [each.after(resting, None, 2.0) for each in states if each.missing]
+    states += [replace(state, missing=count).after(zero, None, 1.0) for state in states for count, zero in arrivals]
+    states += [state.after(resting, None, 2.0) for state in states if state.missing]
     for coupled in (True, False):
         scene = lp.Scene(lp.Panel(modules=Modules(1, 2, EachModule(3, 2), coupled=coupled)))
         states.append(PanelState.begin(LIVE["smooth"], scene, 1.0, lp.Readings.of(scene, still), hasty=True))
     engine = Engine("here", "LSM", ESTIMATORS["auto"], 2)
     engines = list[Any]()
-    for each, engine._beside in product(states, (None, SimpleNamespace(gone=False), SimpleNamespace(gone=True))):
-        after = engine._with_findings(each)
-        engines.append((after.stream.keeps_weights, after.track is None, after.stream.track is None))
+    for state, engine._beside in product(states, (None, SimpleNamespace(gone=False), SimpleNamespace(gone=True))):
+        updated = engine._with_findings(state)
+        engines.append((updated.stream.keeps_weights, updated.track is None, updated.stream.track is None))
     listed = lp.Panel(2, 2, cells=((0, 0, 1.5, 2.0), (1, 1, 9.0, 8.0)))
     panels = (lp.Panel(1, 2, 8.0), listed, lp.Panel(modules=Modules(1, 2, EachModule(2, 3, 5.0), 4.0)))
     return {
         "states": [
-            (each.missing, each.zeroed, len(each.recent), each.track is None, each.stream.track is None,
-             each.stream.keeps_weights) for each in states
+            (state.missing, state.zeroed, len(state.recent), state.track is None, state.stream.track is None,
+             state.stream.keeps_weights) for state in states
         ],
         "engines": engines, "methods": [(name, method.terms, method.method) for name, method in LIVE.items()],
         "chosen": [chosen(name, None)[0] for name in (None, "LSM")], "unknown": refusal(chosen, "LSX", None),
@@ -559,7 +559,7 @@ def live_words_row() -> dict[str, Any]:
         "again": json.loads(view_text(view, 0.0, HISTORY_FRAMES + 2))["picture"],
         "panels": [json.loads(view_text(View("here", "LSM", "on", panel), 0.0))["panel"] for panel in panels],
         "addresses": [
-            refusal(publish_at, each) if each in PLACES[-3:] else vars(publish_at(each, "key")) for each in PLACES
+            refusal(publish_at, url) if url in PLACES[-3:] else vars(publish_at(url, "key")) for url in PLACES
         ],
         "signatures": [Message.of(replace(view, alarm=alarm)).signature for alarm in ("", "an alarm")],
     }  # fmt: skip
@@ -700,7 +700,7 @@ PICTURED: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
 
 def pictured_row() -> list[Any]:
     """Where pictures of results go, or why none is drawn."""
-    told: list[Any] = []
+    outcomes: list[Any] = []
     cases = {"one": invented()[:1], "two": invented()[:4], "swept": swept_cases(), "bare": (invented_case(),)}
     drawn = patch.object(plots, "write_all", lambda figures, files, *_, **__: files)
     with tempfile.TemporaryDirectory() as folder, chdir(folder), drawn:
@@ -708,25 +708,25 @@ def pictured_row() -> list[Any]:
             lp.write_results(Path(f"{name}.h5"), of)
         for way, known in PICTURED:
             try:
-                told.append([str(path) for path in lp.plot_results(*way, **known)])
+                outcomes.append([str(path) for path in lp.plot_results(*way, **known)])
             except lp.InputError as error:
-                told.append(str(error))
-        told += strongest_of_files()
+                outcomes.append(str(error))
+        outcomes += strongest_of_files()
         batch = compared.read_batch([Path(f"{name}.h5") for name in ("one", "two", "swept", "bare")])
-        told += [{name: [*of] for name, of in batch.recordings.items()}, batch.estimators, batch.frames]
-    return told
+        outcomes += [{name: [*of] for name, of in batch.recordings.items()}, batch.estimators, batch.frames]
+    return outcomes
 
 
 def timeline_row() -> dict[str, Any]:
     """Timelines of a mouth, of nothing, of a mouth beside a contact that has left, and after both have left."""
-    here = replace(LAMPREY, since_s=2.0)
-    gone = replace(here, since_s=1.0, until_s=1.5, sucks=0.1, x_mm=(5.0, 1.0), diameter_mm=None)
+    present = replace(LAMPREY, since_s=2.0)
+    departed = replace(present, since_s=1.0, until_s=1.5, sucks=0.1, x_mm=(5.0, 1.0), diameter_mm=None)
     known = {"course": np.stack([np.linspace(0.5, 4, 8), np.arange(8.0)]), "panel": lp.Panel(4, 6)}
     change = np.full((4, 6), np.log(1.5))
     answers = {
         "mouth": detected("mouth"), "none": Detected.of("none", (), 4.0, **known),
-        "one left": Detected.of("mouth", (gone, here), 4.0, **known, change=change),
-        "both left": Detected.of("mouth", (gone, replace(here, until_s=3.0)), 4.0, **known, change=change),
+        "one left": Detected.of("mouth", (departed, present), 4.0, **known, change=change),
+        "both left": Detected.of("mouth", (departed, replace(present, until_s=3.0)), 4.0, **known, change=change),
     }  # fmt: skip
     return {name: drawn_row(timeline(answer)) for name, answer in answers.items()}
 
@@ -734,27 +734,29 @@ def timeline_row() -> dict[str, Any]:
 def strongest_of_files() -> list[Any]:
     """Pictures of the strongest frame of a recording, of results, and of a recording without unloaded frames."""
     values = np.full((4, 2, 3), 500.0)
-    told = list[Any]()
+    calls = list[Any]()
     values[1, 0, 0], values[3, 1, 2] = 490.0, 400.0
     recording = lp.Recording(lp.Scene(lp.Panel(2, 3)), values, 0.5 * np.arange(4.0), np.array([0, 1, 1, 1], np.uint8))
     recording.save("r.h5")
     replace(recording, role=np.ones(4, dtype=np.uint8)).save("u.h5")
     with (
-        patch.object(plots, "save", lambda figure, path: told.append([*figure, path.name])),
-        patch.object(plots, "maps_figure", lambda tiles, *_, **look: [list(map(vars, tiles)), look]),
+        patch.object(plots, "save", lambda figure, path: calls.append([*figure, path.name])),
+        patch.object(plots, "maps_figure", lambda tiles, *_, **options: [list(map(vars, tiles)), options]),
     ):
         plots.plot_file(Path("r.h5"), Path("x.png"))
     lp.write_results(Path("pair.h5"), invented()[2:4])
-    with patch.object(plots, "plot_results", lambda *known, **more: told.append([*map(str, known), more]) or known[1:]):
+    with patch.object(
+        plots, "plot_results", lambda *known, **further: calls.append([*map(str, known), further]) or known[1:]
+    ):
         plots.plot_file(Path("pair.h5"), Path("x.png"))
-    return [*told, refusal(plots.plot_file, Path("u.h5"), Path("x.png"))]
+    return [*calls, refusal(plots.plot_file, Path("u.h5"), Path("x.png"))]
 
 
 def detected_results_row() -> list[Any]:
     """Answers to results with noise that frames share, without noise, and of one frame; and what the file says."""
     scene = replace(WATCHED, faults=lp.Faults(shorted=((0, 1),), dead_rows=(5,)))
-    made = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
-    readings = replace(made, scene=scene).readings()
+    recording = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
+    readings = replace(recording, scene=scene).readings()
     cases = list[lp.CaseResult]()
     resting = readings[:3].mean()
     for name, frames in (("noisy", slice(3, 5)), ("silent", slice(0, 3)), ("one", slice(5, 6))):
@@ -794,13 +796,13 @@ def variants_row() -> list[Any]:
             for factor in (1.03, 1.0)
         ),
         *(
-            [len(axes.collections) for axes in lp.ContourPlot().draw((each,)).axes]
-            for each in (replace(square, scene=lp.Scene(panel)) for panel in apart)
+            [len(axes.collections) for axes in lp.ContourPlot().draw((shown,)).axes]
+            for shown in (replace(square, scene=lp.Scene(panel)) for panel in apart)
         ),
         drawn_row(maps.maps_figure(tiles, square.scene.panel, maps.change_scale([ones], "a"))),
         drawn_row(lp.ContourPlot(6).draw(invented()[:3])), drawn_row(lp.PressurePlot(6).draw((single,))),
         [refusal(plots.picture, (single,), lp.PressurePlot(frame)) for frame in (6, 99)],
-        *(drawn_row(lp.ContourPlot().draw((invented_case(shape=each),))) for each in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),
+        *(drawn_row(lp.ContourPlot().draw((invented_case(shape=size),))) for size in ((2, 1, 1), (1, 1, 7), (2, 5, 1))),
     ]  # fmt: skip
 
 

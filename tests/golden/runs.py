@@ -152,11 +152,11 @@ def commands_row() -> dict[str, Any]:
         Path("empty.yaml").touch()
         Path("other").mkdir()
         shutil.copy("small.h5", "other")
-        before = everything(Path())
+        original = everything(Path())
         for words in COMMANDS:
-            ended = called(*words.split(), folder=Path())
-            rows[words.replace(LAMPREY, "…")] = [ended.code, ended.out, ended.err.replace(LAMPREY, "…")]
-            rows[words.replace(LAMPREY, "…")] += [everything(Path()) == before]
+            completed = called(*words.split(), folder=Path())
+            rows[words.replace(LAMPREY, "…")] = [completed.code, completed.out, completed.err.replace(LAMPREY, "…")]
+            rows[words.replace(LAMPREY, "…")] += [everything(Path()) == original]
     return rows
 
 
@@ -218,8 +218,8 @@ def damaged_row() -> dict[str, Any]:
         for number, changes in enumerate(RECORDINGS):
             scene = SCENE.replace(*changes.get("", ("", "")))
             disk.recording(Path("small.h5"), scene, **{name: part for name, part in changes.items() if name})
-            ended = called("run", "run.yaml", "--jobs", "1", "--out", "out", folder=Path())
-            rows[f"recording {number}"] = [ended.code, ended.out, ended.err, Path("out").exists()]
+            completed = called("run", "run.yaml", "--jobs", "1", "--out", "out", folder=Path())
+            rows[f"recording {number}"] = [completed.code, completed.out, completed.err, Path("out").exists()]
         cases = [invented_case(name, recording, (4, 5, 7)) for recording in "ba" for name in ("LSM", "LSR-CR")]
         lp.write_results("good.h5", cases)
         for path, value in RESULTS:
@@ -234,17 +234,17 @@ def damaged_row() -> dict[str, Any]:
                     file.create_dataset(node, LARGE, "f8", chunks=(1, 5, 7))
                 elif not attribute and value is not None:
                     file[node] = value
-            found = reason(lambda: lp.read_results("results.h5").recordings())
-            rows[f"{path} {np.shape(value)} {str(value)[:30]}"] = str(found)
+            cause = reason(lambda: lp.read_results("results.h5").recordings())
+            rows[f"{path} {np.shape(value)} {str(value)[:30]}"] = str(cause)
     return rows
 
 
-OWN = '"estimators.LSR-CR.terms.cell_resistance.weight": [1e-4, 1e-3, 1e-2]'
+OWN_SWEEP = '"estimators.LSR-CR.terms.cell_resistance.weight": [1e-4, 1e-3, 1e-2]'
 RUNS: dict[str, tuple[str, tuple[str, ...]]] = {
     "plain": (RUN, ()), "sweep": (
         RUN + "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n", ()
     ),
-    "own sweeps": (RUN + f"sweep: {{{OWN}, estimators.LSR-dCR.terms.relative_change.weight: [1, 10]}}\n", ()),
+    "own sweeps": (RUN + f"sweep: {{{OWN_SWEEP}, estimators.LSR-dCR.terms.relative_change.weight: [1, 10]}}\n", ()),
     "swept twice": (RUN + "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-3, 1e-2, 1e-3]}\n", ()),
     "in another order": (
         RUN.replace("  LSM: {terms: {misfit: {}}}\n", "") + "  LSM: # plain\n    terms: {misfit: {weight: 1}}\n", ()
@@ -301,16 +301,16 @@ def executors_row() -> dict[str, Any]:
         for name in (*names, "address.json"):
             (Path(folder) / name).touch()
         cluster = Dask(scheduler_file="address.json", tls=tls)
-        beside = [str(reason(partial(cluster.beside, Path(folder))))]
+        sentences = [str(reason(partial(cluster.beside, Path(folder))))]
         (Path(folder) / "me.key").unlink()
-        beside += [str(reason(partial(cluster.beside, Path(folder) / part))) for part in ("", "me.pem")]
+        sentences += [str(reason(partial(cluster.beside, Path(folder) / part))) for part in ("", "me.pem")]
     return {
-        "beside": [text.replace(folder, "") for text in beside], "ready": [reason(each.ready) for each in clusters],
+        "beside": [text.replace(folder, "") for text in sentences], "ready": [reason(each.ready) for each in clusters],
         "local": [str(local(*counts, separate=apart)) for counts in ((1, 9), (4, 9), (4, 3), (None, 1), (None, 0))
                   for apart in (False, True)],
         "results": [str(outcome) for _, outcome in Serial().results(eval, tasks)], "steps": steps,
         "each": each_of(eval, tasks, lost=lambda task, error: f"{task}: {error}", **known),
-        "first error": [str(reason(partial(each_of, eval, these, **known))) for these in (tasks[::2], [])],
+        "first error": [str(reason(partial(each_of, eval, chosen, **known))) for chosen in (tasks[::2], [])],
     }  # fmt: skip
 
 
@@ -343,8 +343,8 @@ def process_row() -> dict[str, Any]:
         log = Path("log").read_text().splitlines()
         rows["log"] = [line for line in log if "Error: " in line]
         rows["during"] = rows["during"], sum("of a library" in line for line in log)
-        ours = logging.getLogger("lampest"), logging.getLogger("py.warnings")
-        rows["after"] = [(each.propagate, len(each.handlers)) for each in ours]
+        loggers = logging.getLogger("lampest"), logging.getLogger("py.warnings")
+        rows["after"] = [(logger.propagate, len(logger.handlers)) for logger in loggers]
         for setting in ("8GB", "500", "1.5 MiB", "3t", "0", "x", "-1", "1 GB 2"):
             with patch.dict(os.environ, {ALLOWED: setting}):
                 rows["memory"].append([reason(memory_limit), reason(partial(check_memory, 2e9, "all cells"))])

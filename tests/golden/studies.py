@@ -174,13 +174,13 @@ def runs_row() -> dict[str, Any]:
     file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
     steps: list[tuple[int, int]] = []
     alone = bench.BenchLimits(nodal=0)
-    told = list[tuple[int, int, str]]()
+    progress = list[tuple[int, int, str]]()
     hasty = replace(file, sizes=(3, 40), recordings=2, frames=3, budget_s=1e-3, limits=alone, memory=(3,))
-    late = run_bench(hasty, lambda *about: told.append(about))
-    few = replace(file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3))
+    late = run_bench(hasty, lambda *about: progress.append(about))
+    limited = replace(file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3))
     peaks = {"reduced": 7.0, "nodal": 9.0}
     with patch.object(bench, "peak_memory", lambda _, estimator: peaks[estimator.method.kind]):
-        memory = {str((each.shape, each.solver, each.memory_mb)) for each in run_bench(few, lambda *_: None).frames}
+        memory = {str((each.shape, each.solver, each.memory_mb)) for each in run_bench(limited, lambda *_: None).frames}
     measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
     plan = tradeoff.Plan(tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()])
     plan = plan._replace(
@@ -194,7 +194,7 @@ def runs_row() -> dict[str, Any]:
         "frames": [{name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames],
         "steps": steps,
         "left": [measured.left_out, late.left_out],
-        "told": told,
+        "told": progress,
         "memory": memory,
         "late": [(each.shape, each.recording, each.frame) for each in late.frames],
         "remarks": bench.bench_remarks(late),
@@ -204,7 +204,7 @@ def runs_row() -> dict[str, Any]:
 def budgeted_row() -> list[Any]:
     """Benchmarks within three budgets, on a clock that solves advance; their seconds are in their cost, some fail."""
     file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
-    told = []
+    rows = []
     names = ("shape", "method", "solver", "recording", "frame", "kind", "seconds", "gap", "memory_mb", "status")
     for budget in (1.5, 9.0, 60.0):
         clock = [0.0]
@@ -225,9 +225,9 @@ def budgeted_row() -> list[Any]:
         faked["peak_memory"] = lambda recording, estimator: len(recording.time) + len(estimator.method.kind) / 10
         with patch.multiple(bench, **faked):
             known = replace(file, budget_s=budget, memory=(3,))
-            done = run_bench(known, lambda *about, steps=steps: steps.append(about))
-        told.append([steps, done.left_out, [[getattr(frame, name) for name in names] for frame in done.frames]])
-    return told
+            benched = run_bench(known, lambda *about, steps=steps: steps.append(about))
+        rows.append([steps, benched.left_out, [[getattr(frame, name) for name in names] for frame in benched.frames]])
+    return rows
 
 
 def extremes_row(case: str) -> dict[str, Any]:
@@ -364,15 +364,15 @@ def paper_row() -> dict[str, Any]:
     sides = [paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima)) for word in ("clean", "panel")]
     numbers = [*paper.published_beside(sides, published)]
     names = tuple(side.name for side in sides)
-    ours = paper.tiles_of(sides[0], published)
+    tiles = paper.tiles_of(sides[0], published)
     known = paper.Paper(published, names, numbers, {})
     page = paper.page_of(known)
     return {
         "response": drawn_row(paper.response_figure(published)),
         "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
         "numbers": [vars(row) for row in paper.rows(known)], "counts": paper.counts(numbers, names),
-        "map": drawn_row(paper.tiles_figure(ours["fig9"], mouths[0].scene.panel, "ours")),
-        "sheet": paper.sheet(numbers[:30], names), "tiles": ours,
+        "map": drawn_row(paper.tiles_figure(tiles["fig9"], mouths[0].scene.panel, "ours")),
+        "sheet": paper.sheet(numbers[:30], names), "tiles": tiles,
         "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
     }  # fmt: skip
 

@@ -6,13 +6,13 @@ import pytest
 from golden.make import CONSTANTS, DEFAULTS, constants, defaults
 
 STORED = json.loads(DEFAULTS.read_text())
-INTENDED = "an intended change: python -m tests.golden.make defaults"
+ADVICE = "an intended change: python -m tests.golden.make defaults"
 
 
 @pytest.mark.parametrize("name", sorted(STORED.keys() | defaults().keys()))
 def test_public_classes_have_their_stored_defaults(name: str) -> None:
-    assert defaults()[name] == STORED[name], INTENDED
+    assert defaults()[name] == STORED[name], ADVICE
 
 
-def test_numbers_of_modules_stay() -> None:
-    assert constants() == json.loads(CONSTANTS.read_text()), INTENDED
+def test_numbers_of_modules_have_their_stored_values() -> None:
+    assert constants() == json.loads(CONSTANTS.read_text()), ADVICE

@@ -17,11 +17,11 @@ TOLERANT = {
     for room, rows in json.loads(TOLERANCES.read_text()).items()
     for name, places in rows.items()
 }
-LONG = {  # rows of 0.8 s or more
+LONG_ROWS = {  # rows of 0.8 s or more
     "estimate moved resistors", "report live smoother", "report pictures of files", "report pictures of variants",
     "runs damaged files", "runs refused commands", "studies tradeoff", "whole weights figure",
 }  # fmt: skip
-SLOW = {  # rows of two seconds or more on a busy machine
+SLOW_ROWS = {  # rows of two seconds or more on a busy machine
     "checks mistakes", "checks prepared amplifiers", "checks prepared columns", "checks prepared disconnected",
     "checks prepared kind", "checks prepared modules", "checks prepared motion", "checks prepared no series",
     "checks prepared polarity", "checks prepared reading error", "checks prepared saturation",
@@ -31,10 +31,10 @@ SLOW = {  # rows of two seconds or more on a busy machine
     "report descriptions", "report timeline", "whole parts",
 }  # fmt: skip
 ROWS = [
-    pytest.param(name, marks=[pytest.mark.long] * (name in LONG) + [pytest.mark.slow] * (name in SLOW))
+    pytest.param(name, marks=[pytest.mark.long] * (name in LONG_ROWS) + [pytest.mark.slow] * (name in SLOW_ROWS))
     for name in TABLE
 ]
-INTENDED = "an intended change, or a new row: python -m tests.golden.make table"
+ADVICE = "an intended change, or a new row: python -m tests.golden.make table"
 
 
 def difference_of(name: str) -> str:
@@ -51,10 +51,10 @@ def agree(names: list[str]) -> bool:
 
 
 def test_the_table_has_the_stored_rows() -> None:
-    assert TABLE.keys() == STORED.keys(), INTENDED
+    assert TABLE.keys() == STORED.keys(), ADVICE
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("name", ROWS)
 def test_a_row_has_its_stored_results(name: str) -> None:
-    assert not difference_of(name), INTENDED
+    assert not difference_of(name), ADVICE

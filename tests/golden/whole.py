@@ -124,28 +124,28 @@ def barrier_row() -> Any:
         ahead = [barrier := barrier.advanced() or barrier for _ in range(3)]
         end, steps = interior_point.central_path(start)
         noisy = interior_point.Barrier.of(noisy_start(6))
-        way = []
-        while len(way) < 21:
+        path = []
+        while len(path) < 21:
             noisy = noisy.advanced() or noisy
-            way.append((noisy.mean, noisy.length, noisy.added))
+            path.append((noisy.mean, noisy.length, noisy.added))
         own = barrier.hessian.own.reshape(barrier.conductance.shape) / barrier.conductance**2
         pressed = (
             np.where(np.indices((2, *barrier.conductance.shape)).sum(axis=0) % 4 > 0, 0.9, 1.1)
             * own
             * barrier.distances
         )
-        few = [np.where(np.arange(20).reshape(cells.shape) < count, 1200.0, 2000.0) for count in (9, 10)]
+        steep = [np.where(np.arange(20).reshape(cells.shape) < count, 1200.0, 2000.0) for count in (9, 10)]
         open_end = replace(data, upper=np.full(cells.shape, np.inf))
-        others = [start.elsewhere(each) for each in few] + [replace(start, data=open_end), end]
-        others += [problem.Evaluation.at(point(cost).cost, data, cells) for cost in ("ohm", "absolute")]
-        others += [problem.Evaluation.at(Cost(PANEL, (lp.Misfit(loss=lp.Huber(corner=30.0)),)), data, cells)]
+        points = [start.elsewhere(each) for each in steep] + [replace(start, data=open_end), end]
+        points += [problem.Evaluation.at(point(cost).cost, data, cells) for cost in ("ohm", "absolute")]
+        points += [problem.Evaluation.at(Cost(PANEL, (lp.Misfit(loss=lp.Huber(corner=30.0)),)), data, cells)]
         return {
-            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start, *others)], "steps": steps,
+            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start, *points)], "steps": steps,
             "cells": end.cell_resistance, "objective": end.objective, "mean": [each.mean for each in ahead],
             "multipliers": [each.multipliers for each in ahead], "length": [each.length for each in ahead],
             "merit": [each.merit(0.1) for each in ahead], "added": [each.added for each in ahead],
             "bounds": [at.put_at_bounds().cell_resistance for at in (barrier, replace(barrier, multipliers=pressed))],
-            "noisy": way, "of noise": interior_point.central_path(noisy_start(4))[0].cell_resistance,
+            "noisy": path, "of noise": interior_point.central_path(noisy_start(4))[0].cell_resistance,
         }  # fmt: skip
 
 
@@ -175,14 +175,14 @@ def parts_row() -> dict[str, Any]:
             tasks[0].carried(1).unlink()
             broken_off += [(task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks]
             printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
-            again = command("run", "run.yaml", "--jobs", "1", "--out", "out")
-            told = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
-            told += (command("info", "out/results.h5"),)
+            rerun = command("run", "run.yaml", "--jobs", "1", "--out", "out")
+            reports = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
+            reports += (command("info", "out/results.h5"),)
             roles = lp.Recording.load("t.h5").role
             save_parts(Path("one.h5"), (simulated() for _ in range(1)))
             with limits(files__hdf5__MAX_VALUES=15_000, report__info__MAX_READINGS=200):
                 results = str(Path("out", "results.h5"))
-                looks = [called(*words, folder=Path()).err for words in (
+                refusals = [called(*words, folder=Path()).err for words in (
                     ("compare", results), ("detect", results), ("plot", results), ("check", results),
                     ("export", results, "--to", "csv"), ("compare", results, "--frames", "0:3"),
                     ("compare", results, "--csv", results),
@@ -191,11 +191,11 @@ def parts_row() -> dict[str, Any]:
                 exported = len(Path("out", "results.csv").read_text().splitlines())
         cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
         with h5py.File("one.h5") as file:
-            one = sorted(file.attrs), str(file["entry"].attrs["default"]), lp.Recording.load("one.h5").time
-    words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, again, *told)]
+            single = sorted(file.attrs), str(file["entry"].attrs["default"]), lp.Recording.load("one.h5").time
+    words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, rerun, *reports)]
     return {
         "cases": [case_row(case) for case in cases], "words": words, "roles": roles, "broken off": broken_off,
-        "looks": looks, "exported": exported, "one part": one,
+        "looks": refusals, "exported": exported, "one part": single,
     }  # fmt: skip
 
 
@@ -308,8 +308,8 @@ def simulation_files_row(text: str) -> dict[str, Any]:
 def is_made_again(recording: lp.Recording) -> bool:
     """Return whether the simulation that a recording's file holds makes the same recording."""
     Path("again.yaml").write_text(str(recording.simulation))
-    ((_, again),) = lp.read_simulations(Path("again.yaml"))
-    return np.array_equal(lp.simulate(again).recorded, recording.recorded)
+    ((_, repeated),) = lp.read_simulations(Path("again.yaml"))
+    return np.array_equal(lp.simulate(repeated).recorded, recording.recorded)
 
 
 # Declarations
@@ -364,8 +364,8 @@ def files_row() -> dict[str, Any]:
         known = {key: str(value) for key, value in sorted(node.attrs.items()) if "LIST" not in key and "crc" not in key}
         scales = [[scale.name for scale in axis.values()] for axis in getattr(node, "dims", ())]
         places = node[()] if path[-2:] in ("/x", "/y") else None
-        how = [str(getattr(node, part, "")) for part in STORED]
-        stored[node.file.filename + " " + path] = [*how, known, scales, places]
+        storage = [str(getattr(node, part, "")) for part in STORED]
+        stored[node.file.filename + " " + path] = [*storage, known, scales, places]
 
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=30).save("recording.h5")
@@ -404,11 +404,11 @@ def chunks_row() -> dict[str, Any]:
     values["first values"][:, :512] = rng.standard_normal((2, 512))
     stored: dict[str, Any] = {}
     with h5py.File("memory", "w", driver="core", backing_store=False) as file, limits(files__hdf5__CHUNK=70):
-        for name, each in values.items():
-            hdf5.write_dataset(file, name, each, "1", name, further="w" * 4000, more="w" * 4001)
+        for name, array in values.items():
+            hdf5.write_dataset(file, name, array, "1", name, further="w" * 4000, more="w" * 4001)
             node = file[name]
-            same = np.array_equal(node, each)
-            stored[name] = [same, *(str(getattr(node, part)) for part in STORED), sorted(node.attrs)]
+            equal = np.array_equal(node, array)
+            stored[name] = [equal, *(str(getattr(node, part)) for part in STORED), sorted(node.attrs)]
     return stored
 
 

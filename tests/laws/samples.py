@@ -60,14 +60,14 @@ def parts(hint: Any) -> Iterator[Any]:
 @cache
 def unions() -> tuple[tuple[type, ...], ...]:
     """The members of every union that is told apart by `kind`."""
-    found = [
+    members = [
         get_args(get_args(part)[0])
         for kind in configurations()
         for hint in hints(kind).values()
         for part in parts(hint)
         if get_origin(part) is Annotated and any(isinstance(mark, ByKind) for mark in get_args(part))
     ]
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(members))
 
 
 def members_of(hint: Any) -> tuple[type, ...]:
@@ -106,10 +106,10 @@ def is_settled(hint: Any) -> bool:
 
 def varied(first: Any, name: str, hint: Any, rng: np.random.Generator) -> Any:
     """The same with another value of one field, and of those that it decides."""
-    rest = {field.name: field.default for field in dataclasses.fields(first) if field.name in DECIDED.get(name, ())}
+    decided = {field.name: field.default for field in dataclasses.fields(first) if field.name in DECIDED.get(name, ())}
     return attempted(
-        lambda: dataclasses.replace(first, **rest, **{name: value(hint, rng)}),
-        lambda made: getattr(made, name) != getattr(first, name),
+        lambda: dataclasses.replace(first, **decided, **{name: value(hint, rng)}),
+        lambda candidate: getattr(candidate, name) != getattr(first, name),
     )
 
 

@@ -26,12 +26,12 @@ from lampest.panel.scene import Scene
 from lampest.runs.config import Terms
 
 KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
-EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 MEMBERS = [
     pytest.param(members, member, word, id=word) for members in unions() for member in members for word in words(member)
 ]
 
-DEEPEST = 2  # what stands deeper in an example is an example of its own
+MAX_DEPTH = 2  # what stands deeper in an example is an example of its own
 
 
 def loaded(text: str, kind: Any) -> Any:
@@ -44,32 +44,32 @@ def documents(kind: type) -> tuple[tuple[Any, Document], ...]:
     return tuple((example, parse_document(to_yaml(example), "law")) for example in examples(kind))
 
 
-@EVERY
+@EACH_KIND
 def test_examples_differ_in_every_field(kind: type) -> None:
     """Without it the laws below would say little."""
-    first, *others = examples(kind)
+    first, *variants = examples(kind)
     free = [name for name, hint in hints(kind).items() if not is_settled(hint)]
-    assert len(others) == len(free)
-    for name, other in zip(free, others, strict=True):
+    assert len(variants) == len(free)
+    for name, variant in zip(free, variants, strict=True):
         compared = kind.__dataclass_fields__[name].compare
         if name in DECIDED or not compared:
-            assert getattr(other, name) != getattr(first, name)
+            assert getattr(variant, name) != getattr(first, name)
             continue
-        assert dataclasses.replace(other, **{name: getattr(first, name)}) == first != other
+        assert dataclasses.replace(variant, **{name: getattr(first, name)}) == first != variant
 
 
-@EVERY
-def test_object_to_text_to_object_is_the_same(kind: type) -> None:
+@EACH_KIND
+def test_a_configuration_survives_its_text(kind: type) -> None:
     for example, document in documents(kind):
         assert document.content == plain_content(example)
         assert validated(document, kind) == example, document.content
 
 
-@EVERY
-def test_unknown_key_is_refused_and_named_wherever_it_stands(kind: type) -> None:
+@EACH_KIND
+def test_an_unknown_key_is_refused_and_named_at_any_depth(kind: type) -> None:
     every = ((path, document) for example, document in documents(kind) for path in places(example, ()))
-    where = {path: document for path, document in every if len(path) <= DEEPEST}
-    for path, document in where.items():
+    shallow = {path: document for path, document in every if len(path) <= MAX_DEPTH}
+    for path, document in shallow.items():
         with pytest.raises(InputError, match=r"^law:\d+:\d+: .*surplus: no such key(; there are [a-z_0-9, ]+)?$"):
             validated(document.with_value((*path, "surplus"), 1), kind)
 
@@ -84,12 +84,12 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
             yield from places(item, (*path, key))
 
 
-@EVERY
-def test_numbers_that_measure_nothing_are_refused_wherever_they_stand(kind: type) -> None:
+@EACH_KIND
+def test_numbers_beyond_any_measurement_are_refused_at_any_depth(kind: type) -> None:
     """Every number of every example: a sentence with line, column and key, before anything computes with it."""
     every = ((path, document) for _, document in documents(kind) for path in numbers(document.content, ()))
-    where = {path: document for path, document in every if len(path) <= 1 + DEEPEST}
-    for (path, document), extreme in zip(where.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
+    shallow = {path: document for path, document in every if len(path) <= 1 + MAX_DEPTH}
+    for (path, document), extreme in zip(shallow.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
         with pytest.raises(InputError, match=r"^law:\d+:\d+: .*must be zero or lie between 1e-30 and 1e\+30"):
             loaded(to_yaml(replaced(document.content, path, extreme)), kind)
 
@@ -112,18 +112,18 @@ def replaced(content: Any, path: tuple[Any, ...], value: float) -> Any:
     return changed
 
 
-@EVERY
-def test_missing_key_is_refused_and_named(kind: type) -> None:
+@EACH_KIND
+def test_a_missing_key_is_refused_and_named(kind: type) -> None:
     content = plain_content(examples(kind)[0])
     for field in dataclasses.fields(kind):
         if field.default is field.default_factory:
-            rest = {name: value for name, value in content.items() if name != field.name}
+            remaining = {name: value for name, value in content.items() if name != field.name}
             with pytest.raises(InputError, match=rf"law:1:1: {field.name}: Field required"):
-                loaded(to_yaml(rest), kind)
+                loaded(to_yaml(remaining), kind)
 
 
-@EVERY
-def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
+@EACH_KIND
+def test_a_configuration_is_frozen_and_contains_only_configurations(kind: type) -> None:
     assert kind.__dataclass_params__.frozen
     assert kind.__pydantic_config__ == {"extra": "forbid"}
     inside = {part for hint in hints(kind).values() for part in parts(hint) if dataclasses.is_dataclass(part)}
@@ -131,15 +131,15 @@ def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
 
 
 @pytest.mark.parametrize(("members", "member", "word"), MEMBERS)
-def test_a_union_is_told_apart_by_its_kind(members: tuple[type, ...], member: type, word: str) -> None:
+def test_the_kind_distinguishes_the_members_of_a_union(members: tuple[type, ...], member: type, word: str) -> None:
     """In every place that takes the union: the member loads by its word, and no other word of the union's does."""
-    assert [other for other in members if word in words(other)] == [member]
+    assert [alternative for alternative in members if word in words(alternative)] == [member]
     example = dataclasses.replace(examples(member)[0], kind=word)
     assert loaded(to_yaml(example), member) == example
-    for other in members:
-        if other is not member:
+    for alternative in members:
+        if alternative is not member:
             with pytest.raises(InputError):
-                loaded(to_yaml(example), other)
+                loaded(to_yaml(example), alternative)
 
 
 def test_every_term_goes_by_its_kind_in_an_estimator() -> None:
@@ -149,7 +149,7 @@ def test_every_term_goes_by_its_kind_in_an_estimator() -> None:
             assert loaded(to_yaml({kind: example}), Terms) == Terms(**{kind: example})
 
 
-def test_every_method_may_be_its_bare_word() -> None:
+def test_every_method_may_be_given_by_its_name() -> None:
     methods = members_of(AnyMethod)
     assert {word for method in methods for word in words(method)} == {*get_args(MethodName)}
     for method in methods:
@@ -163,8 +163,8 @@ def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.M
     assert typed.installed.__wrapped__("g", type) == (Scene, Panel)
 
 
-def table(pressure: tuple[float, ...], ohm: tuple[float, ...], **more: Any) -> TableResponse:
-    return TableResponse(pressure_kpa=pressure, resistance_ohm=ohm, **more)
+def table(pressure: tuple[float, ...], ohm: tuple[float, ...], **options: Any) -> TableResponse:
+    return TableResponse(pressure_kpa=pressure, resistance_ohm=ohm, **options)
 
 
 def scene(**keys: Any) -> Scene:
@@ -230,7 +230,7 @@ IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
 
 
 @pytest.mark.parametrize(("make", "words"), IMPOSSIBLE, ids=range(len(IMPOSSIBLE)))
-def test_what_cannot_be_is_refused_in_one_sentence(make: Callable[[], object], words: str) -> None:
+def test_impossible_configurations_give_one_sentence(make: Callable[[], object], words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make()
     assert isinstance(refusal.value, InputError) or "\n" not in str(refusal.value)

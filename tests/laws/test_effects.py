@@ -18,17 +18,17 @@ NETWORK = SCENE.circuit.network(CELLS, SCENE.circuit.ties(CELLS), SCENE.wiring)
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
-def test_an_effect_is_smooth_in_its_size_and_nothing_at_zero(kind: type[Effect]) -> None:
+def test_an_effect_is_smooth_in_its_size_and_vanishes_at_zero(kind: type[Effect]) -> None:
     places = list(kind.places(3, 4))
     assert len(set(places)) == len(places) > 0
     for lines in places:
         assert all(0 <= line < 7 for line in lines)
         effect = kind(lines)
         sized = [replace(effect, size=n * 1e-3 * kind.prior) for n in (0, 1, 2)]
-        nothing, once, twice = (effect_on_readings([each], SCENE, NETWORK) for each in sized)
-        assert_allclose(nothing, 0.0, atol=1e-9 * CELLS.max())
-        assert np.abs(once).max() > 0
-        assert_allclose(twice, 2 * once, rtol=1e-2, atol=1e-2 * np.abs(once).max())
+        zero, single, double = (effect_on_readings([each], SCENE, NETWORK) for each in sized)
+        assert_allclose(zero, 0.0, atol=1e-9 * CELLS.max())
+        assert np.abs(single).max() > 0
+        assert_allclose(double, 2 * single, rtol=1e-2, atol=1e-2 * np.abs(single).max())
 
 
 @pytest.mark.parametrize("kind", EFFECTS)
@@ -43,15 +43,15 @@ def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect])
 @pytest.mark.parametrize("error", SHARED_ERRORS, ids=lambda error: error.setting)
 def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: SharedError) -> None:
     sizes = [lampest.Systematic(**{error.setting: size}) for size in (1e-3, 2e-3)]
-    once, twice = (error_columns([error], NETWORK, NETWORK.reading(), SCENE, size) for size in sizes)
-    assert once.shape[1:] == (3, 4) and np.all(np.abs(once).max(axis=(1, 2)) > 0)
-    assert_allclose(twice, 2 * once, rtol=1e-2, atol=1e-9)
+    single, double = (error_columns([error], NETWORK, NETWORK.reading(), SCENE, size) for size in sizes)
+    assert single.shape[1:] == (3, 4) and np.all(np.abs(single).max(axis=(1, 2)) > 0)
+    assert_allclose(double, 2 * single, rtol=1e-2, atol=1e-9)
 
 
-def test_a_reference_without_an_error_keeps_its_column_and_leaves_error_bars() -> None:
+def test_an_exact_reference_keeps_its_column_and_leaves_error_bars_unchanged() -> None:
     exact = lampest.Systematic(0.0, 0.0, response_sd=0.0)
-    found = error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact)
-    assert found.shape == (1, 3, 4) and not found.any()
+    columns = error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact)
+    assert columns.shape == (1, 3, 4) and not columns.any()
     channels = replace(exact, channel_spread_ohm=2.0)
     assert error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, channels).shape == (8, 3, 4)
     assert error_columns(SHARED_ERRORS[1:], NETWORK, NETWORK.reading(), SCENE, exact).shape == (0, 3, 4)

@@ -18,9 +18,9 @@ SHAPE = (4, 5)
 FORMULATIONS = [name for name in MethodName.__args__ if name != "auto"]
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoother takes
 HOLES = [(1, 2), (3, 0)]
-LONG = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
+SLOW_FORMULATIONS = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
 CASES = [
-    pytest.param(kind(), name, marks=pytest.mark.slow if kind().unit == "volt" and name in LONG else ())
+    pytest.param(kind(), name, marks=pytest.mark.slow if kind().unit == "volt" and name in SLOW_FORMULATIONS else ())
     for kind in members_by_kind(AnyReadout).values()
     for name in FORMULATIONS
 ]
@@ -39,17 +39,17 @@ def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1)
     return recording_of(scene, recorded, 2, truth_cell_resistance=cells)
 
 
-def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -> None:
+def test_the_optimum_with_a_penalty_uses_only_the_present_readings() -> None:
     """Against scipy's least squares over those readings alone, with a network of its own."""
-    made = recording(TWO_POINT)
+    noisy = recording(TWO_POINT)
     weight = 1e-4
-    estimate = reconstruct(made, Estimator((Misfit(), CellResistance(weight=weight)), "reduced"))
+    estimate = reconstruct(noisy, Estimator((Misfit(), CellResistance(weight=weight)), "reduced"))
     measured = estimate.measured[0].ravel()
-    seen = np.isfinite(measured)
+    observed = np.isfinite(measured)
 
     def residual(log_cells: np.ndarray) -> np.ndarray:
         model = two_point_resistances(np.exp(log_cells).reshape(SHAPE)).ravel()
-        return np.concatenate([(model - measured)[seen], np.sqrt(weight) * np.exp(log_cells)])
+        return np.concatenate([(model - measured)[observed], np.sqrt(weight) * np.exp(log_cells)])
 
     best = least_squares(
         residual, np.log(estimate.cell_resistance[0].ravel()) + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-12
@@ -73,18 +73,18 @@ def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation
 
 
 @pytest.mark.slow
-def test_plain_least_squares_says_how_little_it_knows_of_a_cell_that_nobody_read() -> None:
+def test_plain_least_squares_gives_an_unread_cell_wide_error_bars() -> None:
     """The others stay as good as their own readings make them; that cell's interval is wide and holds the truth."""
-    other = []
+    elsewhere = []
     held = []
     width = []
     for seed in range(20):
-        made = recording(TWO_POINT, seed=seed)
-        estimate = reconstruct(made, Estimator((Misfit(),), "reduced"))
-        whole = reconstruct(recording(TWO_POINT, [], seed), Estimator((Misfit(),), "reduced"))
+        noisy = recording(TWO_POINT, seed=seed)
+        estimate = reconstruct(noisy, Estimator((Misfit(),), "reduced"))
+        undamaged = reconstruct(recording(TWO_POINT, [], seed), Estimator((Misfit(),), "reduced"))
         blind = np.isnan(estimate.measured)
         held.append(in_intervals(estimate)[blind])
         width.append((estimate.cell_resistance_upper / estimate.cell_resistance_lower)[blind])
-        other.append(np.median(np.abs(np.expm1(log_errors(estimate)))[~blind]))
-        assert np.median(np.abs(np.expm1(log_errors(whole)))) < 0.05
-    assert np.mean(held) > 0.85 and np.median(width) > 1.5 and np.median(other) < 0.05
+        elsewhere.append(np.median(np.abs(np.expm1(log_errors(estimate)))[~blind]))
+        assert np.median(np.abs(np.expm1(log_errors(undamaged)))) < 0.05
+    assert np.mean(held) > 0.85 and np.median(width) > 1.5 and np.median(elsewhere) < 0.05

@@ -39,7 +39,7 @@ def test_a_panel_of_rank_one_has_its_closed_form(rows: int, columns: int, seed: 
     assert_allclose(two_point_resistance(1 / np.outer(a, b)), expected, rtol=1e-11)
 
 
-def test_unconnected_line_is_an_error() -> None:
+def test_an_unconnected_line_is_an_error() -> None:
     conductance = 1 / random_panel((3, 4), 9)
     tie = grounding(1 / conductance)
     conductance[2] = 0
@@ -78,7 +78,7 @@ def test_any_line_may_be_grounded(cells: Array) -> None:
         assert_allclose(FloatingNetwork.solve(1 / cells, tie).reading(), resistance, rtol=1e-10)
 
 
-def test_numbers_beyond_any_panel_are_nothing_or_infinite() -> None:
+def test_values_beyond_any_panel_become_zero_or_infinite() -> None:
     values = np.array([0.0, 1e-300, -1e-300, 5.0, 1e300, -1e300, np.inf])
     np.testing.assert_array_equal(as_panels_have(values), [0, 0, 0, 5, np.inf, -np.inf, np.inf])
 
@@ -90,16 +90,16 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
     """The inverse is that of L + diag(t), and no matrix over all lines is inverted for it."""
     conductance = 10.0 ** np.random.default_rng(4).uniform(-5, -2, shape)
     ties = 10.0 ** np.random.default_rng(5).uniform(-5, -2, (*shape[:-2], shape[-2] + shape[-1]))
-    whole = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
+    inverse = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
     invert = np.linalg.inv
     sizes = []
     monkeypatch.setattr(np.linalg, "inv", lambda matrix: sizes.append(matrix.shape[-1]) or invert(matrix))
-    assert_allclose(inverse_of(conductance, ties), whole, rtol=1e-10)
+    assert_allclose(inverse_of(conductance, ties), inverse, rtol=1e-10)
     assert sizes == [min(shape[-2:])]
 
 
 @pytest.mark.parametrize("shape", [(2, 150), (20, 20), (32, 32)])
-def test_the_convex_start_of_large_panels_converges_as_newtons_method(
+def test_the_convex_start_of_large_panels_converges_quadratically(
     shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps as exact as the gradient is small, and a line search that does not stall in the rounding of the values."""

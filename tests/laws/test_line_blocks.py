@@ -24,22 +24,22 @@ def blocks_of(shape: tuple[int, int], values: int) -> LineBlocks:
 
 @pytest.mark.parametrize("values", [1, 2])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_inverse_is_that_of_the_matrix(
+def test_the_inverse_by_blocks_equals_that_of_the_matrix(
     shape: tuple[int, int], values: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocks = blocks_of(shape, values)
-    whole = blocks.matrix()
-    vector = np.random.default_rng(3).standard_normal(len(whole))
-    expected = np.linalg.solve(whole, vector)
-    assert_allclose(whole, whole.T)
-    assert_allclose((blocks + blocks).matrix(), 2 * whole)
+    matrix = blocks.matrix()
+    vector = np.random.default_rng(3).standard_normal(len(matrix))
+    expected = np.linalg.solve(matrix, vector)
+    assert_allclose(matrix, matrix.T)
+    assert_allclose((blocks + blocks).matrix(), 2 * matrix)
     sizes = sizes_of_matrices(monkeypatch)
     assert_allclose(blocks.inverse()(vector), expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
     assert max(sizes) <= values * min(shape)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_determinant_is_that_of_the_laplacian_with_ties(
+def test_the_determinant_equals_that_of_the_laplacian_with_ties(
     shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(4)
@@ -51,7 +51,7 @@ def test_the_determinant_is_that_of_the_laplacian_with_ties(
     assert max(sizes) <= min(shape)
 
 
-def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_over_its_longer_side(
+def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Estimates, their verification and the check of the circuit: 1 × 800 cells took 1.9 s, and 1 × 1600 12 s."""

@@ -20,14 +20,14 @@ from tests.outlines import OUTLINES
 READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
 
 
-def drawn(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
+def random_panel(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
     """A panel and its cells in ohm; infinite where there is none."""
     rng = np.random.default_rng(seed)
     panel = OUTLINES[outline](rng)
     return panel, np.where(panel.present, 1000 * np.exp(rng.normal(0, 0.5, panel.shape)), np.inf)
 
 
-def solved(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
+def estimate_of(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
     """Frames (frames, rows, columns) ohm as a recording of measured frames, reconstructed."""
     return lampest.reconstruct(recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings)
 
@@ -41,18 +41,18 @@ def test_a_cell_at_no_crossing_is_refused(crossing: tuple[int, int]) -> None:
 @pytest.mark.parametrize("outline", OUTLINES)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> None:
-    """There are as many readings as cells, and nothing else is sought."""
-    panel, cells = drawn(outline, 1)
+    """Without noise as many readings as cells determine every cell."""
+    panel, cells = random_panel(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    estimate = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
+    estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
     assert estimate.status[0] == "optimum verified"
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
     assert np.all(np.isnan(estimate.cell_resistance[0][~panel.present]))
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
-def test_neighbours_join_all_cells_and_no_absent_one(outline: str) -> None:
-    panel, _ = drawn(outline, 2)
+def test_neighbours_connect_all_cells_and_no_absent_one(outline: str) -> None:
+    panel, _ = random_panel(outline, 2)
     first, second, distance = panel.neighbours
     assert panel.present.flat[first].all() and panel.present.flat[second].all()
     x, y = panel.places_mm.reshape(2, -1)
@@ -64,14 +64,14 @@ def test_neighbours_join_all_cells_and_no_absent_one(outline: str) -> None:
     assert reached == set(np.flatnonzero(panel.present).tolist())
 
 
-def test_a_lattice_that_lies_askew_has_four_neighbours_though_its_places_are_rounded() -> None:
+def test_cells_of_a_rotated_lattice_have_four_neighbours_despite_rounding() -> None:
     places = [
         (j, k, round((j + k) * 7.5 / 2**0.5, 1), round((j - k) * 7.5 / 2**0.5, 1)) for j in range(5) for k in range(5)
     ]
     assert len(Panel(5, 5, 7.5, tuple(places)).neighbours[0]) == 2 * 5 * 4
 
 
-def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
+def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
     """The same neighbours and the same estimate, whether cells are listed or not."""
     plain = Panel(3, 4, 8.0)
     listed = replace(plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4)))
@@ -79,38 +79,40 @@ def test_a_rectangle_that_is_listed_is_the_rectangle() -> None:
     assert pairs[0] == pairs[1]
     readings = exact_two_point_resistance(1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4))))[None]
     for term in (lampest.LogGradient(weight=1e4), lampest.TotalVariation(weight=1.0)):
-        both = [solved(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
-        np.testing.assert_allclose(both[0], both[1], rtol=1e-6)
+        estimates = [estimate_of(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
+        np.testing.assert_allclose(estimates[0], estimates[1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
-def test_a_cell_that_was_not_read_follows_its_neighbours(outline: str) -> None:
-    """With log_gradient a missing reading's cell is found, and even cells stay even."""
-    panel, _ = drawn(outline, 4)
+def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
+    """With log_gradient the cell of a missing reading is estimated, and even cells stay even."""
+    panel, _ = random_panel(outline, 4)
     readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
     row, column = np.argwhere(panel.present)[3]
     readings[row, column] = np.nan
-    estimate = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    estimate = estimate_of(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
     assert estimate.status[0] == "optimum verified"
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
-    """It is what leads round: with it a cell whose own reading is missing is found exactly."""
-    panel, cells = drawn("foot", 5)
+    """With that reading a cell whose own reading is missing is determined exactly."""
+    panel, cells = random_panel("foot", 5)
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
     readings[row, column] = np.nan
-    estimate = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
+    estimate = estimate_of(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
     np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
 
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])
-def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> None:
-    """They are written, read and drawn; an absent crossing has no number."""
-    panel, cells = drawn(outline, 7)
+def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
+    """Results are written, read and drawn; an absent crossing has no number."""
+    panel, cells = random_panel(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    estimate = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    estimate = estimate_of(
+        panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0)
+    )
     result = estimate.result()
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
     for kind in ("contours", "resistance"):
@@ -119,7 +121,7 @@ def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
-    """On a finger of the hand: simulated, found and pressed there, not where lines cross on a full rectangle."""
+    """A load on a finger of the hand is estimated there, not where lines cross on a full rectangle."""
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
     cells = Cells(3000, 0.1, 6)
@@ -142,7 +144,7 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 
 
-def test_a_reading_that_no_cells_allow_is_left_out() -> None:
+def test_an_impossible_reading_is_left_out() -> None:
     """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells stay right."""
     panel = Panel(6, 6)
     cells = 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
@@ -151,9 +153,9 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     spoilt[:, 2, 3] *= 4
     scene = Scene(panel, READOUT)
     recording = recording_of(scene, spoilt, 1)
-    seen = Prepared(recording).noise
-    assert np.array_equal(np.argwhere(seen.outliers), [[frame, 2, 3] for frame in range(4)])
-    assert any("larger than any cells allow" in one for one in seen.warnings)
+    noise = Prepared(recording).noise
+    assert np.array_equal(np.argwhere(noise.outliers), [[frame, 2, 3] for frame in range(4)])
+    assert any("larger than any cells allow" in warning for warning in noise.warnings)
     assert Prepared(recording).check.mark == "yes"
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4
@@ -161,16 +163,16 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     assert Prepared(recording_of(scene, wrong, 1)).check.mark == "no"
 
 
-def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
-    panel, cells = drawn("foot", 11)
+def test_a_frame_of_bounds_is_checked_by_the_circuit_laws_alone() -> None:
+    panel, cells = random_panel("foot", 11)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
     check = Prepared(recording_of(Scene(panel, READOUT), recorded, 1)).check
     assert check.mark == "doubtful" and "no cells were fitted" in check.sentence
 
 
-def test_a_line_of_a_table_without_numbers_is_named(tmp_path: Path) -> None:
-    """Its first line may be a header."""
+def test_the_error_names_a_table_line_without_numbers(tmp_path: Path) -> None:
+    """The first line of the table may be a header."""
     (tmp_path / "cells.csv").write_text("row,column\n0,0\n0,x\n")
     (tmp_path / "scene.yaml").write_text("panel: {rows: 2, columns: 2, cells: cells.csv}\n")
     with pytest.raises(lampest.InputError, match=r"cells\.csv:3: 0, x are not all numbers"):

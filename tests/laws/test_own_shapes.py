@@ -11,13 +11,14 @@ import pytest
 from laws.recognised import verdict_on
 
 from lampest import Array, Panel, Recording, Rod, Scene, Shape, Simulation, simulate
+from lampest.files.levels import MAX_MEAN_SQUARE
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.shapes.disc import Disc, contact_of_weight
 from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate, Prior, Template, centre_priors
 
 PANEL = Panel(10, 10)
-FINE = Panel(180, 180, 0.5)
+FINE_PANEL = Panel(180, 180, 0.5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,7 +35,7 @@ class SquareCandidate(Candidate):
         edge = exp(parameters[2])
         contact = exp(parameters[3])
         (along, by_x, x_edge), (down, by_y, y_edge) = (
-            covered(centres - centre, edge / 2, patch_mm)
+            covered_share(centres - centre, edge / 2, patch_mm)
             for centres, centre in zip(panel.centres_mm(), parameters[:2], strict=True)
         )
         pressure = contact * np.outer(down, along)
@@ -51,7 +52,7 @@ class SquareCandidate(Candidate):
         return places | {"edge_mm": (edge, edge * unit[2])}
 
 
-def covered(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
+def covered_share(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
     """Share of patches about `centres` within −half and half, its slope by the square's centre and by `half`."""
     low = centres - patch_mm / 2
     high = centres + patch_mm / 2
@@ -78,10 +79,10 @@ class Square(Shape):
         return under * contact_of_weight(self.mass_g, self.edge_mm**2), np.zeros_like(x)
 
 
-def test_a_shape_of_ones_own_is_simulated(tmp_path: Path) -> None:
+def test_an_own_shape_is_simulated(tmp_path: Path) -> None:
     load = Square(centre_mm=(45.0, 45.0), edge_mm=40.0, mass_g=1500.0, tilt=0.2)
-    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
-    assert contact.sum() * FINE.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01) and not suction.any()
+    contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
+    assert contact.sum() * FINE_PANEL.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01) and not suction.any()
     simulate(Simulation(1, 1, Scene(PANEL), frames=2, loads=(load,))).save(tmp_path / "square.h5")
     recording = Recording.load(tmp_path / "square.h5")
     np.testing.assert_allclose(recording.truth_pressure[-1], load.mean_pressure(PANEL, 6.0)[0])
@@ -90,13 +91,13 @@ def test_a_shape_of_ones_own_is_simulated(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_candidate_of_ones_own_is_recognised_and_no_disc() -> None:
+def test_an_own_candidate_is_recognised_instead_of_a_disc() -> None:
     loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
     verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)
-    assert verdict.best.candidate.label == "square" and verdict.goodness < 1.4
-    found = verdict.best.candidate.report(verdict.best.parameters)
+    assert verdict.best.candidate.label == "square" and verdict.goodness < MAX_MEAN_SQUARE
+    reported = verdict.best.candidate.report(verdict.best.parameters)
     for name, true in {"x_mm": 45.5, "y_mm": 44.5, "edge_mm": 50.0}.items():
-        value, slopes = found[name]
+        value, slopes = reported[name]
         assert abs(value - true) < max(4 * np.sqrt(slopes @ verdict.best.covariance @ slopes), 0.5)
     rod = Rod(kind="rod", centre_mm=(45.0, 45.0), diameter_mm=40.0, mass_g=680.0)
     assert verdict_on(rod, loads).best.candidate.label == "rod"

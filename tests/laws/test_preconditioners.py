@@ -15,7 +15,7 @@ from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, 
 from lampest.solvers.smoothing import Smoothing
 
 SHAPE = (5, 6)
-EVERY = np.ones(SHAPE[0] * SHAPE[1], dtype=bool)
+ALL_CELLS = np.ones(SHAPE[0] * SHAPE[1], dtype=bool)
 COSTS: dict[str, tuple[Term, ...]] = {
     "plain": (Misfit(),),
     "size": (Misfit(), CellResistance(weight=1e-3)),
@@ -35,22 +35,22 @@ def hessian_of(terms: tuple[Term, ...]) -> Hessian:
     return Hessian(point, Smoothing.start(point))
 
 
-def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
+def preconditioner_of(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
     """One of a kind at a point; a kind of one's own has `of(hessian)`."""
     hessian = hessian_of(terms)
     if kind is Cholesky:
-        return preconditioner(hessian, EVERY)
-    kept: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)
-    return kept
+        return preconditioner(hessian, ALL_CELLS)
+    operator: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)
+    return operator
 
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
-def test_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
-    kept = made(kind, COSTS[cost])
+def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
+    operator = preconditioner_of(kind, COSTS[cost])
     rng = np.random.default_rng(5)
-    for free in (EVERY, rng.random(EVERY.size) < 0.6):
-        solve = kept.over(free, kept.cell_resistance)
+    for free in (ALL_CELLS, rng.random(ALL_CELLS.size) < 0.6):
+        solve = operator.over(free, operator.cell_resistance)
         inverse = np.column_stack([solve(unit) for unit in np.eye(int(free.sum()))])
         assert_allclose(inverse, inverse.T, atol=1e-5 * np.abs(inverse).max())  # sparse factors keep ten digits
         assert np.linalg.eigvalsh(inverse).min() > 0
@@ -62,16 +62,16 @@ def test_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], 
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
 def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: type[Preconditioner], cost: str) -> None:
     hessian = hessian_of(COSTS[cost])
-    inverses = made(kind, COSTS[cost]).over(EVERY, hessian.at.cell_resistance), lambda values: values
+    inverses = preconditioner_of(kind, COSTS[cost]).over(ALL_CELLS, hessian.at.cell_resistance), lambda values: values
     preconditioned, plain = (
         steihaug(hessian.gauss_newton_product, inverse, hessian.gradient, 1e-6) for inverse in inverses
     )
     assert preconditioned.products <= plain.products
 
 
-def test_it_serves_no_other_panel() -> None:
-    kept = preconditioner(hessian_of(COSTS["plain"]), EVERY)
-    assert kept.distance(kept.cell_resistance) == 0
-    assert kept.distance(kept.cell_resistance * 2) == pytest.approx(np.log(2))
-    assert kept.distance(np.ones((1, 3, 3))) == np.inf
-    assert replace(kept).distance(kept.cell_resistance) == 0
+def test_the_distance_to_another_panel_is_infinite() -> None:
+    operator = preconditioner(hessian_of(COSTS["plain"]), ALL_CELLS)
+    assert operator.distance(operator.cell_resistance) == 0
+    assert operator.distance(operator.cell_resistance * 2) == pytest.approx(np.log(2))
+    assert operator.distance(np.ones((1, 3, 3))) == np.inf
+    assert replace(operator).distance(operator.cell_resistance) == 0

@@ -56,7 +56,7 @@ def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
     """The first configuration of a kind that fits, with every sort of wire and with lines that touch."""
     for rows, columns in PANELS:
         panel = Panel(rows, columns)
-        readout = next(one for one in examples(kind) if fits((panel, one)) is not None)
+        readout = next(example for example in examples(kind) if fits((panel, example)) is not None)
         contacts = Contacts.of(np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows)
         for name, (lines, faults) in WIRES.items():
             yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
@@ -84,7 +84,7 @@ def size(values: Array) -> float:
 
 
 @every_scene
-def test_a_scene_with_it_comes_back_from_yaml(scene: Scene) -> None:
+def test_a_scene_with_the_readout_survives_yaml(scene: Scene) -> None:
     assert validated(parse_document(to_yaml(scene), "law"), Scene) == scene
 
 
@@ -94,9 +94,9 @@ def test_the_adjoint_is_the_transpose(scene: Scene) -> None:
     network = network_of(scene, cells_of(scene))
     rng = np.random.default_rng(1)
     step, weights = rng.normal(size=(2, *scene.panel.shape))
-    there = np.sum(weights * network.forward(step))
-    back = np.sum(network.adjoint(weights) * step)
-    assert there == pytest.approx(back, rel=1e-9, abs=1e-12 * size(network.reading()))
+    forward_product = np.sum(weights * network.forward(step))
+    adjoint_product = np.sum(network.adjoint(weights) * step)
+    assert forward_product == pytest.approx(adjoint_product, rel=1e-9, abs=1e-12 * size(network.reading()))
 
 
 @every_scene
@@ -140,10 +140,12 @@ def test_the_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None
 @every_scene
 def test_the_sensitivity_is_the_matrix_of_the_forward_product(scene: Scene) -> None:
     network = network_of(scene, cells_of(scene))
-    whole = network.sensitivity()
+    sensitivity = network.sensitivity()
     step = np.random.default_rng(4).normal(size=scene.panel.shape)
-    assert_allclose((whole @ step.ravel()).reshape(step.shape), network.forward(step), atol=1e-9 * size(whole))
-    assert_allclose(network.own_response().ravel(), np.diag(whole), atol=1e-9 * size(whole))
+    assert_allclose(
+        (sensitivity @ step.ravel()).reshape(step.shape), network.forward(step), atol=1e-9 * size(sensitivity)
+    )
+    assert_allclose(network.own_response().ravel(), np.diag(sensitivity), atol=1e-9 * size(sensitivity))
 
 
 @pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
@@ -185,9 +187,9 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
     """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand them on."""
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
-    made = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
+    simulated = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
     expected = scene.circuit.to_recorded(network_of(scene, np.log(cells)).reading(), scene)
-    assert_allclose(made, expected, atol=1e-9 * size(expected))
+    assert_allclose(simulated, expected, atol=1e-9 * size(expected))
 
 
 @every_scene
@@ -202,8 +204,8 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
     near = 1e-9 * size(recorded)
     assert_allclose(readout.from_recorded(recorded, scene), reading, rtol=1e-9, atol=near)
     assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(recorded)), recorded, rtol=1e-6, atol=near)
-    more = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
-    assert np.all(np.sign(more) == readout.direction)
+    increase = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
+    assert np.all(np.sign(increase) == readout.direction)
     assert np.all(reading > 0) and np.all(readout.sigma(recorded) >= 0)
     step = 1e-6 * recorded
     ends = [readout.from_recorded(recorded + sign * step, scene) for sign in (1, -1)]
@@ -217,7 +219,7 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_the_apparent_resistance_of_a_lone_cell_is_its_resistance(kind: Any) -> None:
     cell = np.array([[700.0]])
-    readout = next(each for each in examples(kind) if fits((Panel(1, 1), each)) is not None)
+    readout = next(example for example in examples(kind) if fits((Panel(1, 1), example)) is not None)
     assert_allclose(readout.apparent_resistance(readout.exact_reading(cell)), cell, rtol=1e-6)
 
 
@@ -237,5 +239,5 @@ def test_readings_grow_with_all_cells_where_the_kind_is_homogeneous(scene: Scene
     """Readings grow with all cells by one factor exactly where the kind says so."""
     readout = scene.circuit
     logarithm = cells_of(scene)
-    once, thrice = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
-    assert (size(thrice - 3 * once) < 1e-9 * size(thrice)) == readout.homogeneous
+    single, triple = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))
+    assert (size(triple - 3 * single) < 1e-9 * size(triple)) == readout.homogeneous

@@ -22,7 +22,7 @@ RESPONSES = [
     TableResponse(pressure_kpa=(-5, 0, 1, 5, 20), resistance_ohm=(9e4, 3e4, 9e3, 2500, 800)),
     PowerResponse(exponent=0.8, scale_kpa=1.5),
 ]
-OWN = pytest.mark.parametrize("response", RESPONSES, ids=lambda response: response.kind)
+EACH_RESPONSE = pytest.mark.parametrize("response", RESPONSES, ids=lambda response: response.kind)
 
 
 @pytest.mark.parametrize(
@@ -33,8 +33,8 @@ def test_the_published_curve_passes_through_its_points(pressure: float, change: 
     assert relative_change_from_pressure(pressure) == pytest.approx(change, abs=1e-12)
 
 
-@OWN
-def test_a_response_of_its_own_falls_strictly_is_1_at_rest_and_is_inverted(response: Response) -> None:
+@EACH_RESPONSE
+def test_an_own_response_falls_strictly_from_1_and_is_inverted(response: Response) -> None:
     low, high = (2 * end for end in response.told_kpa)
     pressure = np.linspace(low - 1, high, 1001)
     assert np.all(np.diff(response.logarithm(pressure)) < 0)
@@ -45,8 +45,8 @@ def test_a_response_of_its_own_falls_strictly_is_1_at_rest_and_is_inverted(respo
     np.testing.assert_array_equal(ends, [np.inf, -np.inf, np.nan])
 
 
-@OWN
-def test_pressures_go_through_the_scenes_own_curve_and_gains(response: Response) -> None:
+@EACH_RESPONSE
+def test_pressures_pass_through_the_curve_and_gains_of_the_scene(response: Response) -> None:
     """With and without water and a film that remembers nothing: what is put in comes out, cell by cell."""
     gain = ((0.7, 1.0, 1.3), (1.1, 0.9, 1.0))
     own = replace(response, gain=gain, gain_sd=None)

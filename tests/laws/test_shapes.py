@@ -23,7 +23,7 @@ from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import POINTS, Candidate, Template
 
 PANEL = Panel(10, 10)
-FINE = Panel(180, 180, 0.5)
+FINE_PANEL = Panel(180, 180, 0.5)
 SCENE = "schema: 1\nseed: 1\nscene: {panel: {rows: 10, columns: 10}}\nframes: 1\nloads:\n  - "
 SHAPES = [pytest.param(kind, id=kind.__name__) for kind in shape_types()]
 OBLONG = Panel(7, 5, 10.0)
@@ -45,12 +45,12 @@ def load_of(kind: type[Shape]) -> Shape:
 
 def sums(load: Shape) -> tuple[float, float]:
     """Forces of contact and suction in mN, on a panel without gaps."""
-    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
-    return float(contact.sum() * FINE.pitch_mm**2), float(suction.sum() * FINE.pitch_mm**2)
+    contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
+    return float(contact.sum() * FINE_PANEL.pitch_mm**2), float(suction.sum() * FINE_PANEL.pitch_mm**2)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_is_in_the_schema_and_comes_back_from_yaml(kind: type[Shape]) -> None:
+def test_a_shape_is_in_the_schema_and_survives_yaml(kind: type[Shape]) -> None:
     load = load_of(kind)
     simulation = Simulation(1, 1, Scene(PANEL), loads=(load,))
     assert validated(parse_document(to_yaml(simulation), "again"), Simulation) == simulation
@@ -60,35 +60,35 @@ def test_is_in_the_schema_and_comes_back_from_yaml(kind: type[Shape]) -> None:
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_presses_or_sucks_within_its_reach_alone(kind: type[Shape]) -> None:
+def test_a_shape_presses_or_sucks_only_within_its_reach(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=1.0, tilt_direction_deg=200.0)
-    contact, suction = load.mean_pressure(FINE, FINE.pitch_mm)
-    x, y = FINE.centres_mm()
+    contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
+    x, y = FINE_PANEL.centres_mm()
     distance = np.hypot(x[None, :] - 45, y[:, None] - 45)
     assert np.all(contact >= 0) and np.all(suction <= 0)
-    assert not np.any((contact - suction)[distance > load.reach_mm + FINE.pitch_mm])
-    assert np.any((contact - suction)[distance > load.reach_mm - 2 * FINE.pitch_mm])
+    assert not np.any((contact - suction)[distance > load.reach_mm + FINE_PANEL.pitch_mm])
+    assert np.any((contact - suction)[distance > load.reach_mm - 2 * FINE_PANEL.pitch_mm])
 
 
 @pytest.mark.parametrize("kind", SHAPES)
 def test_the_pressure_of_a_shape_moves_with_its_centre(kind: type[Shape]) -> None:
-    here = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
-    there = dataclasses.replace(here, centre_mm=(53.0, 34.0))
-    for before, after in zip(here.mean_pressure(PANEL, 6), there.mean_pressure(PANEL, 6), strict=True):
-        np.testing.assert_allclose(after[:-1, 2:], before[1:, :-2], atol=1e-12)
+    load = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
+    moved = dataclasses.replace(load, centre_mm=(53.0, 34.0))
+    for original, shifted in zip(load.mean_pressure(PANEL, 6), moved.mean_pressure(PANEL, 6), strict=True):
+        np.testing.assert_allclose(shifted[:-1, 2:], original[1:, :-2], atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
+def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
     level = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=0.0)
     tilted = dataclasses.replace(level, tilt=0.6, tilt_direction_deg=90.0)
     assert sums(tilted) == pytest.approx(sums(level), rel=1e-9)
-    lower, upper = np.split(tilted.mean_pressure(FINE, FINE.pitch_mm)[0], 2)
+    lower, upper = np.split(tilted.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)[0], 2)
     assert upper.sum() > 1.2 * lower.sum()
 
 
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
-def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> None:
+def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> None:
     """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
     panel = Panel(6, 6)
     rng = np.random.default_rng(4)
@@ -99,13 +99,13 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     sd = candidate.sd(panel)
     for _ in range(60):
         parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))
-        here = fitting.at(parameters, fitting.about(parameters, whitening))
-        assert np.isfinite(here.cost)
-        assert np.isfinite(here.gradient).all() and np.isfinite(here.normal).all()
+        point = fitting.at(parameters, fitting.about(parameters, whitening))
+        assert np.isfinite(point.cost)
+        assert np.isfinite(point.gradient).all() and np.isfinite(point.normal).all()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in shape_types() if isinstance(kind.candidate, RoundCandidate)])
-def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
+def test_recognition_and_simulation_share_one_pressure(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
     sampled = np.sum(load.mean_pressure(PANEL, 6.0), axis=0)
@@ -115,7 +115,7 @@ def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> No
     assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
 
 
-def test_labels_and_kinds_are_their_own() -> None:
+def test_labels_and_kinds_are_unique() -> None:
     every = [candidate.label for candidate in (*UNIFORM, *LOADS, FIELD)]
     assert len(set(every)) == len(every)
     kinds = [example(kind).split(",")[0] for kind in shape_types()]
@@ -123,7 +123,7 @@ def test_labels_and_kinds_are_their_own() -> None:
     assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False), "a full disc with nothing else unless it says so"
 
 
-def test_a_mouth_of_any_form_bears_its_suction() -> None:
+def test_the_rim_of_any_mouth_balances_its_suction() -> None:
     """The rim's force is the suction's, however long or uneven it is; extra pressure comes on top of it."""
     level = OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0)
     uneven = {"elongation": 1.3, "elongation_deg": 25.0, "unevenness": 0.4, "lobes": 3, "unevenness_deg": 70.0}
@@ -139,7 +139,7 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
     """Mean over each patch of a disc with hard edges, written as a user would draw it."""
     offset = ((np.arange(POINTS_ALONG) + 0.5) / POINTS_ALONG - 0.5) * patch_mm
     across, down = OBLONG.centres_mm()
-    found = np.empty(OBLONG.shape)
+    pressure = np.empty(OBLONG.shape)
     for row, column in np.ndindex(OBLONG.shape):
         x, y = np.meshgrid(across[column] + offset - disc.x_mm, down[row] + offset - disc.y_mm)
         stretch = np.array([[1 - form.along, -form.across], [-form.across, 1 + form.along]])
@@ -150,12 +150,12 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
         level = level + form.lobe_along * np.cos(2 * angle) + form.lobe_across * np.sin(2 * angle)
         inside = radius < disc.inner_mm / 2
         rim = (radius < disc.diameter_mm / 2) & ~inside
-        found[row, column] = (inside * disc.suction_kpa + rim * disc.rim_kpa * level).mean()
-    return found
+        pressure[row, column] = (inside * disc.suction_kpa + rim * disc.rim_kpa * level).mean()
+    return pressure
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_values_are_those_of_fine_sampling(seed: int) -> None:
+def test_pressures_equal_those_of_fine_sampling(seed: int) -> None:
     rng = np.random.default_rng(seed)
     outer = float(rng.uniform(15, 50))
     numbers = (rng.uniform(-5, 45), rng.uniform(-5, 65), outer, outer * rng.uniform(0.2, 0.8), -rng.uniform(2, 20))

@@ -83,8 +83,8 @@ def state(data: Data, cells: Array, scale: float = 1.0) -> State:
     return State(panel=PANEL, **columns)
 
 
-def residual(term: Term, where: State) -> Array:
-    return np.asarray(casadi.DM(term.residual(where))).ravel()
+def residual(term: Term, point: State) -> Array:
+    return np.asarray(casadi.DM(term.residual(point))).ravel()
 
 
 def test_a_term_without_a_unit_or_with_the_kind_of_another_is_refused() -> None:
@@ -105,12 +105,12 @@ def test_a_term_without_a_unit_or_with_the_kind_of_another_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_only_data_terms_read_what_was_measured(term: type[Term], words: dict[str, Any]) -> None:
+def test_only_data_terms_read_the_measurement(term: type[Term], words: dict[str, Any]) -> None:
     data, cells = example(1)
-    told = state(data, cells)
-    moved = dataclasses.replace(told, measured=told.measured + 1.0)
-    same = np.array_equal(residual(term(**words), told), residual(term(**words), moved))
-    assert term.reads_measurement == (not same)
+    original = state(data, cells)
+    moved = dataclasses.replace(original, measured=original.measured + 1.0)
+    unchanged = np.array_equal(residual(term(**words), original), residual(term(**words), moved))
+    assert term.reads_measurement == (not unchanged)
 
 
 @pytest.mark.parametrize("frames", [1, 2])
@@ -122,10 +122,10 @@ def test_the_gradient_is_the_derivative_of_the_cost(
     """∂φ/∂log r along random directions against central differences of φ, of fourth order."""
     cost = Cost(PANEL, (term(weight=0.7, loss=loss, **words),), frames)
     data, cells = example(frames)
-    here = Evaluation.at(cost, data, cells)
-    subgradient = np.sign(here.nonsmooth)
-    gradient = here.log_gradient(subgradient)
-    assert here.kkt_residual(-subgradient) == here.kkt_residual(-3 * subgradient)  # no dual variable exceeds 1
+    point = Evaluation.at(cost, data, cells)
+    subgradient = np.sign(point.nonsmooth)
+    gradient = point.log_gradient(subgradient)
+    assert point.kkt_residual(-subgradient) == point.kkt_residual(-3 * subgradient)  # no dual variable exceeds 1
     rng = np.random.default_rng(1)
     step = 1e-5
     for _ in range(4):
@@ -139,9 +139,9 @@ def test_the_gradient_is_the_derivative_of_the_cost(
         slope = (8 * near - far) / (12 * step)  # fourth order: a loss may curve within a step of 0.03 ohm
         size = np.sum(np.abs(gradient * direction))
         # An absolute loss is no parabola, but the step is far smaller than the distance to any corner.
-        assert slope == pytest.approx(np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * here.objective)
+        assert slope == pytest.approx(np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * point.objective)
     if loss.kind == "absolute":
-        assert np.min(np.abs(here.nonsmooth)) > 1e-3 * np.max(np.abs(here.nonsmooth))
+        assert np.min(np.abs(point.nonsmooth)) > 1e-3 * np.max(np.abs(point.nonsmooth))
 
 
 @pytest.mark.parametrize("frames", [1, 2])
@@ -194,24 +194,24 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
     width = 50.0
     step = 2e-6
 
-    def curvature(where: Array) -> Hessian:
-        at = Evaluation.at(cost, data, where)
+    def curvature(position: Array) -> Hessian:
+        at = Evaluation.at(cost, data, position)
         return Hessian(at, Smoothing(width, Smoothing(width, np.zeros(len(at.nonsmooth))).slope(at.nonsmooth)))
 
-    here = curvature(cells)
-    matrix = here.matrix
+    point = curvature(cells)
+    matrix = point.matrix
     assert_allclose(matrix, matrix.T, atol=1e-12 * np.max(np.abs(matrix)))
     for _ in range(3):
         direction = rng.standard_normal(cells.size)
         moved = [cells * np.exp(sign * step * direction.reshape(cells.shape)) for sign in (1, -1)]
-        ends = [curvature(where).gradient for where in moved]
+        ends = [curvature(position).gradient for position in moved]
         expected = (ends[0] - ends[1]) / (2 * step)
         assert_allclose(matrix @ direction, expected, atol=1e-6 * np.max(np.abs(expected)))
-        assert_allclose(here.product(direction), matrix @ direction, atol=1e-11 * np.max(np.abs(expected)))
+        assert_allclose(point.product(direction), matrix @ direction, atol=1e-11 * np.max(np.abs(expected)))
 
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_residual_scales_as_its_unit_says(term: type[Term], words: dict[str, Any]) -> None:
+def test_the_residual_scales_with_its_unit(term: type[Term], words: dict[str, Any]) -> None:
     """With all resistances doubled a residual in ohm doubles; a percentage, a ratio, a standard deviation stays."""
     data, cells = example(1)
     chosen = term(**words)
@@ -235,18 +235,18 @@ def slopes(loss: Loss, x: Array) -> Array:
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
-def test_losses_are_even_rising_and_zero_at_zero_and_convex_if_they_say_so(loss: Loss) -> None:
-    found = values(loss, GRID)
+def test_losses_are_even_rising_zero_at_zero_and_convex_as_declared(loss: Loss) -> None:
+    losses = values(loss, GRID)
     assert float(loss.cost(casadi.DM(0.0))) == 0
-    assert np.all(found[np.abs(GRID) > 1e-9] > 0)
-    assert_allclose(found, found[::-1], rtol=1e-12)
-    assert np.all(np.diff(found[GRID >= 0]) > 0)
-    assert np.all(np.diff(found, 2) > -1e-9 * found.max()) == loss.convex
+    assert np.all(losses[np.abs(GRID) > 1e-9] > 0)
+    assert_allclose(losses, losses[::-1], rtol=1e-12)
+    assert np.all(np.diff(losses[GRID >= 0]) > 0)
+    assert np.all(np.diff(losses, 2) > -1e-9 * losses.max()) == loss.convex
     column = casadi.DM(GRID)
-    assert float(loss.cost(column)) == pytest.approx(found.sum(), rel=1e-12)
+    assert float(loss.cost(column)) == pytest.approx(losses.sum(), rel=1e-12)
 
 
-def test_losses_are_what_they_say() -> None:
+def test_losses_equal_their_published_formulas() -> None:
     outside = np.abs(GRID) > CORNER
     assert_allclose(values(Squared(), GRID), GRID**2, rtol=1e-14)
     assert_allclose(values(Absolute(), GRID), np.abs(GRID), rtol=1e-14)
@@ -258,7 +258,7 @@ def test_losses_are_what_they_say() -> None:
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
-def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
+def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals are slopes."""
     weight = 0.7
     unit = 25.0
@@ -275,14 +275,14 @@ def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     equation = casadi.SX(0, 1) if lowered.equation is None else lowered.equation
     program = {"x": casadi.vertcat(*lowered.split), "f": lowered.objective, "g": equation}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
-    found = casadi.nlpsol("least", "ipopt", program, quiet)(x0=start, lbx=0, lbg=0, ubg=0)
-    assert float(found["f"]) == pytest.approx(cost, rel=1e-6)
+    solution = casadi.nlpsol("least", "ipopt", program, quiet)(x0=start, lbx=0, lbg=0, ubg=0)
+    assert float(solution["f"]) == pytest.approx(cost, rel=1e-6)
     if loss.enters == "dual":
-        assert_allclose(np.asarray(found["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6)
+        assert_allclose(np.asarray(solution["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6)
 
 
 @pytest.mark.parametrize("loss", [loss for loss in LOSSES if loss.enters != "dual"], ids=lambda loss: loss.kind)
-def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> None:
+def test_derived_slopes_and_curvatures_equal_those_of_the_losses(loss: Loss) -> None:
     """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
     plain = OnlyCost(loss)
     grid = GRID + 0.1
@@ -294,13 +294,13 @@ def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> Non
     assert plain.determined(evidence) == loss.determined(evidence) == 3.0
 
 
-def test_slope_is_explained_by_curvature_and_pull() -> None:
+def test_curvature_and_pull_give_the_slope() -> None:
     """(ω x)² + H² = (½ρ')² wherever the loss is convex, ω = ½ρ'' against differences."""
     step = 1e-3 * CORNER
     loss = GemanMcClure(CORNER)
     grid = GRID + 0.1
-    low, here, high = (values(loss, grid + move) for move in (-step, 0.0, step))
+    low, middle, high = (values(loss, grid + move) for move in (-step, 0.0, step))
     slope = (high - low) / (4 * step)
-    curvature = (high - 2 * here + low) / (2 * step**2)
+    curvature = (high - 2 * middle + low) / (2 * step**2)
     assert_allclose(loss.curvature(grid), np.maximum(curvature, 0), atol=1e-5)
     assert_allclose((loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2, slope**2, rtol=1e-4)

@@ -34,8 +34,8 @@ from tests.mutation.record import OUTPUT
 ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "results" / "mutation" / "tests.json"
 LEFT_OUT = (".git", ".venv", "results", "_build", ".hypothesis", "__pycache__", ".*_cache")
-GRACE = 60.0  # s beside three times the recorded duration
-LONGEST = 120.0  # s of recorded tests for one mutant; a survivor beyond this is counted as one
+EXTRA_SECONDS = 60.0  # s beside three times the recorded duration
+MAX_SECONDS = 120.0  # s of recorded tests for one mutant; a survivor beyond this is counted as one
 GOLDEN = "tests/golden/test_table.py::test_a_row_has_its_stored_results["
 DEFAULTS = "tests/golden/test_defaults.py"  # guards constants and defaults, and calls none of their functions
 LIBRARIES = "numpy scipy.linalg scipy.sparse scipy.optimize scipy.stats scipy.special casadi h5py pydantic ruamel.yaml"
@@ -93,7 +93,7 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     """Return golden rows and other tests that call a mutant's function, or its module where it is in no function.
 
     The shortest row comes first, then defaults and constants, the shortest test of every file and the second of every
-    file, up to `LONGEST` seconds.
+    file, up to `MAX_SECONDS` seconds.
     """
     path = mutant.path.removeprefix("lampest/")
     rows = list[str]()
@@ -111,24 +111,24 @@ def guards_of(mutant: Mutant, tests: Tests) -> tuple[list[str], list[str]]:
     total = 0.0
     for name in ordered:
         total += tests[name]["seconds"]
-        if total < LONGEST:
+        if total < MAX_SECONDS:
             chosen.append(name)
     return rows, chosen
 
 
-def noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
+def is_noticed(mutant: Mutant, copy: Path, tests: Tests) -> bool:
     """Whether a guard fails while the copy has the mutant."""
-    rows, others = guards_of(mutant, tests)
+    rows, other_tests = guards_of(mutant, tests)
     module = copy / mutant.path
     chosen = copy / "guards.txt"
     source = module.read_bytes()
-    chosen.write_text("\n".join(others))
+    chosen.write_text("\n".join(other_tests))
     module.write_bytes(mutant.apply_to(source))
-    seconds = [3 * sum(tests[name]["seconds"] for name in names) + GRACE for names in (rows, others)]
+    seconds = [3 * sum(tests[name]["seconds"] for name in names) + EXTRA_SECONDS for names in (rows, other_tests)]
     try:
         if rows and not rows_agree([row.removeprefix(GOLDEN)[:-1] for row in rows], copy, seconds[0]):
             return True
-        return bool(others) and run_tests(copy, "-x", f"@{chosen}", seconds=seconds[1]) != 0
+        return bool(other_tests) and run_tests(copy, "-x", f"@{chosen}", seconds=seconds[1]) != 0
     finally:
         module.write_bytes(source)
 
@@ -184,8 +184,8 @@ def guard_table(tests: Tests) -> Iterator[str]:
     yield "|---|---|"
     for module, files in sorted(reached.items()):
         total = len(set().union(*files.values()))
-        most = sorted(files, key=lambda file: (-len(files[file]), file))[:3]
-        yield f"| `{module}` | {', '.join(f'`{file}` ({100 * len(files[file]) // total} %)' for file in most)} |"
+        guards = sorted(files, key=lambda file: (-len(files[file]), file))[:3]
+        yield f"| `{module}` | {', '.join(f'`{file}` ({100 * len(files[file]) // total} %)' for file in guards)} |"
 
 
 def main() -> int:
@@ -205,7 +205,7 @@ def main() -> int:
         answers = Counter[bool]()
         for mutant in sampled(arguments.room, arguments.count, arguments.seed):
             begin = time.perf_counter()
-            answer = noticed(mutant, copy, tests)
+            answer = is_noticed(mutant, copy, tests)
             answers[answer] += 1
             word = "noticed" if answer else "SURVIVED"
             seconds = time.perf_counter() - begin

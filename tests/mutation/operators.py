@@ -12,8 +12,8 @@ ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: as
 NEGATIONS = ((ast.Lt, ast.GtE), (ast.Gt, ast.LtE), (ast.Eq, ast.NotEq), (ast.In, ast.NotIn), (ast.Is, ast.IsNot))
 COMPARISON = dict((*NEGATIONS, *(pair[::-1] for pair in NEGATIONS)))
 SORTING = ("sorted", "argsort")  # of these the order is reversed
-EXTREMES = {"min": "max", "max": "min", "argmin": "argmax", "argmax": "argmin", "minimum": "maximum"}
-EXTREMES |= {"maximum": "minimum", "nanmin": "nanmax", "nanmax": "nanmin"}
+OPPOSITES = {"min": "max", "max": "min", "argmin": "argmax", "argmax": "argmin", "minimum": "maximum"}
+OPPOSITES |= {"maximum": "minimum", "nanmin": "nanmax", "nanmax": "nanmin"}
 SCALE = 10
 
 
@@ -55,10 +55,10 @@ def mutants_of(root: Path, path: Path) -> list[Mutant]:
     for node, function in sites(ast.parse(source), ()):
         start = offsets[node.lineno - 1] + node.col_offset
         end = offsets[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
-        before = source[start:end].decode()
-        for operator, after in replacements(node):
+        original = source[start:end].decode()
+        for operator, replacement in replacements(node):
             place = (str(path.relative_to(root)), function, node.lineno)
-            mutants.append(Mutant(*place, operator, start, end, before, after))
+            mutants.append(Mutant(*place, operator, start, end, original, replacement))
     return mutants
 
 
@@ -125,9 +125,9 @@ def changed_calls(
     name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
     if name in SORTING:
         yield "sorting", f"{text_of(ast.Call(function, arguments, keywords))}[::-1]"
-    if name in EXTREMES:
-        swapped = ast.Name(EXTREMES[name])
-        new = ast.Attribute(function.value, EXTREMES[name]) if isinstance(function, ast.Attribute) else swapped
+    if name in OPPOSITES:
+        swapped = ast.Name(OPPOSITES[name])
+        new = ast.Attribute(function.value, OPPOSITES[name]) if isinstance(function, ast.Attribute) else swapped
         yield "extreme", text_of(ast.Call(new, arguments, keywords))
 
 

@@ -37,8 +37,9 @@ KINDS = tuple(NOMINAL)
 SIDE = 4
 LOADS = 8
 SPREAD = 5.0
-TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
-OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
+SPECIFIED_ERRORS = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
+POWER_RESPONSE = PowerResponse(exponent=0.8, scale_kpa=2.0)
+MIN_COVERAGE = 0.9  # of 95 % intervals, over 10 to 40 films that share a curve each
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def readout_of(kind: str, ohm: float | tuple[float, ...], **known: object) -> An
     return readouts[kind]()
 
 
-def told(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
+def specified_scene(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
     """What the user knows: the circuit and what is printed on its resistors."""
     known = {"adc_bits": 10, "readings": 20, "noise_lsb": 0.7} | converter
     return Scene(Panel(*shape), readout_of(kind, NOMINAL[kind], **known))
@@ -99,7 +100,7 @@ def some_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Ar
 
 
 def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
-    """(found − true)/σ of every mean."""
+    """(estimated − true)/σ of every mean."""
     if board.kind == "two_point":
         (number,) = calibration.numbers
         return [(number.value - board.rows.mean() - board.columns.mean()) / number.sigma]
@@ -110,20 +111,20 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) -> None:
+def test_resistors_of_several_values_determine_every_number_of_every_line(kind: str) -> None:
     """Resistors and reference of 0.1 %: each line is found to what its σ says, and the scene says so."""
     rng = np.random.default_rng(KINDS.index(kind))
     shape = (4, 5)
     board = some_board(kind, shape, rng)
-    scene = told(kind, shape)
+    scene = specified_scene(kind, shape)
     printed, _ = some_resistors(shape, rng)
     true = printed * rng.uniform(0.999, 1.001, shape)
     calibration = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
     assert max(map(abs, pulls(calibration, board))) < 4
-    lines = [line for one in calibration.numbers for line in one.lines]
+    lines = [line for number in calibration.numbers for line in number.lines]
     for line, true_ohm in zip(lines, (board.rows, board.columns), strict=True):
-        off = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
-        assert np.abs(off).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
+        deviations = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
+        assert np.abs(deviations).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
     read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
     assert read == calibration.scene
     mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()
@@ -132,7 +133,7 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) -> None:
+def test_sound_calibrations_are_accepted_and_within_their_deviations(kind: str) -> None:
     """50 boards and sets of resistors of 1 %, 3 to 12 frames: none is refused, and errors are as large as stated."""
     scores = []
     for seed in range(50):
@@ -141,7 +142,7 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
         readings = int(rng.choice([1, 4, 20]))
         noise = float(rng.uniform(0.3, 2))
         board = some_board(kind, shape, rng)
-        scene = told(kind, shape, readings=readings, noise_lsb=noise)
+        scene = specified_scene(kind, shape, readings=readings, noise_lsb=noise)
         printed, true = some_resistors(shape, rng)
         frames = int(rng.integers(3, 12))
         scores += pulls(calibrate_resistors([recording(scene, board, true, rng, frames)], [printed]), board)
@@ -164,21 +165,21 @@ def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads:
     true = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
     recorded = true / (1 + reference)
     recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
-    return recording_of(replace(scene, systematic=TOLD), recorded, 2, truth_cell_resistance=cells)
+    return recording_of(replace(scene, systematic=SPECIFIED_ERRORS), recorded, 2, truth_cell_resistance=cells)
 
 
 @pytest.mark.slow
-def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
+def test_calibrated_channels_lie_within_their_deviations_and_improve_the_cells() -> None:
     channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
     calibration = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
     assert calibration.apart < 0.6 * SPREAD == 0.6 * calibration.apart_before and not calibration.warnings
-    off = calibration.errors - np.concatenate([[0.005], channels])
-    assert off @ np.linalg.solve(calibration.covariance, off) < 1.5 * len(off), "χ²"
+    difference = calibration.errors - np.concatenate([[0.005], channels])
+    assert difference @ np.linalg.solve(calibration.covariance, difference) < 1.5 * len(difference), "χ²"
     centred = calibration.errors[1:] - channels
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
     assert rms(centred) < 0.5 * np.std(channels)
     read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
-    assert read == calibration.scene and read.systematic != TOLD
+    assert read == calibration.scene and read.systematic != SPECIFIED_ERRORS
     fresh = channel_recording(3, channels, 0.005)
     errors = []
     for scene in (fresh.scene, read):
@@ -187,31 +188,31 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_without_loads_the_command_says_that_nothing_is_known(
+def test_a_calibration_without_loads_says_that_nothing_is_known(
     tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
-    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    unloaded = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     scene = tmp_path / "scene.yaml"
-    made.save(tmp_path / "one.h5")
-    replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another"))).save(tmp_path / "two.h5")
-    ended = lampest("calibrate", "--from-recording", tmp_path / "one.h5", tmp_path / "two.h5", "--out", scene)
-    assert ended.code == 0 and ended.out.startswith("reference ") and "from 10 frames" in ended.out
-    assert "these loads determine hardly any channel" in ended.err and "rows are off by " in scene.read_text()
+    unloaded.save(tmp_path / "one.h5")
+    replace(unloaded, scene=replace(unloaded.scene, subject=MeasuredSubject(id="another"))).save(tmp_path / "two.h5")
+    completed = lampest("calibrate", "--from-recording", tmp_path / "one.h5", tmp_path / "two.h5", "--out", scene)
+    assert completed.code == 0 and completed.out.startswith("reference ") and "from 10 frames" in completed.out
+    assert "these loads determine hardly any channel" in completed.err and "rows are off by " in scene.read_text()
 
 
-def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
-    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
+    unloaded = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     with pytest.raises(InputError, match="names no readout"):
-        calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
+        calibrate_channels([replace(unloaded, scene=Scene(unloaded.scene.panel))])
     with pytest.raises(InputError, match="recordings tell nothing of this readout"):
-        calibrate_channels([replace(made, scene=Scene(made.scene.panel, Divider()))])
+        calibrate_channels([replace(unloaded, scene=Scene(unloaded.scene.panel, Divider()))])
     with pytest.raises(InputError, match="its scene is another"):
-        calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
+        calibrate_channels([unloaded, replace(unloaded, scene=replace(unloaded.scene, series_resistance_ohm=100.0))])
     with pytest.raises(InputError, match="no frame could be estimated"):
-        calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
+        calibrate_channels([replace(unloaded, recorded=np.full_like(unloaded.recorded, np.nan))])
 
 
-def test_bars_of_gains_and_curve_hold_the_truth() -> None:
+def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
     """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures each."""
     rng = np.random.default_rng(3)
     gains = []
@@ -220,17 +221,17 @@ def test_bars_of_gains_and_curve_hold_the_truth() -> None:
     for _ in range(40):
         own = np.exp(0.2 * rng.standard_normal(60))
         scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
-        change = own * scatter * OTHER.logarithm(pressure)
+        change = own * scatter * POWER_RESPONSE.logarithm(pressure)
         change += 0.01 * rng.standard_normal(pressure.shape)
         fit = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
         gain, sd = fit.gain()
         shift = np.log(own).mean()
         gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
         curve, curve_sd = fit.curve(pressure[:, 0])
-        truth = np.exp(shift) * OTHER.logarithm(pressure[:, 0])
+        truth = np.exp(shift) * POWER_RESPONSE.logarithm(pressure[:, 0])
         curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
-    assert np.mean(gains) > 0.9
-    assert np.mean(curves) > 0.9
+    assert np.mean(gains) > MIN_COVERAGE
+    assert np.mean(curves) > MIN_COVERAGE
 
 
 def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
@@ -247,7 +248,7 @@ def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
         ratio = np.exp(film.logarithm(kpa))[None, None]
         pressed = pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(1, 5), response=response))
         inside.append((pressed.lower <= kpa) & (kpa <= pressed.upper))
-    assert np.mean(inside) >= 0.9
+    assert np.mean(inside) >= MIN_COVERAGE
 
 
 def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
@@ -258,17 +259,17 @@ def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
     felt[7, 2:] = 1.0
     change = np.exp(0.02 * np.random.default_rng(5).standard_normal(felt.shape)) * PUBLISHED.logarithm(felt)
     loaded = Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4))
-    away = deviations_from_others(loaded, fit_loads(loaded))
-    assert np.abs(away - np.median(away)).max() < 0.1
+    deviations = deviations_from_others(loaded, fit_loads(loaded))
+    assert np.abs(deviations - np.median(deviations)).max() < 0.1
 
 
 def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
     bench = Bench(4, panel=Panel(6, 6), repeat=0.02)
     groups, known = moved_over(bench, [5.0], 30.0, 10.0)
-    left = [number for number, load in enumerate(known) if load.x_mm is not None and load.x_mm < 15]
-    some = [replace(known[number], frames=bench.frames_of(at)) for at, number in enumerate(left)]
-    recording = bench.recorded([groups[number] for number in left], "left")
-    calibration = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
+    on_the_left = [number for number, load in enumerate(known) if load.x_mm is not None and load.x_mm < 15]
+    left_loads = [replace(known[number], frames=bench.frames_of(at)) for at, number in enumerate(on_the_left)]
+    recording = bench.recorded([groups[number] for number in on_the_left], "left")
+    calibration = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(left_loads)), 0.01)
     response = calibration.scene.response
     untouched = ~calibration.fitted.touched.reshape(6, 6)
     assert untouched[:, -1].all() and not untouched[:, 0].any()
@@ -285,23 +286,23 @@ def test_wrong_lists_of_loads_are_refused_or_named() -> None:
     recording = bench.recorded(groups, "units")
     last = len(recording.role) - 1
 
-    def said(loads: list[KnownLoad]) -> str:
+    def warnings_of(loads: list[KnownLoad]) -> str:
         return "; ".join(calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(loads)), 0.0).warnings)
 
-    assert said(known) == ""
-    assert "is mass_g in gram" in said([replace(one, mass_g=None, force_newton=one.mass_g) for one in known])
-    assert "diameter_mm right?" in said([replace(one, diameter_mm=12.5) for one in known])
-    late = [replace(one, frames=(one.frames[0] + 1, min(one.frames[1] + 1, last))) for one in known]
-    assert "readings change within the frames of load" in said(late)
+    assert warnings_of(known) == ""
+    assert "is mass_g in gram" in warnings_of([replace(load, mass_g=None, force_newton=load.mass_g) for load in known])
+    assert "diameter_mm right?" in warnings_of([replace(load, diameter_mm=12.5) for load in known])
+    late = [replace(load, frames=(load.frames[0] + 1, min(load.frames[1] + 1, last))) for load in known]
+    assert "readings change within the frames of load" in warnings_of(late)
     doubled = replace(known[7], mass_g=2 * (known[7].mass_g or 0.0))
-    assert said([*known[:7], doubled, *known[8:]]).startswith("load 8 answers otherwise than the others")
+    assert warnings_of([*known[:7], doubled, *known[8:]]).startswith("load 8 answers otherwise than the others")
     with pytest.raises(InputError, match="a curve that no film has"):
-        said([replace(one, mass_g=(one.mass_g or 0.0) / 1000) for one in known])
+        warnings_of([replace(load, mass_g=(load.mass_g or 0.0) / 1000) for load in known])
     with pytest.raises(InputError, match="loads 4 and 26 lie on the same cells in the same frames"):
-        said([*known, known[3]])
+        warnings_of([*known, known[3]])
 
 
-def test_loads_at_other_places_are_no_calibration() -> None:
+def test_loads_at_wrong_places_are_refused() -> None:
     bench = Bench(6, panel=Panel(6, 6))
     groups, known = moved_over(bench, [5.0], 20.0, 25.0)
     swapped = tuple(replace(load, x_mm=50 - load.x_mm) for load in known if load.x_mm is not None)

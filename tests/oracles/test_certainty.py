@@ -62,7 +62,7 @@ def sensitivity(cells: Array) -> Array:
 
 
 @pytest.mark.parametrize("weight", [0.0, 1e-9])
-def test_covariance_is_that_of_laplace(weight: float) -> None:
+def test_the_covariance_is_that_of_laplace(weight: float) -> None:
     cells = panel_cells()
     measured = two_point_resistance(cells)
     sigma = 0.003 * measured
@@ -79,7 +79,7 @@ def test_covariance_is_that_of_laplace(weight: float) -> None:
     assert_allclose(errors.data_share, kernel.sum(axis=1), atol=1e-3)
 
 
-def test_a_cell_at_a_bound_is_released_alone() -> None:
+def test_a_cell_at_a_bound_is_released_separately() -> None:
     """Each cell that a penalty holds at its lower bound has the variance of a panel on which it is free, too."""
     measured = two_point_resistance(panel_cells())
     sigma = 0.003 * measured
@@ -96,7 +96,7 @@ def test_a_cell_at_a_bound_is_released_alone() -> None:
         assert_allclose(variance, np.linalg.inv(precision[np.ix_(cells, cells)])[-1, -1], rtol=1e-3)
 
 
-def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
+def certainties(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
     """(error of log r, certainty, which cells are free) of estimates from noise drawn anew."""
     cells = panel_cells()
     rng = np.random.default_rng(7)
@@ -113,10 +113,10 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["plain", "noise"])
-def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
+def test_intervals_contain_the_truth_at_their_stated_rate(weighting: str) -> None:
     inside = []
     standard = []
-    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):
+    for error, certainty, free in certainties((Misfit(weighting=weighting),), 0.002, 200):
         held = (error >= -certainty.above[0]) & (error <= certainty.below[0])
         inside.append(held[free])
         standard.append((error / certainty.deviation[0])[free])
@@ -124,17 +124,17 @@ def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
     assert 0.9 < rms(np.concatenate(standard)) < 1.1
 
 
-def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
+def test_an_unsuitable_penalty_leaves_wider_error_bars() -> None:
     honest = []
     blind = []
-    for error, certainty, free in drawn((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
+    for error, certainty, free in certainties((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
         honest.append((np.abs(error) <= np.where(error < 0, certainty.above[0], certainty.below[0]))[free])
         blind.append(certainty.resolution[0][free])
     assert np.mean(np.concatenate(honest)) > 0.85
     assert np.median(np.concatenate(blind)) < 0.9
 
 
-def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() -> None:
+def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
     """A reference that is off moves baseline and frame alike; where the frame is the baseline, nothing is common."""
     cells = panel_cells()
     frames = np.repeat(cells[None], 3, axis=0)
@@ -175,7 +175,7 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
     assert at_rails.mean() > 0.9
 
 
-def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> None:
+def test_an_interval_exceeds_the_bounds_only_by_the_noise_of_the_reading() -> None:
     """Cells of 100 Ω ± 10 %: free, near the lower and the upper bound, between two that are one, and held at either."""
     cells = np.full((1, 1, 6), 100.0)
     lower, upper = np.log([[[50.0, 99.0, 50.0, 100.0, 100.0, 50.0]], [[500.0, 500.0, 101.0, 100.0, 500.0, 100.0]]])
@@ -185,12 +185,14 @@ def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> No
     model: Any = SimpleNamespace(at=at, free=np.arange(4), at_lower=held[0], at_upper=held[1], scale=0.5)
     model.gradient = np.full(6, 1e5)  # so steep that the density is exponential, with the slope 1e5
     shares = np.full(4, 0.7), np.full(4, 0.91)
-    found = Certainty.of(model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells)))
+    certainty = Certainty.of(model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells)))
     reach = 0.1959964
     noise = 1.959964 * 0.005
     tail = -np.log(0.05) / 1e5
-    assert_allclose(found.deviation, [[[*[0.1] * 4, 1e-5, np.inf]]])
-    assert_allclose(found.own[..., :4], 0.08)
-    assert_allclose(found.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)
-    assert_allclose(found.above, [[[reach, reach, np.inf, reach, tail, np.inf]]], rtol=1e-6)
-    assert_allclose((found.resolution, found.data_share), np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]]))
+    assert_allclose(certainty.deviation, [[[*[0.1] * 4, 1e-5, np.inf]]])
+    assert_allclose(certainty.own[..., :4], 0.08)
+    assert_allclose(certainty.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)
+    assert_allclose(certainty.above, [[[reach, reach, np.inf, reach, tail, np.inf]]], rtol=1e-6)
+    assert_allclose(
+        (certainty.resolution, certainty.data_share), np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]])
+    )

@@ -27,36 +27,42 @@ from tests.least_cost import Circuit
 from tests.netlist import in_digits
 
 DOWN, ALONG = np.indices((6, 7))
-APART = (DOWN < 3) | (ALONG < 3)
-NOTHING = Smoothing(1.0, np.zeros(0))
-USUAL = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(DOWN.shape))
+CLUSTER_MASK = (DOWN < 3) | (ALONG < 3)
+NO_SMOOTHING = Smoothing(1.0, np.zeros(0))
+USUAL_CELLS = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(DOWN.shape))
 COLUMN = (slice(None), 4)
-FINE = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
+FINE_CONVERTER = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
 OHM = {"drive_ohm": 50.0, "sense_ohm": 20.0}
 # Each readout in volt, and the same circuit in its second statement, which inverts: down to 10⁻⁶ ohm.
 KINDS: dict[str, tuple[Readout, Circuit]] = {
-    "loaded": (LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE), Circuit("loaded", (), 50, 0, 1000, 5)),
-    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE), Circuit("grounded", (), 50, 20, 1000, 5)),
+    "loaded": (
+        LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE_CONVERTER),
+        Circuit("loaded", (), 50, 0, 1000, 5),
+    ),
+    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE_CONVERTER), Circuit("grounded", (), 50, 20, 1000, 5)),
     "one load": (
-        GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE),
+        GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE_CONVERTER),
         Circuit("grounded_one", (), 50, 20, 1000, 5),
     ),
-    "virtual ground": (VirtualGroundReadout(feedback_ohm=10.0, **OHM, **FINE), Circuit("virtual", (), 50, 20, 10, 5)),
+    "virtual ground": (
+        VirtualGroundReadout(feedback_ohm=10.0, **OHM, **FINE_CONVERTER),
+        Circuit("virtual", (), 50, 20, 10, 5),
+    ),
 }
 SHORTS: dict[str, object] = {"cell": (2, 3), "two cells": ([0, 3], [1, 4]), "row": 2, "column": COLUMN}
 
 
-def changed(where: object, factor: float | Array) -> Array:
-    cells = USUAL.copy()
-    cells[where] *= factor
+def changed(place: object, factor: float | Array) -> Array:
+    cells = USUAL_CELLS.copy()
+    cells[place] *= factor
     return cells
 
 
 def decades(count: float) -> Array:
-    return USUAL * 10 ** np.random.default_rng(4).uniform(-count / 2, count / 2, USUAL.shape)
+    return USUAL_CELLS * 10 ** np.random.default_rng(4).uniform(-count / 2, count / 2, USUAL_CELLS.shape)
 
 
-EXTREMES: dict[str, Array] = {
+EXTREME_PANELS: dict[str, Array] = {
     "open cell": changed((2, 3), 1e6),
     "open row": changed(2, 1e5),
     "open column": changed(COLUMN, 1e5),
@@ -64,10 +70,10 @@ EXTREMES: dict[str, Array] = {
     "shorted row": changed(2, 1e-6),
     "shorted column": changed(COLUMN, 1e-6),
     "open and shorted": changed(2, 1e5) * np.where(ALONG == 4, 1e-5, 1.0),
-    **{f"clusters {contrast:.0e}": changed(APART, contrast) for contrast in (1e3, 1e6, 1e9)},
+    **{f"clusters {contrast:.0e}": changed(CLUSTER_MASK, contrast) for contrast in (1e3, 1e6, 1e9)},
     **{f"checkerboard {contrast:.0e}": changed((DOWN + ALONG) % 2 == 1, contrast) for contrast in (1e3, 1e5)},
     **{f"{count} decades": decades(count) for count in (2, 5, 9)},
-    "a ramp of six decades": USUAL * np.logspace(-3, 3, len(USUAL))[:, None],
+    "a ramp of six decades": USUAL_CELLS * np.logspace(-3, 3, len(USUAL_CELLS))[:, None],
 }
 BEYOND_IPOPT = ("shorted cell", "shorted row", "shorted column", "clusters 1e+09", "checkerboard 1e+05", "9 decades")
 
@@ -79,10 +85,10 @@ def solution_of(scene: Scene, recorded: Array, formulation: str, bounds: Bounds 
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
-@pytest.mark.parametrize("name", EXTREMES)
-def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None:
+@pytest.mark.parametrize("name", EXTREME_PANELS)
+def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
     """Plain least squares of exact readings; the optimum has no misfit, and no large reading hides a small one."""
-    cells = EXTREMES[name]
+    cells = EXTREME_PANELS[name]
     measured = in_digits(cells)
     solution = solution_of(Scene(Panel(*cells.shape)), measured, formulation)
     if formulation == "nodal" and name in BEYOND_IPOPT and solution.status in (Status.FAINT, Status.FLAT):
@@ -92,11 +98,11 @@ def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None
     assert np.abs(solution.cell_resistance[0] / cells - 1).max() < 1e-4
 
 
-@pytest.mark.parametrize("where", [(16, 10), 16], ids=["cell", "row"])
-def test_without_noise_a_large_panel_is_verified_by_every_reading(where: object) -> None:
+@pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
+def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
     """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a thousandth."""
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
-    cells[where] *= 1e-9
+    cells[place] *= 1e-9
     scene = Scene(Panel(32, 32))
     recorded = scene.circuit.exact_reading(cells)
     solution = solution_of(scene, recorded, "reduced", Bounds())
@@ -108,22 +114,22 @@ def test_without_noise_a_large_panel_is_verified_by_every_reading(where: object)
 @pytest.mark.parametrize("ohm", [1.0, 3e-3, 3e-4, 1e-6])
 @pytest.mark.parametrize("short", SHORTS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_verified_readings_of_shorts_are_met(kind: str, short: str, ohm: float, formulation: str) -> None:
+def test_verified_estimates_meet_the_readings_of_shorts(kind: str, short: str, ohm: float, formulation: str) -> None:
     """Cells of a third of a milliohm are met; where the digits end, the status is another one.
 
     `auto` gives what IPOPT leaves open to the reduced solver.
     """
-    cells, (readout, circuit) = USUAL.copy(), KINDS[kind]
+    cells, (readout, circuit) = USUAL_CELLS.copy(), KINDS[kind]
     place = SHORTS[short]
     cells[place] = ohm * np.exp(0.2 * np.random.default_rng(4).standard_normal(cells[place].shape))
     volt, _ = circuit.reading(cells)
     solution = solution_of(Scene(Panel(*cells.shape), readout), volt, formulation)
-    off = np.abs(circuit.reading(solution.cell_resistance[0])[0] / volt - 1).max()
+    misfit = np.abs(circuit.reading(solution.cell_resistance[0])[0] / volt - 1).max()
     if formulation == "nodal" and ohm < 1 and solution.status is not Status.OPTIMUM:
         return  # the digits of node voltages end six decades below the other cells, and the status says so
-    assert solution.solved and (solution.status is not Status.OPTIMUM or off < 1e-6)
+    assert solution.solved and (solution.status is not Status.OPTIMUM or misfit < 1e-6)
     if ohm == 3e-4 and "cell" in short:
-        assert solution.optimum and off < 1e-6 and not solution.at_lower.any()
+        assert solution.optimum and misfit < 1e-6 and not solution.at_lower.any()
 
 
 def evaluation(
@@ -141,10 +147,10 @@ def verified(point: Evaluation) -> Solution:
     return check(point, Outcome(point.cell_resistance, np.zeros(0), Status.OPTIMUM, 1))
 
 
-@pytest.mark.parametrize("off", [1e-1, 1e-3, 1e-4])
+@pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
-def test_small_cells_that_are_off_are_never_verified(number: int, off: float) -> None:
-    """Cells of the smaller kind scattered by `off`, which only their own small readings show.
+def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
+    """Cells of the smaller kind scattered by `relative_error`, which only their own small readings show.
 
     Clusters, a checkerboard, a block or stripes, up to nine decades apart.
     """
@@ -155,7 +161,7 @@ def test_small_cells_that_are_off_are_never_verified(number: int, off: float) ->
     patterns = (cut[0] != cut[1], (down + along) % 2 == 1, cut[0] & cut[1], down % 2 == 1)
     usual = 3000 * np.exp(random.choice([0.05, 0.3]) * random.standard_normal(shape))
     cells = np.where(patterns[number % 4], 10 ** random.uniform(3, 9), 1.0) * usual
-    scatter = off * np.random.default_rng(number).standard_normal(cells.shape)
+    scatter = relative_error * np.random.default_rng(number).standard_normal(cells.shape)
     places = np.where(cells < 10 * cells.min(), cells * np.exp(scatter), cells)
     point = evaluation((Misfit(),), places, Scene(Panel(*cells.shape)).circuit.exact_reading(cells))
     assert verified(point).status is not Status.OPTIMUM
@@ -175,18 +181,18 @@ def test_a_factor_may_succeed_on_rounding() -> None:
         assert not failed and clear_of_rounding(triangle, norm) is clear
 
 
-def test_a_small_cell_is_not_hidden() -> None:
+def test_a_single_wrong_small_cell_is_not_verified() -> None:
     """Everything is met but one shorted cell, which is off by a tenth: first-order conditions hold and nobody signs."""
     cells = changed((2, 3), 1e-6)
-    off = cells.copy()
-    off[2, 3] *= 1.1
-    point = evaluation((Misfit(),), off, in_digits(cells))
+    perturbed = cells.copy()
+    perturbed[2, 3] *= 1.1
+    point = evaluation((Misfit(),), perturbed, in_digits(cells))
     assert point.kkt_residual(np.zeros(0)) < 1e-6
-    assert not certificate(Hessian(point, NOTHING)).settled
+    assert not certificate(Hessian(point, NO_SMOOTHING)).settled
     assert verified(point).status is Status.FAINT and verified(point).solved
 
 
-def test_a_stationary_point_that_is_no_minimum_is_named() -> None:
+def test_the_certificate_names_a_saddle() -> None:
     """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm: φ = (r − 1000)² + 2 (100 log r)².
 
     Between the two minima the cost is stationary, and largest.
@@ -201,7 +207,7 @@ def test_a_stationary_point_that_is_no_minimum_is_named() -> None:
     assert solution.status is Status.SADDLE and not solution.solved and np.isnan(solution.cell_resistance).all()
 
 
-def test_cells_that_nothing_speaks_of_are_a_plateau() -> None:
+def test_undetermined_cells_are_called_a_plateau() -> None:
     """One row of cells, each its own circuit, of which one is not seen."""
     scene = Scene(Panel(1, 3))
     cells = np.array([[1000.0, 2000.0, 3000.0]])
@@ -212,12 +218,12 @@ def test_cells_that_nothing_speaks_of_are_a_plateau() -> None:
 
 
 @pytest.mark.parametrize("noise", [None, 0.05])
-def test_what_the_noise_hides_needs_no_further_step(noise: float | None) -> None:
+def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -> None:
     """Cells three millionths off are verified where the noise is ten thousand times as large, and only there."""
-    measured = in_digits(USUAL)
+    measured = in_digits(USUAL_CELLS)
     sigma = None if noise is None else noise * measured
-    point = evaluation((Misfit(),), USUAL * (1 + 3e-6), measured, sigma)
-    assert certificate(Hessian(point, NOTHING)).settled is (noise is not None)
+    point = evaluation((Misfit(),), USUAL_CELLS * (1 + 3e-6), measured, sigma)
+    assert certificate(Hessian(point, NO_SMOOTHING)).settled is (noise is not None)
 
 
 @pytest.mark.parametrize(("share", "optimum"), [(1e-3, False), (0.3, False), (1.5, True)])
@@ -225,13 +231,13 @@ def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gra
     share: float, optimum: bool
 ) -> None:
     """All cells are as before but for rounding; the readings of two loaded cells are missed by 60 percent."""
-    unloaded = USUAL * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL.shape))
+    unloaded = USUAL_CELLS * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL_CELLS.shape))
     measured = in_digits(changed(([2, 3], [3, 3]), 0.3))
-    zeros = np.zeros(USUAL.size)
+    zeros = np.zeros(USUAL_CELLS.size)
 
     def point(weight: float) -> Evaluation:
         terms = (Misfit(weighting="noise"), LogRatio(weight=weight))
-        return evaluation(terms, unloaded, measured, 1e-2 * measured, previous=USUAL)
+        return evaluation(terms, unloaded, measured, 1e-2 * measured, previous=USUAL_CELLS)
 
     largest = float(np.abs(point(1.0).log_gradient(zeros)).max())
     start = point(share * largest / 100)  # the residual is 100 ln(r / r before)
@@ -245,7 +251,7 @@ def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gra
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)])
 @pytest.mark.parametrize("seed", [0, 1, 3, 5])
-def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, seed: int) -> None:
+def test_a_step_shortened_by_the_noise_alone_is_not_accepted(readout: Readout, seed: int) -> None:
     readout = replace(readout, adc_bits=32, noise_lsb=1.0)
     scene = Scene(Panel(4, 5), readout)
     cells = 10 ** np.random.default_rng(seed).uniform(1, 10, (4, 5))
@@ -255,5 +261,5 @@ def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, 
     estimator = Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
     estimates = reconstruct(recording, estimator)
     assert [step.solution.status for step in (estimates.baseline, *estimates.steps)] == [Status.OPTIMUM] * 2
-    again = np.asarray(readout.to_recorded(readout.exact_reading(estimates.steps[0].estimate(0)), scene))
-    np.testing.assert_allclose(again, reading, rtol=1e-5)
+    reproduced = np.asarray(readout.to_recorded(readout.exact_reading(estimates.steps[0].estimate(0)), scene))
+    np.testing.assert_allclose(reproduced, reading, rtol=1e-5)

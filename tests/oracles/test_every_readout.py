@@ -44,9 +44,11 @@ TWO_POINT = TwoPointReadout(adc_bits=12, noise_lsb=1)
 LOADED = LoadedColumnsReadout(supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1)
 LOADED_LISTS = replace(LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES)
 LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))
-ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
-ONE = replace(ALL, sense="one")
-LISTS = replace(ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS)))
+SENSED_ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
+SENSED_ONE = replace(SENSED_ALL, sense="one")
+LISTS = replace(
+    SENSED_ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS))
+)
 VIRTUAL = VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, adc_bits=12, noise_lsb=1)
 READOUTS: dict[str, Any] = {
     "two point": TWO_POINT,
@@ -58,18 +60,18 @@ READOUTS: dict[str, Any] = {
     "loaded, converter": replace(LOADED, input_ohm=50e3),
     "loaded, lists": LOADED_LISTS,
     "loaded, lists, columns down": replace(LOADED_TURNED, polarity="down"),
-    "all": ALL,
-    "one": ONE,
-    "all, columns": replace(ALL, driven="columns"),
-    "one, columns": replace(ONE, driven="columns"),
-    "all, down": replace(ALL, polarity="down"),
-    "one, columns down": replace(ONE, driven="columns", polarity="down"),
+    "all": SENSED_ALL,
+    "one": SENSED_ONE,
+    "all, columns": replace(SENSED_ALL, driven="columns"),
+    "one, columns": replace(SENSED_ONE, driven="columns"),
+    "all, down": replace(SENSED_ALL, polarity="down"),
+    "one, columns down": replace(SENSED_ONE, driven="columns", polarity="down"),
     "all, lists": LISTS,
     "one, lists": replace(LISTS, sense="one"),
-    "all, converter": replace(ALL, input_ohm=20e3),
-    "one, converter": replace(ONE, input_ohm=20e3),
-    "all, ideal": replace(ALL, drive_ohm=0.0),
-    "one, ideal": replace(ONE, drive_ohm=0.0),
+    "all, converter": replace(SENSED_ALL, input_ohm=20e3),
+    "one, converter": replace(SENSED_ONE, input_ohm=20e3),
+    "all, ideal": replace(SENSED_ALL, drive_ohm=0.0),
+    "one, ideal": replace(SENSED_ONE, drive_ohm=0.0),
     "virtual": VIRTUAL,
     "virtual, columns": replace(VIRTUAL, driven="columns"),
     "virtual, lists": replace(VIRTUAL, drive_ohm=DRIVES, sense_ohm=SENSES, feedback_ohm=SENSES[::-1]),
@@ -85,13 +87,13 @@ ONE_NETWORK: dict[str, Any] = {
     "floating, drained": replace(PULLED, idle_ohm=inf, idle_load_ohm=800.0),
 }
 # With 30 ohm, other lines held on both sides have two sets of cells that give the same readings to the last digit.
-SEVERAL: dict[str, Any] = {
+MORE_READOUTS: dict[str, Any] = {
     "held": replace(PULLED, idle_ohm=0.0),
     "held, others held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, idle_load_ohm=0.0),
     "floating, others held": replace(PULLED, idle_ohm=inf, idle_load_ohm=0.0),
     "parallel": replace(PULLED, idle_ohm=inf, groups=PAIRS),
     "parallel, loaded columns": replace(LOADED, groups=PAIRS),
-    "parallel, grounded": replace(ONE, groups=((0, 1, 2, 3), (4, 5))),
+    "parallel, grounded": replace(SENSED_ONE, groups=((0, 1, 2, 3), (4, 5))),
     "parallel, held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, groups=((0, 1), (2, 3), (4, 5)), idle_load_ohm=0.0),
     "parallel, columns down": replace(
         PULLED, driven="columns", polarity="down", groups=((0, 1, 2), (3, 4)), idle_load_ohm=2e3
@@ -104,13 +106,15 @@ SMOOTH = (*LSM, LogRatio(weight=10.0, loss=Squared()))
 SHAPE = (4, 5)
 ROW_OHM = (70.0, 75.0, 81.0, 66.0)
 COLUMN_OHM = (60.0, 68.0, 72.0, 64.0, 77.0)
-FINE = Settings(tolerance=1e-10)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
+FINE_SETTINGS = Settings(
+    tolerance=1e-10
+)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
 LED = Diode(drop_volt=1.8, at_ampere=2e-3, slope_volt=0.09)
-UNLIKE = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
+UNLIKE_READOUT = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
 NOISY = (0.6, 3.0, 1.2, 5.0)
 KINDS: tuple[Readout, ...] = (
     TwoPointReadout(adc_bits=12),
-    UNLIKE,
+    UNLIKE_READOUT,
     GroundedReadout(adc_bits=12),
     GroundedReadout(adc_bits=12, sense="one"),
     VirtualGroundReadout(adc_bits=12, sense_ohm=40.0, feedback_ohm=400.0),
@@ -134,9 +138,9 @@ def truth_of(recording: Recording) -> Array:
     return recording.truth_cell_resistance[3:]
 
 
-def test_every_readout_reads_what_the_netlist_says() -> None:
+def test_every_readout_agrees_with_its_netlist() -> None:
     bare = {"pull-downs, bare": replace(PULLED, load_ohm=inf)}
-    for name, readout in (READOUTS | SEVERAL | bare).items():
+    for name, readout in (READOUTS | MORE_READOUTS | bare).items():
         recording = panel_of(readout, 0.0)
         modelled = readout.to_recorded(readout.exact_reading(recording.truth_cell_resistance), recording.scene)
         ideal = getattr(readout, "drive_ohm", 1.0) == 0
@@ -148,14 +152,14 @@ def test_every_readout_reads_what_the_netlist_says() -> None:
     [
         pytest.param(formulation, readout, id=f"{name}-{formulation}")
         for formulation in ("reduced", "nodal")
-        for name, readout in (READOUTS | (SEVERAL if formulation == "reduced" else {})).items()
+        for name, readout in (READOUTS | (MORE_READOUTS if formulation == "reduced" else {})).items()
     ],
 )
-def test_clean_readings_give_the_cells(readout: Any, formulation: Any) -> None:
+def test_noise_free_readings_give_the_cells(readout: Any, formulation: Any) -> None:
     recording = panel_of(readout, 0.0)
-    done = reconstruct(recording, Estimator(LSM, formulation))
-    assert all(step.solution.solved for step in done.steps)
-    assert_allclose(done.cell_resistance, truth_of(recording), rtol=1e-4)
+    estimate = reconstruct(recording, Estimator(LSM, formulation))
+    assert all(step.solution.solved for step in estimate.steps)
+    assert_allclose(estimate.cell_resistance, truth_of(recording), rtol=1e-4)
 
 
 @every_readout
@@ -168,9 +172,9 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
 
 
-@pytest.mark.parametrize("name", [name for name in SEVERAL if name.startswith("parallel")])
+@pytest.mark.parametrize("name", [name for name in MORE_READOUTS if name.startswith("parallel")])
 def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> None:
-    readout = SEVERAL[name]
+    readout = MORE_READOUTS[name]
     rng = np.random.default_rng(4)
     cells = 3000 * np.exp(rng.normal(size=(ROWS, COLUMNS)))
     step = rng.normal(size=(ROWS, COLUMNS))
@@ -185,7 +189,7 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
-def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups: int | None) -> None:
+def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: int | None) -> None:
     """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with outlines and wire."""
     rng = np.random.default_rng(3)
     shape = (4, 6) if driven == "rows" else (6, 4)
@@ -216,7 +220,7 @@ def test_any_states_of_idle_lines_read_what_the_netlist_says(driven: Any, groups
         wired = readout.to_recorded(readout.exact_reading(np.where(np.isinf(cells), 1e9, cells), scene.wiring), scene)
         assert_allclose(wired, wired_volts(np.where(np.isinf(cells), 1e9, cells), scene), rtol=1e-9, err_msg=str(keys))
         read += 1
-    assert read > 100
+    assert read > 100, "most of the 128 states give readings"
 
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
@@ -258,7 +262,7 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         ("{kind: driven, drive_volt: 1, polarity: down}", "drive_volt and converter_volt have no place"),
     ],
 )
-def test_keys_that_contradict_each_other_are_refused_where_they_stand(
+def test_contradictory_keys_are_refused_at_their_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, readout: str, message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -298,24 +302,24 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     [
         LOADED,
         replace(LOADED, polarity="down"),
-        *(replace(kind, load_ohm=ohm) for kind in (ALL, ONE) for ohm in (1e3, 1e4)),
+        *(replace(kind, load_ohm=ohm) for kind in (SENSED_ALL, SENSED_ONE) for ohm in (1e3, 1e4)),
         VIRTUAL,
     ],
 )
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
-    """Its cells are open, and the voltage of its readings says nothing, not even to bounds and starts of others."""
+    """The cells of a dead line are open; its voltages affect neither bounds nor starts of other cells."""
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
     volt[:, 4] = 0.7
     recording = replace(sound, scene=replace(sound.scene, faults=Faults(dead_rows=(4,))), recorded=volt)
-    done = reconstruct(recording, Estimator(LSM, "reduced"))
-    assert all(step.solution.solved for step in done.steps)
+    estimate = reconstruct(recording, Estimator(LSM, "reduced"))
+    assert all(step.solution.solved for step in estimate.steps)
     sound_rows = np.arange(8) != 4
-    assert_allclose(done.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
+    assert_allclose(estimate.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
 
 
-def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
+def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:
     recording = panel_of(LOADED, 1.0)
     recording.save(tmp_path / "panel.h5")
     loaded = Recording.load(tmp_path / "panel.h5")
@@ -337,7 +341,7 @@ def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 @pytest.mark.parametrize("across", ["reference", "sensor"])
-def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm: float | None) -> None:
+def test_two_point_readings_exclude_the_series_resistance_of_each_line(across: Any, input_ohm: float | None) -> None:
     readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
     cells = cells_of()
     scene = Scene(Panel(*SHAPE), readout, SeriesPerLine(ROW_OHM, COLUMN_OHM))
@@ -374,8 +378,8 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 @pytest.mark.parametrize("polarity", ["up", "down"])
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("diode", [Diode(), LED], ids=["silicon", "led"])
-def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, polarity: Any) -> None:
-    readout = replace(UNLIKE, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
+def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any, polarity: Any) -> None:
+    readout = replace(UNLIKE_READOUT, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
     cells = cells_of()
     volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
     recorded = volt if polarity == "up" else 5 - volt
@@ -386,14 +390,14 @@ def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, p
     noisy = recorded + readout.sigma(recorded) * rng.normal(size=(3, *truth.shape))
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
         recording = recording_of(scene, frames, 2)
-        one, other = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
-        assert all(step.solution.solved for step in (*one.steps, *other.steps))
-        assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-6)
+        reduced, nodal = (reconstruct(recording, Estimator(LSM, name, FINE_SETTINGS)) for name in ("reduced", "nodal"))
+        assert all(step.solution.solved for step in (*reduced.steps, *nodal.steps))
+        assert_allclose(reduced.cell_resistance, nodal.cell_resistance, rtol=1e-6)
         if close is not None:
-            assert_allclose(one.cell_resistance[0], close, rtol=1e-4)
+            assert_allclose(reduced.cell_resistance[0], close, rtol=1e-4)
 
 
-@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
+@pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
     """Codes that are simulated scatter as σ says, line by line; of many readings each."""
@@ -413,29 +417,31 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
-def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
+@pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
+def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
     """All channels and the reference drawn anew for every panel: errors in units of the error bars."""
     cells = cells_of()
     rng = np.random.default_rng(8)
     scores = []
     quiet = replace(readout, adc_bits=16, noise_lsb=0.5)
-    told = Scene(Panel(*SHAPE), quiet, systematic=Systematic(0.02, 4.0))
+    specified = Scene(Panel(*SHAPE), quiet, systematic=Systematic(0.02, 4.0))
     if isinstance(readout, TwoPointReadout):
-        told = replace(told, series_resistance_ohm=140.0)
+        specified = replace(specified, series_resistance_ohm=140.0)
     for _ in range(40):
         actual = quiet.off_by(0.02 * rng.uniform(-1, 1))
         channels = 4.0 * rng.normal(size=sum(SHAPE))
-        volt = actual.volt_from_recorded(actual.simulated(cells[None], told, channels[:4], channels[4:]))
+        volt = actual.volt_from_recorded(actual.simulated(cells[None], specified, channels[:4], channels[4:]))
         frames = np.concatenate([quiet.recorded_from_volt(volt)] * 2)
-        done = reconstruct(recording_of(told, frames, 1), Estimator(LSM, "reduced"))
-        bars = done.steps[0].bars
-        scores.append(np.log(done.cell_resistance[0] / cells) / bars.frame.deviation)
+        estimate = reconstruct(recording_of(specified, frames, 1), Estimator(LSM, "reduced"))
+        bars = estimate.steps[0].bars
+        scores.append(np.log(estimate.cell_resistance[0] / cells) / bars.frame.deviation)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
-@pytest.mark.parametrize("readout", [one for one in (READOUTS | SEVERAL).values() if one.unit == "volt"])
-def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -> None:
+@pytest.mark.parametrize(
+    "readout", [readout for readout in (READOUTS | MORE_READOUTS).values() if readout.unit == "volt"]
+)
+def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
     cells = cells_of(shape=(ROWS, COLUMNS)) ** 0.5 * 50.0
     exact = readout.exact_reading(cells)
@@ -445,8 +451,8 @@ def test_a_start_of_cells_that_are_alike_reproduces_the_readings(readout: Any) -
     assert readout.start(exact, np.full(cells.shape, 2000.0)).max() <= 2000.0
 
 
-def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:
-    recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE), frames=2))
+def test_an_unknown_readout_is_reported_on_writing_and_reading(tmp_path: Path) -> None:
+    recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE_READOUT), frames=2))
     odd = replace(recording, scene=replace(recording.scene, readout=Divider()))
     with pytest.warns(UserWarning, match="divider is not among the readouts"):
         odd.save(tmp_path / "odd.h5")
@@ -465,14 +471,14 @@ TWO_PANELS = [
 
 
 @pytest.mark.parametrize("ohm", TWO_PANELS)
-def test_of_two_panels_that_read_alike_the_probable_one_is_estimated(ohm: Any) -> None:
+def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: Any) -> None:
     """Cells on the other side of the largest reading are 20 to 100 times as large; starts were there, or nowhere."""
     idle, idle_load, drive, load, level = ohm
     readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load, adc_bits=16)
     cells = level * np.exp(0.2 * np.random.default_rng(3).standard_normal((16, 16)))
     pressed = cells.copy()
     pressed[2:4, 2:4] *= 0.5
-    frames = np.stack([readout.exact_reading(one) for one in (cells, cells, pressed)])
+    frames = np.stack([readout.exact_reading(resistances) for resistances in (cells, cells, pressed)])
     assert_allclose(readout.start(frames[0], np.full(cells.shape, np.inf)), cells, rtol=0.02)
     recording = recording_of(Scene(Panel(16, 16), readout), frames, 2)
     for formulation in ("reduced", "nodal"):
@@ -500,19 +506,19 @@ def test_a_penalty_does_not_lead_to_the_other_panel(formulation: Any) -> None:
 def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
     """Undamped steps lose their way near the fold: they found the cells of three in four."""
     rng = np.random.default_rng(7)
-    found = []
+    is_found = []
     for idle, idle_load, level in product([0.0, 1000.0, 1e4], [0.0, None], [1000.0, 5000.0, 30_000.0]):
         readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=120.0, load_ohm=3300.0)
         cells = level * np.exp(rng.choice([0.3, 1.0]) * rng.standard_normal((8, 8)))
         panels = readout.panels_alike(readout.exact_reading(cells))
         if panels:
-            found.append(min(np.abs(np.log(panel / cells)).max() for _, panel in panels) < 0.01)
-    assert len(found) > 8
-    assert np.mean(found) > 0.9
+            is_found.append(min(np.abs(np.log(panel / cells)).max() for _, panel in panels) < 0.01)
+    assert len(is_found) > 8
+    assert np.mean(is_found) > 0.9
 
 
 @pytest.mark.slow
-def test_starts_of_random_circuits_are_their_cells() -> None:
+def test_starts_of_random_circuits_equal_their_cells() -> None:
     """Before there was a choice of panels, two of five were wrong by half and more; some cells are truly alike."""
     rng = np.random.default_rng(5)
     wrong = 0
@@ -529,7 +535,7 @@ def test_starts_of_random_circuits_are_their_cells() -> None:
     assert wrong < 0.15 * circuits
 
 
-def test_another_panel_that_reads_alike_is_a_doubt() -> None:
+def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
     """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm, cell for cell."""
     readout = DrivenReadout(idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0)
     cells = 1000 * np.exp(0.2 * np.random.default_rng(3).standard_normal((8, 8)))

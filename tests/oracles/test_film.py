@@ -22,11 +22,11 @@ from lampest.recording.simulation import Simulation, Unmodelled, simulate
 
 ROD = Rod(centre_mm=(35, 35), diameter_mm=40, mass_g=2000)
 COURSE = Course(approach_s=10, release_at_s=40, release_s=10)
-TRUE = Film(hysteresis=0.24, creep_per_decade=0.05)
-SLOW = Course(approach_s=10, release_at_s=30, release_s=10)
+TRUE_FILM = Film(hysteresis=0.24, creep_per_decade=0.05)
+SLOW_COURSE = Course(approach_s=10, release_at_s=30, release_s=10)
 OPEN_FILM = Film(creep_per_decade="auto")
 LAMPREY = OralDisc(centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50)
-WEAK = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
+WEAK_LAMPREY = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, outer_diameter_mm=32, pressure_kpa=-1.5)
 ARRIVES = 30
 LEAVES = 70
@@ -34,7 +34,7 @@ LEAVES = 70
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.24, 0.5])
 @pytest.mark.parametrize("peak", [30.0, -8.0])
-def test_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
+def test_a_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
     share = np.linspace(0, 1, 101)
     plays = Plays.at_rest(np.array(gap))
     effective = np.zeros(202)
@@ -53,33 +53,33 @@ def test_creep_is_logarithmic_and_fades_by_superposition() -> None:
     grown = [Creep.at_rest(np.array(0.05)).answer(np.array(2.0), second) for second in times]
     np.testing.assert_allclose(grown, 2 * (1 + 0.05 * (np.log10(times) + 0.74)), rtol=3e-3)
     loaded = Creep.at_rest(np.array(0.05)).after(np.array(2.0), 120.0)
-    left = [loaded.answer(np.array(0.0), second) for second in (3.0, 10.0, 100.0, 1000.0)]
+    remaining = [loaded.answer(np.array(0.0), second) for second in (3.0, 10.0, 100.0, 1000.0)]
     expected = 0.1 * np.log10((120 + np.array([3, 10, 100, 1000])) / np.array([3, 10, 100, 1000]))
-    np.testing.assert_allclose(left, expected, rtol=0.1, atol=2e-3)
+    np.testing.assert_allclose(remaining, expected, rtol=0.1, atol=2e-3)
     pieces = Creep.at_rest(np.array(0.05))
     for _ in range(5):  # however time is cut
         pieces = pieces.after(np.array(2.0), 24.0)
     np.testing.assert_allclose(pieces.crept, loaded.crept, rtol=1e-9)
 
 
-def test_memory_is_undone_exactly_under_water_too() -> None:
+def test_the_memory_is_inverted_exactly_even_under_water() -> None:
     generator = np.random.default_rng(3)
     water = np.array([0.0, 0.7])
-    there = here = FilmMemory.at_rest(np.full(2, 0.24), np.full(2, 0.08), np.full(2, 0.7), water)
+    actual = observed = FilmMemory.at_rest(np.full(2, 0.24), np.full(2, 0.08), np.full(2, 0.7), water)
     for pressure in generator.uniform(-6, 25, (200, 1)) * np.ones(2):
-        there, change = there.answered(pressure, 1.3)
-        np.testing.assert_allclose(here.pressure(change, 1.3), pressure, atol=1e-8)
-        here = here.observed(change, 1.3)
-    np.testing.assert_allclose(here.creep.crept, there.creep.crept, atol=1e-9)
+        actual, change = actual.answered(pressure, 1.3)
+        np.testing.assert_allclose(observed.pressure(change, 1.3), pressure, atol=1e-8)
+        observed = observed.observed(change, 1.3)
+    np.testing.assert_allclose(observed.creep.crept, actual.creep.crept, atol=1e-9)
 
 
-def recorded(film: Film | None = None, told: Film | None = None, **changes: object) -> Recording:
+def recorded(film: Film | None = None, specified: Film | None = None, **changes: object) -> Recording:
     """A rod that is put on slowly, lies, and is taken off slowly: 70 frames of 8 × 8 cells."""
-    plain = Simulation(1, 4, Scene(Panel(8, 8), film=told), Cells(), 2, 70, 1.0, (ROD,), COURSE, film=film)
+    plain = Simulation(1, 4, Scene(Panel(8, 8), film=specified), Cells(), 2, 70, 1.0, (ROD,), COURSE, film=film)
     return simulate(dataclasses.replace(plain, **changes))
 
 
-def test_bent_cells_are_as_published() -> None:
+def test_bent_cells_have_the_published_values() -> None:
     """Paper, figure 2: 3.05 k, 1.03 k, 560, 350 ohm; -94, -82, -69, -81 % at 40 kPa."""
     for curvature, ohm, change in ((0, 3050, -0.94), (20, 1030, -0.82), (30.3, 560, -0.69), (58.8, 350, -0.81)):
         film = Film(curvature_per_m=curvature)
@@ -90,16 +90,16 @@ def test_bent_cells_are_as_published() -> None:
     assert bent.truth_cell_resistance[0] == pytest.approx(1030 * np.ones((8, 8)))
 
 
-def test_open_numbers_cannot_be_simulated() -> None:
+def test_unspecified_film_numbers_are_not_simulated() -> None:
     with pytest.raises(ValueError, match="auto"):
-        recorded(told=Film(creep_per_decade="auto"))
-    assert "film" in to_yaml(recorded(Film(0.1), told=Film("auto")).scene)
+        recorded(specified=Film(creep_per_decade="auto"))
+    assert "film" in to_yaml(recorded(Film(0.1), specified=Film("auto")).scene)
 
 
-def pressed_film(truth: Film, told: Film | None, seed: int = 3, course: Course = SLOW) -> Recording:
+def pressed_film(truth: Film, specified: Film | None, seed: int = 3, course: Course = SLOW_COURSE) -> Recording:
     """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
     rod = Rod(centre_mm=(25, 25), diameter_mm=40, mass_g=2400)
-    known = {"systematic": Systematic(response_sd=0.0), "film": told, "response": PublishedResponse()}
+    known = {"systematic": Systematic(response_sd=0.0), "film": specified, "response": PublishedResponse()}
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, **known)
     return simulate(Simulation(1, seed, scene, frames=60, loads=(rod,), course=course, film=truth))
 
@@ -112,39 +112,39 @@ def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Ar
     return pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:end]), pressure
 
 
-def test_told_film_is_taken_off() -> None:
+def test_a_specified_film_is_corrected() -> None:
     """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames see moments only."""
-    for told, worst in ((TRUE, 0.02), (None, np.inf)):
-        pressed, truth = of_truth(pressed_film(TRUE, told))
+    for specified, worst in ((TRUE_FILM, 0.02), (None, np.inf)):
+        pressed, truth = of_truth(pressed_film(TRUE_FILM, specified))
         error = np.abs(pressed.pressure - truth).max() / truth.max()
-        assert error < worst and (told is not None or error > 0.24)
-        after = np.abs(pressed.pressure - truth)[45:].max()
-        assert after < 0.05 if told else after > 0.15
+        assert error < worst and (specified is not None or error > 0.24)
+        error_after_load = np.abs(pressed.pressure - truth)[45:].max()
+        assert error_after_load < 0.05 if specified else error_after_load > 0.15
 
 
-@pytest.mark.parametrize("told", [TRUE, replace(TRUE, deviation=0.2, cell_spread=0.2)])
-def test_memory_is_causal(told: Film) -> None:
+@pytest.mark.parametrize("told", [TRUE_FILM, replace(TRUE_FILM, deviation=0.2, cell_spread=0.2)])
+def test_the_memory_is_causal(told: Film) -> None:
     """Frames that come later change nothing."""
-    recording = pressed_film(TRUE, told)
-    (whole, _), (part, _) = of_truth(recording), of_truth(recording, end=33)
-    np.testing.assert_array_equal(part.pressure, whole.pressure[:30])
+    recording = pressed_film(TRUE_FILM, told)
+    (complete, _), (part, _) = of_truth(recording), of_truth(recording, end=33)
+    np.testing.assert_array_equal(part.pressure, complete.pressure[:30])
 
 
 @pytest.mark.slow
-def test_intervals_hold_films_that_differ() -> None:
+def test_intervals_contain_deviating_films() -> None:
     """Films and cells drawn as the scene says what is known of them: 95 % intervals, 12 films."""
-    told = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
+    specified = Film(0.2, 0.05, deviation=0.25, cell_spread=0.2)
     inside = []
     for seed in range(12):
-        pressed, truth = of_truth(pressed_film(told, told, seed))
+        pressed, truth = of_truth(pressed_film(specified, specified, seed))
         held = (pressed.lower - 0.05 <= truth) & (truth <= pressed.upper + 0.05)
         inside.append(held[10:40, truth.max(axis=0) > 1].mean())
     assert 0.88 < np.mean(inside) < 0.995
 
 
-def test_open_creep_stays_open_where_nothing_was_released() -> None:
+def test_unspecified_creep_stays_unknown_without_a_release() -> None:
     open_creep = Film(hysteresis=0.24, creep_per_decade="auto", cell_spread=0.1)
-    course = replace(SLOW, release_at_s=None)
+    course = replace(SLOW_COURSE, release_at_s=None)
     recording = pressed_film(Film(0.24, 0.05, cell_spread=0.1), open_creep, course=course)
     estimates = reconstruct(recording, Estimator((Misfit(),), "reduced"))
     assert estimates.tared is None, "no zero is taken anew unless an estimator asks for it"
@@ -155,29 +155,29 @@ def test_open_creep_stays_open_where_nothing_was_released() -> None:
 
 
 @pytest.mark.parametrize(("creep", "residue"), [(0.0, 0.04), (0.05, 0.0), (0.05, 0.04)])
-def test_what_stays_and_does_not_fade_is_no_creep(creep: float, residue: float) -> None:
+def test_a_lasting_change_is_not_taken_for_creep(creep: float, residue: float) -> None:
     """A minute under loads and a minute after them, in ln(r/r0)."""
     rng = np.random.default_rng(1)
     load = rng.uniform(0.5, 2, (4, 4))
     film = Creep.at_rest(np.full((4, 4), creep))
     frames = []
     for frame in range(120):
-        now = load * (frame < 60)
-        frames.append(film.answer(now, 1.0) + residue * load * (frame >= 60) + 0.01 * rng.standard_normal((4, 4)))
-        film = film.after(now, 1.0)
-    told = FilmKnown.specified(Film(creep_per_decade="auto"))
-    known = told.estimated(-np.array(frames), np.full((120, 4, 4), 0.01), np.arange(120.0))
+        pressure = load * (frame < 60)
+        frames.append(film.answer(pressure, 1.0) + residue * load * (frame >= 60) + 0.01 * rng.standard_normal((4, 4)))
+        film = film.after(pressure, 1.0)
+    unknown = FilmKnown.specified(Film(creep_per_decade="auto"))
+    known = unknown.estimated(-np.array(frames), np.full((120, 4, 4), 0.01), np.arange(120.0))
     assert known.creep.mean == pytest.approx(creep, abs=0.01) and "estimated from the recording" in known.sentence
     assert known.residue == pytest.approx(residue, abs=0.01)
 
 
-def test_what_no_film_does_is_not_taken_for_creep() -> None:
+def test_an_impossible_film_response_is_not_taken_for_creep() -> None:
     """Half of a load stays."""
     frames = np.full((60, 3, 3), -1.0)
     frames[30:] = -0.5
     frames += 0.01 * np.random.default_rng(1).standard_normal(frames.shape)
-    told = FilmKnown.specified(Film(hysteresis="auto", creep_per_decade="auto"))
-    known = told.estimated(frames, np.full(frames.shape, 0.01), np.arange(60.0))
+    unknown = FilmKnown.specified(Film(hysteresis="auto", creep_per_decade="auto"))
+    known = unknown.estimated(frames, np.full(frames.shape, 0.01), np.arange(60.0))
     assert known.creep == (0.0, 0.0) and known.residue == pytest.approx(0.5)
     assert known.sentence.startswith("hysteresis 17 +- 10 %, assumed; creep not estimated")
 
@@ -189,7 +189,7 @@ def pressures(ratio: Array, film: Film | None, time: Array | None = None, sure: 
 
 
 @pytest.mark.parametrize("stays", [0.0, 0.02])
-def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> None:
+def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
     """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later presses."""
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
@@ -197,7 +197,7 @@ def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> 
     assert pressed.pressing[3:10].all() and not pressed.pressing[12:25].any() and pressed.pressing[25:].all()
 
 
-def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
+def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None:
     """A cell that nobody touches conducts more by 1 % a minute; changes are known to a thousandth."""
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
@@ -207,10 +207,12 @@ def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK, 1.0), (WEAK, 20.0), (CUP, 5.0)])
+@pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK_LAMPREY, 1.0), (WEAK_LAMPREY, 20.0), (CUP, 5.0)])
 @pytest.mark.parametrize("film", [None, Film(0.2, 0.05)])
-def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, seed: int, film: Film | None) -> None:
-    """Of the true cells, which drift, with noise of 0.7 %; a load that has reached 0.1 kPa somewhere is there."""
+def test_an_attached_load_is_never_taken_for_the_zero(
+    load: Shape, approach: float, seed: int, film: Film | None
+) -> None:
+    """True cells drift and have noise of 0.7 %; a load is attached once it has reached 0.1 kPa anywhere."""
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
     plain = Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film)
@@ -220,7 +222,7 @@ def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, 
     noise = np.exp(0.007 * np.random.default_rng(seed).standard_normal(cells.shape))
     ratio = (cells * noise / cells[0])[3:]
     tared = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:], tare=Tare(10)).tared
-    at = np.flatnonzero([bool(why) for why in tared])
+    at = np.flatnonzero([bool(reason) for reason in tared])
     pressed = np.abs(truth[3:]).max(axis=(1, 2)) > 0.1
     assert len(at) >= 1 and not any(pressed[last - 9 : last - 4].any() for last in at)
     assert not pressed[at[(at > ARRIVES + approach) & (at < LEAVES)]].any()

@@ -34,8 +34,8 @@ def garble(codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.ra
     ("kind", "share"),
     [("two rows", 0.93), ("a column", 0.82), ("the frame", 0.98), ("zeros", 0.98), ("a row of zeros", 0.96)],
 )
-def test_garbled_lines_of_a_frame_are_found(kind: str, share: float) -> None:
-    found = []
+def test_garbled_lines_of_a_frame_are_detected(kind: str, share: float) -> None:
+    detected = []
     for seed in PLANS:
         plan = Plan.drawn(seed)
         rng = np.random.default_rng([seed, 9])
@@ -43,12 +43,12 @@ def test_garbled_lines_of_a_frame_are_found(kind: str, share: float) -> None:
         frame = int(rng.integers(1, plan.unloaded + plan.measured - 1))
         garble(codes, frame, kind, 2**plan.scene.circuit.adc_bits, rng)
         lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
-        found.append([line.frame for line in lines] == [frame])
-    assert np.mean(found) > share
+        detected.append([line.frame for line in lines] == [frame])
+    assert np.mean(detected) > share
 
 
 def test_a_lost_code_displaces_the_remaining_ones() -> None:
-    found = []
+    detected = []
     for seed in range(2 * len(PLANS)):
         plan = Plan.drawn(seed)
         codes = plan.codes()
@@ -57,8 +57,8 @@ def test_a_lost_code_displaces_the_remaining_ones() -> None:
         if steps > MIN_STEPS and plan.load in ("none", "stands"):
             garble(codes, frame, "a lost code", 0, np.random.default_rng(seed))
             lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
-            found.append([line.frame for line in lines] == [frame])
-    assert len(found) > 10 and np.mean(found) > 0.8
+            detected.append([line.frame for line in lines] == [frame])
+    assert len(detected) > 10 and np.mean(detected) > 0.8
 
 
 def test_no_frame_of_clean_recordings_is_garbled() -> None:
@@ -67,7 +67,7 @@ def test_no_frame_of_clean_recordings_is_garbled() -> None:
         assert not garbled_lines(plan.recording()), seed
 
 
-def test_a_garbled_frame_condemns_no_circuit_and_is_not_the_strongest() -> None:
+def test_a_garbled_frame_affects_neither_the_circuit_check_nor_the_strongest_frame() -> None:
     plan = Plan.drawn(4, "two_point")
     codes = plan.codes()
     frame = plan.unloaded + 4

@@ -13,7 +13,7 @@ from lampest.runs.starter import RECORDING, write_starter
 from tests.panels import Plan, recorded
 
 # All circuits, with loads that stand, sway, move, tap, jump and arrive
-CLEAN = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
+CLEAN_SEEDS = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
 PLANS = range(60)
 
 
@@ -27,9 +27,9 @@ def faulty(recording: Health) -> list[str]:
     return [finding.text for finding in recording.findings if finding.room != "readings"]
 
 
-@pytest.mark.parametrize("seeds", CLEAN, ids="{0.start}".format)
+@pytest.mark.parametrize("seeds", CLEAN_SEEDS, ids="{0.start}".format)
 def test_clean_recordings_of_all_circuits_raise_no_alarm(seeds: range) -> None:
-    alarms = {seed: found for seed in seeds if (found := faulty(health(Plan.drawn(seed))))}
+    alarms = {seed: faults for seed in seeds if (faults := faulty(health(Plan.drawn(seed))))}
     assert not alarms
 
 
@@ -72,12 +72,12 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
     ("fault", "share"),
     [(dead_row, 0.95), (dead_column, 0.95), (joined_rows, 0.7), (joined_columns, 0.7), (shorted_cell, 0.8)],
 )
-def test_faults_of_lines_and_cells_are_named_with_their_line(
+def test_faults_of_lines_and_cells_are_reported_with_their_line(
     fault: Callable[[Plan], tuple[str, Health]], share: float
 ) -> None:
     """On even films lines that touch read as single ones do where idle lines are driven, so films are uneven here."""
     uneven = [plan for plan in map(Plan.drawn, range(120)) if np.std(np.log(plan.cells)) > 0.1]
-    lines = [(line in [finding.line for finding in found.findings]) for line, found in map(fault, uneven)]
+    lines = [(line in [finding.line for finding in report.findings]) for line, report in map(fault, uneven)]
     assert len(lines) > 20 and np.mean(lines) > share
 
 
@@ -99,8 +99,8 @@ def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
     for plan in map(Plan.drawn, PLANS):
         codes = plan.codes()
         place = plan.unloaded + 3
-        found = faulty(health(plan, np.insert(codes, place, codes[place - 1], axis=0)))
-        assert [f"frames {place} equal the one before" in text for text in found] == [True]
+        texts = faulty(health(plan, np.insert(codes, place, codes[place - 1], axis=0)))
+        assert [f"frames {place} equal the one before" in text for text in texts] == [True]
         time = np.arange(len(codes)) * 0.1
         time[place:] += 1.0
         late = Health.of(recorded(plan.scene, codes, plan.unloaded, time))
@@ -123,10 +123,10 @@ def test_rows_of_the_wrong_length_and_lines_in_another_order_are_noticed() -> No
     assert np.mean(cut) > 0.6 and np.mean(odd) > 0.75
 
 
-def test_shares_of_missing_readings_and_of_rails_are_told() -> None:
+def test_shares_of_missing_and_saturated_readings_are_reported() -> None:
     plan = Plan.drawn(0)
     recording = plan.recording()
     values = recording.recorded.copy()
     values[:, 0, :2] = np.nan
-    found = Health.of(replace(recording, recorded=values))
-    assert found.missing == pytest.approx(2 / values[0].size) and "missing" in dict(found.table)["readings"]
+    report = Health.of(replace(recording, recorded=values))
+    assert report.missing == pytest.approx(2 / values[0].size) and "missing" in dict(report.table)["readings"]

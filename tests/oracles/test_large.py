@@ -50,7 +50,7 @@ ESTIMATORS: dict[str, tuple[Term, ...]] = {
     ("name", "noise"),
     [(name, noise) for name in ESTIMATORS for noise in (1.0, 5.0) if (name, noise) != ("absolute", 5.0)],
 )
-def test_products_and_factors_agree(name: str, noise: float, request: pytest.FixtureRequest) -> None:
+def test_estimates_by_products_and_by_factors_agree(name: str, noise: float, request: pytest.FixtureRequest) -> None:
     """One unloaded frame and two with a pressed ring, noise in units of the readout's σ."""
     generator = np.random.default_rng(5)
     truth = np.repeat(3000 * np.exp(0.2 * generator.standard_normal((1, *SHAPE))), 3, axis=0)
@@ -65,13 +65,13 @@ def test_products_and_factors_agree(name: str, noise: float, request: pytest.Fix
     factored = reconstruct(recorded, estimator)
     request.getfixturevalue("by_products")
     products = reconstruct(recorded, estimator)
-    for one, other in zip(factored.steps, products.steps, strict=True):
-        assert one.solution.solved
-        assert other.solution.solved
-        assert other.solution.objective == pytest.approx(one.solution.objective, rel=1e-6, abs=1e-6)
+    for factored_step, product_step in zip(factored.steps, products.steps, strict=True):
+        assert factored_step.solution.solved
+        assert product_step.solution.solved
+        assert product_step.solution.objective == pytest.approx(factored_step.solution.objective, rel=1e-6, abs=1e-6)
 
 
-def test_stencil_inverts_what_it_stands_for() -> None:
+def test_the_stencil_inverts_its_operator() -> None:
     generator = np.random.default_rng(2)
     conductance = np.exp(generator.standard_normal((4, 5)))
     resistance = two_point_resistance(1 / conductance)
@@ -110,7 +110,7 @@ def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluat
     ("seed", "noise", "shape", "iterations", "crowd"),
     [(1, 0.3, (6, 7), (12, 13), 19), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
 )
-def test_the_interior_point_method_ends_where_stops_at_bounds_end(
+def test_the_interior_point_method_and_the_projected_method_agree(
     seed: int,
     noise: float,
     shape: tuple[int, int],
@@ -167,7 +167,7 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
         assert_allclose(point.newton_step(push).ravel() / expected, 1, atol=1e-5)
 
 
-def test_negative_curvature_under_a_large_mouth_is_left_behind() -> None:
+def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
     """From equal cells to a verified minimum, in fewer iterations than one for every ten cells of the patch.
 
     The patch has a hundredth of its resistance: in log r the cost of LSR-∇CR is concave there.

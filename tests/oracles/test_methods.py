@@ -33,16 +33,16 @@ def recording(*cells: Array, noise: float = 0.0) -> Recording:
     return recording_of(Scene(Panel(*cells[0].shape)), readings, 1, sigma=exact * max(noise, 1e-6))
 
 
-def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
+def estimate_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
     estimate = reconstruct(data, Estimator(terms, method, **options))
     assert all(step.solution.solved for step in estimate.steps)
     return estimate
 
 
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])
-def test_many_steps_are_the_optimum(terms: tuple[Term, ...]) -> None:
+def test_many_steps_reach_the_optimum(terms: tuple[Term, ...]) -> None:
     data = recording(resting((5, 6)), 1.1 * resting((5, 6)), 1.2 * resting((5, 6)), noise=1e-4)
-    reached, optimum = (found_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
+    reached, optimum = (estimate_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
     assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
 
 
@@ -52,18 +52,20 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tupl
     direction = np.random.default_rng(2).standard_normal((6, 7))
     for size in (1e-2, 1e-3):
         data = recording(resting((6, 7)), resting((6, 7)) * np.exp(size * direction))
-        one, optimum = (found_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED))
-        errors.append(np.max(np.abs(np.log(one / optimum))))
+        linearised, optimum = (
+            estimate_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED)
+        )
+        errors.append(np.max(np.abs(np.log(linearised / optimum))))
     assert errors[0] < 0.1
     assert errors[1] < errors[0] / 50
 
 
-def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
+def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
     """Lines outweigh cells in what conjugate gradients minimise; they must not stop before a cell is resolved."""
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
-    estimate = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
+    estimate = estimate_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
     assert estimate[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
     assert np.median(np.abs(estimate / single - 1)) < 0.01
 
@@ -77,21 +79,21 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
         ("LSR-dCR", RelativeChange(weight=1.0)),
     ],
 )
-def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellResistance) -> None:
+def test_the_converged_published_method_reaches_the_verified_optimum(method: str, term: CellResistance) -> None:
     """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
     rng = np.random.default_rng(4)
     panel = Panel(4, 5)
     cells = np.stack([2000 * np.exp(0.2 * rng.standard_normal(panel.shape))] * 3)
     cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
     readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))
-    told = recording_of(Scene(panel, TwoPointReadout()), readings, 1)
+    measured = recording_of(Scene(panel, TwoPointReadout()), readings, 1)
     weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
-    left = left_by_solver(method, panel, told.recorded[0], told.recorded[1:], weights)
+    published = left_by_solver(method, panel, measured.recorded[0], measured.recorded[1:], weights)
     formulation = OptimalMethod("reduced", joint=True)
-    estimate = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
-    assert set(left.why) <= {"cost", "step", "gradient"} and left.joint == (method == "LSR-dCR")
-    assert left.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
-    assert left.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
-    assert left.change == pytest.approx(estimate.relative_change, abs=2.0)
-    model = TwoPointReadout().exact_reading(left.cells)
-    assert left.data_error == pytest.approx(100 * np.abs(model / told.recorded[1:] - 1), abs=1e-9)
+    estimate = reconstruct(measured, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
+    assert set(published.why) <= {"cost", "step", "gradient"} and published.joint == (method == "LSR-dCR")
+    assert published.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
+    assert published.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
+    assert published.change == pytest.approx(estimate.relative_change, abs=2.0)
+    model = TwoPointReadout().exact_reading(published.cells)
+    assert published.data_error == pytest.approx(100 * np.abs(model / measured.recorded[1:] - 1), abs=1e-9)

@@ -52,18 +52,18 @@ def test_every_kind_is_among_the_circuits() -> None:
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
-def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> None:
+def test_a_circuit_bounds_its_series_resistance(circuit: Readout) -> None:
     scene = Scene(lampest.Panel(*SHAPE, 10.0), circuit, series_resistance_ohm=200.0 if circuit.in_series else 0.0)
     recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
     bare = scene.with_series(0.0)
     assert bare.specified_in_series == 0
-    told = scene.specified_in_series
-    assert told in (200.0, 300.0, 3000.0)
-    assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= told
+    series_ohm = scene.specified_in_series
+    assert series_ohm in (200.0, 300.0, 3000.0)
+    assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= series_ohm
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
-def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Readout) -> None:
+def test_laws_of_a_circuit_hold_only_for_its_own_readings(circuit: Readout) -> None:
     exact = circuit.exact_reading(CELLS)[None]
     sigma = 1e-4 * exact
     for test in circuit.free_tests(exact, sigma):
@@ -71,7 +71,7 @@ def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Rea
         assert test.excess[0] <= 1e-6 / 1e-4
         spoilt = exact.copy()
         spoilt[0, 2, 3] = 3 * exact.max() if circuit.unit == "ohm" else 1.01 * circuit.supply_volt
-        broken = {one.law: one for one in circuit.free_tests(spoilt, sigma)}[test.law]
+        broken = {law_test.law: law_test for law_test in circuit.free_tests(spoilt, sigma)}[test.law]
         assert broken.excess[0] > 10
 
 
@@ -86,11 +86,11 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
 # Loads that show it: a rod that halves nine cells leaves a series resistance of 140 ohm undecided.
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 4])
-def test_a_wrong_circuit_is_noticed_and_the_right_one_named(seed: int) -> None:
-    for what, recording in wrong(seed, side=10, bits=12):
+def test_a_wrong_circuit_is_rejected_and_the_right_one_named(seed: int) -> None:
+    for fault, recording in wrong(seed, side=10, bits=12):
         check = Prepared(recording).check
-        assert check.explains is False, what
-        assert named(what, check), (what, check.sentence)
+        assert check.explains is False, fault
+        assert named(fault, check), (fault, check.sentence)
 
 
 def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
@@ -112,7 +112,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     ],
     ids=["a resistance in series", "a leak"],
 )
-def test_the_skirts_of_soft_loads_are_not_mistaken_for(circuit: Readout, seed: int) -> None:
+def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed: int) -> None:
     """Half of the cells change by a few percent, which a wrong circuit or an effect would bring about as well."""
     rng = np.random.default_rng(seed)
     scene = Scene(Panel(12, 9), circuit)
@@ -129,7 +129,7 @@ def test_the_skirts_of_soft_loads_are_not_mistaken_for(circuit: Readout, seed: i
 
 
 @pytest.mark.slow
-def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
+def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
     """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be uniform or larger."""
     readout = TwoPointReadout()
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
@@ -137,13 +137,13 @@ def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
     sigma = 0.03 * exact
     noisy = (exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE) for seed in range(120))
     tails = [fitted(scene, Readings.of(scene, readings, sigma), patient=True).tail for readings in noisy]
-    # 120 draws: a share of 0.05 has a standard deviation of 0.02.
-    assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * 0.02
+    standard_error = 0.02  # of a share of 0.05 in 120 draws
+    assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * standard_error
     assert np.min(tails) > 1e-4
 
 
 @pytest.mark.slow
-def test_a_large_panel_is_held_against_cells_alone() -> None:
+def test_a_large_panel_is_compared_with_cells_alone() -> None:
     side = 21
     assert side**2 > MAX_CELLS
     readout = lampest.LoadedColumnsReadout(drive_ohm=0.0, adc_bits=12, readings=20)
@@ -158,7 +158,7 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
 
 
 @pytest.mark.slow
-def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
+def test_differing_channels_are_not_taken_for_another_series_resistance() -> None:
     """A quarter of a mouth on a module."""
     systematic = Systematic(reference_tolerance=0.01, channel_spread_ohm=3)
     panel = Panel(modules=Modules(2, 2, EachModule(10, 10)))
@@ -174,16 +174,16 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
 
 
 @pytest.mark.parametrize("seed", [411, 413])
-def test_an_omitted_series_resistance_is_named_where_linear_theory_sees_none(seed: int) -> None:
+def test_an_omitted_series_resistance_is_named_beyond_linear_theory(seed: int) -> None:
     _, recording = next(wrong(seed, 10, 10))
     assert "series_resistance_ohm near 1" in Prepared(recording).check.better
 
 
 BLOCKS = ((0, 1, 2, 3), (4, 5, 6, 7))
-WIDE = Panel(8, 8)
+WIDE_PANEL = Panel(8, 8)
 
 
-def wrongly_told(actual: Scene, told: Scene, seed: int, frames: int = 6) -> Recording:
+def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
     """Codes of one scene, six unloaded frames and six with three pressed cells, described by another scene."""
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))
@@ -191,16 +191,18 @@ def wrongly_told(actual: Scene, told: Scene, seed: int, frames: int = 6) -> Reco
     cells[frames:, 2, 4] /= 3
     cells[frames:, 3, 3] /= 5
     codes = measured(actual, cells, Unmodelled(), seed)[0]
-    recorded = told.circuit.recorded_from_volt(actual.circuit.volt_from_recorded(codes))
+    recorded = specified.circuit.recorded_from_volt(actual.circuit.volt_from_recorded(codes))
     role = (np.arange(2 * frames) >= frames).astype(np.uint8)
-    shape = (2 * frames, *told.panel.shape)
-    return Recording(told, recorded.reshape(shape), np.arange(2.0 * frames), role, name="told")
+    shape = (2 * frames, *specified.panel.shape)
+    return Recording(specified, recorded.reshape(shape), np.arange(2.0 * frames), role, name="told")
 
 
 CONVERTER: dict[str, Any] = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
-TWO = Scene(WIDE, TwoPointReadout(**CONVERTER), 140.0, systematic="none")
-HOBBY = Scene(WIDE, LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER), systematic="none")
-ONE_LOAD = Scene(WIDE, GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER), systematic="none")
+TWO_POINT_SCENE = Scene(WIDE_PANEL, TwoPointReadout(**CONVERTER), 140.0, systematic="none")
+HOBBY = Scene(WIDE_PANEL, LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER), systematic="none")
+ONE_LOAD = Scene(
+    WIDE_PANEL, GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER), systematic="none"
+)
 
 
 def grouped(scene: Scene) -> Scene:
@@ -209,31 +211,31 @@ def grouped(scene: Scene) -> Scene:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_multiplexers_in_parallel_are_named(seed: int) -> None:
-    check = Prepared(wrongly_told(grouped(TWO), TWO, seed)).check
+    check = Prepared(misdescribed(grouped(TWO_POINT_SCENE), TWO_POINT_SCENE, seed)).check
     assert check.better == f"readout.groups: {[list(block) for block in BLOCKS]} (read in parallel)"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", [TWO, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
-def test_right_groups_and_none_are_right(scene: Scene) -> None:
+@pytest.mark.parametrize("scene", [TWO_POINT_SCENE, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
+def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
     for actual in (scene, grouped(scene)):
-        assert Prepared(wrongly_told(actual, actual, 1)).check.mark == "yes"
+        assert Prepared(misdescribed(actual, actual, 1)).check.mark == "yes"
 
 
 @pytest.mark.parametrize("memory", [0.04, 0.08])
-@pytest.mark.parametrize("scene", [TWO, HOBBY], ids=["two_point", "loaded_columns"])
-def test_a_converter_that_remembers_is_named_with_its_number(scene: Scene, memory: float) -> None:
-    check = Prepared(wrongly_told(replace(scene, converter_memory=memory), scene, 2)).check
+@pytest.mark.parametrize("scene", [TWO_POINT_SCENE, HOBBY], ids=["two_point", "loaded_columns"])
+def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: float) -> None:
+    check = Prepared(misdescribed(replace(scene, converter_memory=memory), scene, 2)).check
     assert check.better.startswith("converter_memory near ")
     assert float(check.better.split()[-1]) == pytest.approx(memory, rel=0.15)
 
 
 @pytest.mark.parametrize(
-    "scene", [TWO, pytest.param(HOBBY, marks=pytest.mark.slow)], ids=["two_point", "loaded_columns"]
+    "scene", [TWO_POINT_SCENE, pytest.param(HOBBY, marks=pytest.mark.slow)], ids=["two_point", "loaded_columns"]
 )
 def test_readings_listed_column_by_column_are_named(scene: Scene) -> None:
     tall, wide = (replace(scene, panel=Panel(*shape)) for shape in ((12, 8), (8, 12)))
-    recording = wrongly_told(tall, wide, 2)
+    recording = misdescribed(tall, wide, 2)
     check = Prepared(recording).check
-    other_side = "" if scene is TWO else ", readout.driven: columns"
+    other_side = "" if scene is TWO_POINT_SCENE else ", readout.driven: columns"
     assert check.better == f"readings listed column by column (lampest import --transpose){other_side}"

@@ -56,7 +56,7 @@ def test_a_scene_survives_its_text_and_counts_seams() -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("keys", "sentence"),
     [
         ("faults: {dead_modules: [[2, 0]]}", "there is no module [2, 0]"),
         ("faults: {dead_rows: [1]}", "every module has lines of its own"),
@@ -67,10 +67,10 @@ def test_a_scene_survives_its_text_and_counts_seams() -> None:
         ("faults: {dead_modules: [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]}", "nothing is left"),
     ],
 )
-def test_what_modules_cannot_have_is_one_sentence(more: str, said: str) -> None:
+def test_impossible_modules_give_one_sentence(keys: str, sentence: str) -> None:
     with pytest.raises(InputError, match=r"scene\.yaml") as error:
-        scene_of(SCENE + more)
-    assert said in str(error.value)
+        scene_of(SCENE + keys)
+    assert sentence in str(error.value)
 
 
 @pytest.mark.slow
@@ -94,7 +94,7 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
-def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
+def test_modules_of_a_single_line_have_the_shared_errors() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "systematic: typical\npanel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n"
     text += SCENE[SCENE.index("readout") :]
@@ -103,7 +103,7 @@ def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> N
     assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
 
-def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modules_in_parallel_threads_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = simulated(scene_of(SCENE + FAULTS))
     terms = [lampest.Misfit(), lampest.CellResistance(weight=1e-7)]
     results = []
@@ -117,30 +117,30 @@ def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: p
 @pytest.mark.parametrize(
     "panel", ["modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}", "rows: 3, columns: 4"]
 )
-def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> None:
-    """Also through samples; a dead module has none."""
+def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
+    """The arrays pass through samples, too; a dead module has none."""
     dead = "faults: {dead_modules: [[0, 1]]}\n" if "modules" in panel else ""
     recording = simulated(scene_of(f"panel: {{{panel}}}\n{SCENE[SCENE.index('readout') :]}{dead}"))
     estimator = Estimator((Misfit(), RelativeChange(weight=1e-3)), "reduced")
     readings = recording.readings()
-    begun = stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
+    initial = stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
     first, second, third = recording.measured_frames()
     for frame in (first, second):
         stream, _ = stream.push(readings[frame])
-    kept = CarriedOver.of(stream)
-    one = stream.restarted(begun)
-    other = kept.onto(begun)
-    shapes = [{name: values.shape for name, values in of.arrays.items()} for of in (kept, CarriedOver.of(other))]
-    assert not other.first and shapes[0] == shapes[1]
-    assert all(part is None or part.prepared is None for part in (one.modules or (one,)))
-    (_, expected), (_, step) = (each.push(readings[third]) for each in (one, other))
+    carried = CarriedOver.of(stream)
+    restarted = stream.restarted(initial)
+    restored = carried.onto(initial)
+    shapes = [{name: values.shape for name, values in of.arrays.items()} for of in (carried, CarriedOver.of(restored))]
+    assert not restored.first and shapes[0] == shapes[1]
+    assert all(part is None or part.prepared is None for part in (restarted.modules or (restarted,)))
+    (_, expected), (_, step) = (each.push(readings[third]) for each in (restarted, restored))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
     assert_allclose(step.bars.change.deviation, expected.bars.change.deviation, rtol=1e-10)
     part = stream.modules[0] if stream.modules else stream
     pairs = np.random.default_rng(1).standard_normal((2, 2, 4, 5))
     track = replace(part.track, memory=SampledMemory(pairs[0], 3), answers=pairs[1])
-    whole = replace(part, track=track)
-    track = CarriedOver.of(replace(stream, modules=(whole, *stream.modules[1:])) if stream.modules else whole).onto(
+    tracked = replace(part, track=track)
+    track = CarriedOver.of(replace(stream, modules=(tracked, *stream.modules[1:])) if stream.modules else tracked).onto(
         stream
     )
     track = (track.modules[0] if stream.modules else track).track
@@ -148,7 +148,7 @@ def test_a_sequence_goes_on_from_the_arrays_that_are_kept_of_it(panel: str) -> N
     assert_allclose([track.memory.samples, track.answers], pairs)
 
 
-def taken() -> Recording:
+def rod_on_four_modules() -> Recording:
     """A rod where four modules meet."""
     rod = lampest.Rod(centre_mm=(36, 24), diameter_mm=45, mass_g=900)
     scene = Scene(lampest.Panel(modules=COUPLED), READOUT, 140.0)
@@ -177,33 +177,33 @@ def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: f
     return float(misfit + weight * sum(np.sum(step**2) for step in steps))
 
 
-def test_what_couples_no_cells_is_as_without_coupling() -> None:
-    recording = taken()
+def test_a_penalty_without_neighbours_couples_no_modules() -> None:
+    recording = rod_on_four_modules()
     penalty = lampest.CellResistance(weight=1e-7)
-    one = coupled(recording, penalty)
-    other = apart(recording, penalty)
-    assert all(status == "optimum verified" for status in one.status)
-    np.testing.assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-5)
-    np.testing.assert_allclose(one.baseline_resistance, other.baseline_resistance, rtol=1e-5)
+    estimate = coupled(recording, penalty)
+    separate = apart(recording, penalty)
+    assert all(status == "optimum verified" for status in estimate.status)
+    np.testing.assert_allclose(estimate.cell_resistance, separate.cell_resistance, rtol=1e-5)
+    np.testing.assert_allclose(estimate.baseline_resistance, separate.baseline_resistance, rtol=1e-5)
 
 
-def test_differences_over_seams_count_by_their_distance() -> None:
-    recording = taken()
+def test_differences_over_seams_are_weighted_by_their_distance() -> None:
+    recording = rod_on_four_modules()
     weight = 3e4
-    estimate, uncoupled = (one(recording, lampest.LogGradient(weight=weight)) for one in (coupled, apart))
+    estimate, uncoupled = (solve(recording, lampest.LogGradient(weight=weight)) for solve in (coupled, apart))
     assert estimate.solved.all()
     random = np.random.default_rng(1)
     for place, frame in enumerate(estimate.frame):
         cells = estimate.cell_resistance[place]
         least = cost(recording, cells, frame, weight)
         assert least == pytest.approx(estimate.steps[place].solution.objective, rel=1e-9)
-        beside = (cells * np.exp(1e-3 * random.standard_normal(cells.shape)) for _ in range(20))
-        assert all(cost(recording, one, frame, weight) > least for one in beside)
+        neighbours = (cells * np.exp(1e-3 * random.standard_normal(cells.shape)) for _ in range(20))
+        assert all(cost(recording, neighbour, frame, weight) > least for neighbour in neighbours)
         assert cost(recording, uncoupled.cell_resistance[place], frame, weight) > 1.001 * least
 
 
 def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
-    recording = taken()
+    recording = rod_on_four_modules()
     with pytest.raises(InputError, match="have none"):
         lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient()], error_bars=True)
     wired = replace(recording.scene, lines=lampest.Lines(row_ohm_per_cell=1.0))
@@ -212,7 +212,7 @@ def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
 
 
 @pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))])
-def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
+def test_frames_solved_in_blocks_equal_frames_solved_separately(
     terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rod = Rod(centre_mm=(55, 55), diameter_mm=30, mass_g=500)

@@ -22,7 +22,7 @@ STATIC = Systematic(reading_error="estimated")
 WEIGHTED = Misfit(weighting="noise")
 
 
-def standing(seed: int, **keys: object) -> Recording:
+def standing_load(seed: int, **keys: object) -> Recording:
     """A load with sharp edges on a mat with an outline; it stands from the first measured frame and sways by 2 %."""
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))
@@ -43,14 +43,14 @@ def standing(seed: int, **keys: object) -> Recording:
 
 @pytest.mark.parametrize("keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}])
 @pytest.mark.parametrize("penalty", [LogGradient(), LogRatio()])
-def test_edges_of_a_load_that_stands_are_no_error_of_the_readings(keys: dict, penalty: lampest.Term) -> None:
-    recording = standing(1, **keys)
-    found = lampest.reconstruct(recording, [WEIGHTED, penalty])
-    error = np.abs(found.cell_resistance / recording.truth_cell_resistance[found.frame] - 1)
+def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(keys: dict, penalty: lampest.Term) -> None:
+    recording = standing_load(1, **keys)
+    estimate = lampest.reconstruct(recording, [WEIGHTED, penalty])
+    error = np.abs(estimate.cell_resistance / recording.truth_cell_resistance[estimate.frame] - 1)
     assert np.nanmedian(error) < 0.01 and np.nanquantile(error, 0.95) < 0.025
 
 
-def test_an_effect_that_the_scene_does_not_name_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Estimates depend on no advice, and wait for none."""
 
     def refuse(*_: object, **__: object) -> None:
@@ -66,14 +66,14 @@ def test_an_effect_that_the_scene_does_not_name_is_not_looked_for(monkeypatch: p
     ):
         for name in names:
             monkeypatch.setattr(module, name, refuse)
-    found = lampest.reconstruct(standing(2))
-    assert found.solved.all() and found.recording.scene.estimated is None
+    estimate = lampest.reconstruct(standing_load(2))
+    assert estimate.solved.all() and estimate.recording.scene.estimated is None
     with pytest.raises(AssertionError, match="was not asked for"):
-        assert found.advice
+        assert estimate.advice
 
 
-def test_an_absent_effect_changes_no_reading_and_a_number_is_modelled() -> None:
-    plain = standing(3)
+def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -> None:
+    plain = standing_load(3)
     noise = Prepared(plain).noise
     np.testing.assert_array_equal(noise.readings.value, plain.readings().value)
     np.testing.assert_array_equal(noise.readings.sigma, plain.readings().sigma)
@@ -84,16 +84,16 @@ def test_an_absent_effect_changes_no_reading_and_a_number_is_modelled() -> None:
 
 
 def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
-    found = lampest.reconstruct(standing(4, systematic=STATIC, gain="estimated"))
-    found.save(tmp_path / "results.h5")
+    estimate = lampest.reconstruct(standing_load(4, systematic=STATIC, gain="estimated"))
+    estimate.save(tmp_path / "results.h5")
     scene = lampest.read_results(tmp_path / "results.h5").cases[0].scene
     size, deviation = scene.estimated["systematic.reading_error"]
     assert 0 < size < 0.002 and deviation > 0
     assert scene.estimated["gain"][0] == pytest.approx(scene.gain)
-    assert scene.systematic.reading_error == found.noise.reading_error
-    assert not found.checks
-    (line,) = re.findall(r"systematic.reading_error: [\d.e-]+ ± [\d.e-]+ \(relative\)", found.fit_report())
-    assert f"    {line}" in found.fit_report().partition("[[Estimated]]")[2]
+    assert scene.systematic.reading_error == estimate.noise.reading_error
+    assert not estimate.checks
+    (line,) = re.findall(r"systematic.reading_error: [\d.e-]+ ± [\d.e-]+ \(relative\)", estimate.fit_report())
+    assert f"    {line}" in estimate.fit_report().partition("[[Estimated]]")[2]
 
 
 @pytest.mark.parametrize(
@@ -107,25 +107,25 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
         ({"systematic": Systematic(reference_tolerance="estimated")}, "record five or more unloaded frames"),
     ],
 )
-def test_what_a_recording_cannot_determine_is_said_with_what_to_record(keys: dict, advised: str) -> None:
-    recording = standing(5, **keys)
+def test_warnings_name_undetermined_effects_and_the_needed_recording(keys: dict, advised: str) -> None:
+    recording = standing_load(5, **keys)
     loaded = replace(recording, role=np.ones_like(recording.role))
-    found = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
-    (line,) = (line for line in found.noise.warnings if "estimated, but" in line)
-    assert advised in line and found.solved.all()
+    estimate = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
+    (line,) = (line for line in estimate.noise.warnings if "estimated, but" in line)
+    assert advised in line and estimate.solved.all()
 
 
-def test_a_reference_is_never_seen_in_frames_and_keeps_its_prior() -> None:
-    found = lampest.reconstruct(standing(6, systematic=Systematic(reference_tolerance="estimated")))
-    assert any("lampest calibrate" in line for line in found.noise.warnings)
-    assert found.recording.scene.systematic.reference_tolerance == 0.06
+def test_a_reference_tolerance_keeps_its_prior() -> None:
+    estimate = lampest.reconstruct(standing_load(6, systematic=Systematic(reference_tolerance="estimated")))
+    assert any("lampest calibrate" in line for line in estimate.noise.warnings)
+    assert estimate.recording.scene.systematic.reference_tolerance == 0.06
 
 
 def test_the_memory_of_a_converter_is_estimated() -> None:
-    recording = standing(7)
+    recording = standing_load(7)
     volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
-    kept = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(volt.shape)
-    recorded = recording.scene.circuit.recorded_from_volt(kept)
+    remembered = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(volt.shape)
+    recorded = recording.scene.circuit.recorded_from_volt(remembered)
     forgetful = replace(recording, recorded=recorded, scene=replace(recording.scene, converter_memory="estimated"))
     size, deviation = Prepared(forgetful).noise.estimated["converter_memory"]
     assert abs(size - 0.08) < max(3 * deviation, 0.005)

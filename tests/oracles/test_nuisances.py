@@ -20,7 +20,7 @@ ROWS = 9
 COLUMNS = 10
 UNLOADED = 5
 FRAMES = 6
-ASKED = {"leaks": "estimated", "contacts": "estimated"}
+ESTIMATED = {"leaks": "estimated", "contacts": "estimated"}
 
 
 def panel(
@@ -52,7 +52,7 @@ def panel(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_nothing_is_said_and_taken_off_where_nothing_is(seed: int) -> None:
+def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
     recording = panel(seed)
     prepared = Prepared(recording)
     assert prepared.warnings == () and prepared.noise.corrected_effects is None
@@ -60,7 +60,7 @@ def test_nothing_is_said_and_taken_off_where_nothing_is(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
+def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
     """In the only loaded frame one reading is off by 25 ohm, which neighbours in time cannot show."""
     recording = panel(seed)
     recorded = recording.recorded[: UNLOADED + 1].copy()
@@ -79,9 +79,9 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
         {"contact": (3, 200.0, UNLOADED + 3), "leak_ohm": 10e3, "leak_from": UNLOADED + 3},
     ],
 )
-def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
+def test_leaks_and_contacts_are_corrected_in_their_frames(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
-    dirty = Prepared(panel(1, **effect, **ASKED)).noise
+    dirty = Prepared(panel(1, **effect, **ESTIMATED)).noise
     clean = panel(1).readings()
     assert dirty.estimated and all(size > deviation for size, deviation in dirty.estimated.values())
     unnamed = Prepared(panel(1, **effect))
@@ -90,15 +90,15 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
     assert clean.sigma is not None
     assert 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
-    off = np.abs((dirty.readings.value - clean.value) / open_ohm)
-    assert np.quantile(off, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
+    errors = np.abs((dirty.readings.value - clean.value) / open_ohm)
+    assert np.quantile(errors, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
     assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
     assert bool(np.any(dirty.frame.effect_errors[0])) == ("leak_from" not in effect and "contact" not in effect)
 
 
 @pytest.mark.slow
-def test_detect_looks_at_frames_without_the_leak() -> None:
-    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ASKED)
+def test_detect_uses_frames_without_the_leak() -> None:
+    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED)
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     frames = [value for value, _, _ in measured_frames(recording, known, np.ones(len(recording.role), dtype=bool))]
@@ -106,21 +106,21 @@ def test_detect_looks_at_frames_without_the_leak() -> None:
     assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=1e-2)
 
 
-def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
-    recording = panel(8, contact=(3, 200.0, 0), **ASKED)
+def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:
+    recording = panel(8, contact=(3, 200.0, 0), **ESTIMATED)
     prepared = Prepared(recording).effects
     assert prepared.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
 
 
-def test_the_size_of_a_leak_is_estimated_and_the_curve_of_a_converter_is_none() -> None:
+def test_the_size_of_a_leak_is_estimated_and_a_converter_curve_is_not_taken_for_an_effect() -> None:
     line = Prepared(panel(2, leak_ohm=5e3, leak_from=UNLOADED)).check.better
     assert 4 < float(line.split("a leak of ")[1].split(" kohm")[0]) < 6
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
     assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.name == ""
 
 
-def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
-    """It covers whole columns, the last of which it presses little, and breathes."""
+def test_the_edge_of_a_large_load_is_not_taken_for_a_contact() -> None:
+    """The load covers whole columns, presses the last one little, and breathes."""
     block = Block(centre_mm=(17.5, 45.0), length_mm=35.0, width_mm=90.0, mass_g=4000.0)
     course = Course(start_s=-0.08, approach_s=0.06, attachment_s=0.9316, breathing_hz=0.80338, breathing_depth=0.1)
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
@@ -130,7 +130,7 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
 
 
 @pytest.mark.slow
-def test_channels_that_differ_are_no_contact_under_a_mouth() -> None:
+def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
     """Channels of 3 ohm shift the cells of a rim, which are as low as 100 ohm, by several percent."""
     for mouth in ("lamprey_25mm", "lamprey_35mm"):
         assert not [line for line in Prepared(lampest.datasets.load(mouth)).warnings if "outliers" not in line]

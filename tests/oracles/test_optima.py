@@ -46,7 +46,7 @@ def recording(cells: Array, noise: float, seed: int = 0, unloaded: int = 0) -> R
     return recording_of(Scene(Panel(*cells.shape[1:])), resistance, unloaded, sigma=exact * max(noise, 1e-4))
 
 
-def test_outlier_spoils_squares_but_not_absolute_values() -> None:
+def test_an_outlier_spoils_squares_but_not_absolute_values() -> None:
     """One reading of thirty is 20 % off on an even panel: who believes it, sees a cell that is not there."""
     cells = truth((5, 6), 1, 11, spread=0.02)
     recorded = recording(cells, 1e-4)
@@ -61,7 +61,7 @@ def test_outlier_spoils_squares_but_not_absolute_values() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_loss_with_a_corner_is_searched_from_where_squares_end(seed: int) -> None:
+def test_a_loss_with_a_corner_starts_at_the_optimum_of_squares(seed: int) -> None:
     readings = recording(truth((7, 8), 4, seed), noise=0.01, seed=seed)
     wild = readings.recorded.copy()
     wild[2, 3, 4] *= 2.0
@@ -79,7 +79,7 @@ def test_a_loss_with_a_corner_is_searched_from_where_squares_end(seed: int) -> N
 
 
 @pytest.mark.parametrize("formulation", ["per_pixel", "nodal", "reduced", "auto"])
-def test_cell_without_finite_optimum_ends_at_the_resolution(formulation: Any) -> None:
+def test_a_cell_without_a_finite_optimum_ends_at_the_resolution(formulation: Any) -> None:
     """Plain least squares with 3 % noise: where the misfit falls all the way to an open cell, it is called open."""
     recorded = recording(truth((5, 7), 1, 14, spread=0.8), 3e-2, seed=14)
     solution = reconstruct(recorded, Estimator((Misfit(),), formulation)).steps[0].solution
@@ -94,7 +94,7 @@ def test_cell_without_finite_optimum_ends_at_the_resolution(formulation: Any) ->
 
 
 @pytest.mark.parametrize("lower", ["none", 1e-3, 1.0])
-def test_single_row_has_a_closed_form(lower: Any) -> None:
+def test_a_single_row_has_a_closed_form(lower: Any) -> None:
     """1 × N: f(r) = r, so LSM gives R and LSR-CR gives R/(1 + λ)."""
     recorded = recording(truth((1, 6), 2, 13), 1e-3, unloaded=1)
     bounds = Bounds(lower, "none")
@@ -106,7 +106,7 @@ def test_single_row_has_a_closed_form(lower: Any) -> None:
 
 @pytest.mark.parametrize("weight", [35.0, 200.0])
 @pytest.mark.parametrize("formulation", ["nodal", "reduced"])
-def test_optimum_is_verified_from_a_start_without_any_change(formulation: str, weight: float) -> None:
+def test_the_optimum_is_verified_from_an_unchanged_start(formulation: str, weight: float) -> None:
     """The baseline is the first start, at which every residual of the absolute loss is zero."""
     rng = np.random.default_rng(0)
     time = np.arange(8.0)

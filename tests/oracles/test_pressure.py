@@ -40,7 +40,7 @@ def test_pressures_come_back_from_their_cells(name: str) -> None:
     assert np.all((pressed.lower <= pressed.pressure) & (pressed.pressure <= pressed.upper))
 
 
-def test_simulation_puts_in_what_the_scene_tells() -> None:
+def test_the_simulation_applies_the_response_of_the_scene() -> None:
     scene = Scene(Panel(8, 8), water=Water(50.0), temperature=COOLING)
     cup = SuctionCup(centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8)
     simulation = Simulation(schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,))
@@ -58,7 +58,7 @@ def test_simulation_puts_in_what_the_scene_tells() -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("sd", [0.003, 0.05, 0.2])
-def test_interval_covers_the_truth(name: str, sd: float) -> None:
+def test_the_interval_covers_the_truth(name: str, sd: float) -> None:
     """4,000 draws of estimate, response and temperature coefficient, each with the error that it is said to have."""
     generator = np.random.default_rng([7, round(1000 * sd)])
     scene = SCENES[name]
@@ -73,7 +73,8 @@ def test_interval_covers_the_truth(name: str, sd: float) -> None:
         change += error * (warm.measured_celsius - warm.baseline_celsius)
     pressed = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene)
     covered = np.mean((pressed.lower <= pressure) & (pressure <= pressed.upper))
-    assert 0.93 < covered < 0.97
+    six_standard_errors = 0.02  # of the share of 4,000 draws
+    assert 0.95 - six_standard_errors < covered < 0.95 + six_standard_errors
     assert 0.5 < np.mean(np.abs(pressed.pressure - pressure) < pressed.errors) < 0.75
 
 
@@ -92,7 +93,7 @@ def test_pressures_are_flagged_where_the_curve_ends() -> None:
         assert np.all(pressure_of(pressed, pressed, pressed, scene).saturated == flag)
 
 
-def test_open_and_unseen_cells_and_failed_frames() -> None:
+def test_open_and_unseen_cells_and_failed_frames_have_marked_pressures() -> None:
     ratio = np.full((1, 4, 3), 50.0)
     ratio[0, 0] = 1.0
     lower = 0.5 * ratio

@@ -84,14 +84,14 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("method", METHODS)
-def test_ipopt_alone_solves_every_frame_in_iterations_of_its_own(
+def test_ipopt_alone_solves_every_frame_in_its_own_iterations(
     method: str, formulation: Any, counted: list[int]
 ) -> None:
-    found = lampest.reconstruct(
+    estimate = lampest.reconstruct(
         recording_of(READOUTS["two_point"]), METHODS[method], formulation=formulation, error_bars=False
     )
     assert len(counted) >= 3 and min(counted) > 0
-    for step in found.steps:
+    for step in estimate.steps:
         assert step.solution.optimum, step.status
         assert 0 < step.solution.iterations in counted or step.solution.iterations == sum(counted[-2:])
         assert step.solution.solver == f"IPOPT {formulation}"
@@ -99,7 +99,7 @@ def test_ipopt_alone_solves_every_frame_in_iterations_of_its_own(
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("method", METHODS)
-def test_a_solver_that_returns_its_start_is_found_out(
+def test_a_solver_that_returns_its_start_is_not_verified(
     method: str, formulation: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def start_of(interface: Interface, instance: Instance, warm: Multipliers | None = None) -> ProgramResult:
@@ -107,41 +107,41 @@ def test_a_solver_that_returns_its_start_is_found_out(
         return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0)
 
     monkeypatch.setattr(Interface, "minimise", start_of)
-    found = lampest.reconstruct(
+    estimate = lampest.reconstruct(
         recording_of(READOUTS["two_point"]), METHODS[method], formulation=formulation, error_bars=False
     )
-    assert not any(step.solution.solved for step in found.steps)
+    assert not any(step.solution.solved for step in estimate.steps)
 
 
 @pytest.mark.parametrize("wires", WIRES)
 @pytest.mark.parametrize("readout", READOUTS)
 @pytest.mark.parametrize("shape", [(4, 5), (6, 3)])
-def test_optima_of_every_circuit_are_those_of_the_solver_without_voltages(
+def test_optima_of_every_circuit_equal_those_of_the_reduced_solver(
     shape: tuple[int, int], readout: str, wires: str
 ) -> None:
     recording = recording_of(READOUTS[readout], shape, **WIRES[wires])
     cells = {}
     for formulation in ("reduced", "nodal", "per_pixel"):
-        found = lampest.reconstruct(recording, METHODS["smooth"], formulation=formulation, error_bars=False)
-        assert set(found.status) == {"optimum verified"}
-        cells[formulation] = np.log(found.cell_resistance)
+        estimate = lampest.reconstruct(recording, METHODS["smooth"], formulation=formulation, error_bars=False)
+        assert set(estimate.status) == {"optimum verified"}
+        cells[formulation] = np.log(estimate.cell_resistance)
     assert_allclose(cells["nodal"], cells["reduced"], atol=1e-7)
     assert_allclose(cells["per_pixel"], cells["reduced"], atol=1e-7)
 
 
 @pytest.mark.parametrize("joint", [True, False])
-def test_a_pair_of_frames_has_the_optimum_of_the_solver_without_voltages(joint: bool) -> None:
+def test_a_pair_of_frames_has_the_optimum_of_the_reduced_solver(joint: bool) -> None:
     recording = recording_of(READOUTS["two_point"])
     costs = []
     for kind in ("reduced", "nodal"):
         method = lampest.OptimalMethod(kind=kind, joint=joint)
-        found = lampest.reconstruct(recording, METHODS["LSR-dCR"], formulation=method, error_bars=False)
-        costs.append(found.steps[0].solution.objective)
+        estimate = lampest.reconstruct(recording, METHODS["LSR-dCR"], formulation=method, error_bars=False)
+        costs.append(estimate.steps[0].solution.objective)
     assert costs[1] <= costs[0] * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("wires", WIRES)
-def test_voltages_of_the_nodes_are_those_of_a_netlist(wires: str) -> None:
+def test_node_voltages_equal_those_of_a_netlist(wires: str) -> None:
     scene = recording_of(READOUTS["grounded"], **WIRES[wires]).scene
     cells = 3000 * np.exp(np.random.default_rng(5).standard_normal((4, 5)))
     ties = scene.circuit.ties(scene.circuit.exact_reading(cells, scene.wiring))
@@ -156,13 +156,13 @@ def test_voltages_of_the_nodes_are_those_of_a_netlist(wires: str) -> None:
 def test_the_strongest_frame_is_solved_again_from_another_start(formulation: Any) -> None:
     recording = recording_of(READOUTS["two_point"])
     options: dict[str, Any] = {"formulation": formulation, "error_bars": False}
-    found = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("strongest"), **options)
-    case = found.result()
+    estimate = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("strongest"), **options)
+    case = estimate.result()
     assert sorted(case.verified) == [Witness.NONE, Witness.SAME]
     assert case.verified_difference[case.verified == Witness.SAME] < 1e-6
     assert np.isnan(case.verified_difference[case.verified == Witness.NONE]).all()
-    both = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("all"), **options).result()
-    assert list(both.verified) == [Witness.SAME] * 2
+    all_verified = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("all"), **options).result()
+    assert list(all_verified.verified) == [Witness.SAME] * 2
     assert lampest.reconstruct(recording, METHODS["smooth"], **options).result().verified is None
 
 
@@ -183,15 +183,17 @@ def test_a_lower_optimum_of_the_witness_is_kept(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(ProjectedNewton, "solve", worse)
     monkeypatch.setattr("lampest.solvers.multistart.check", trusted)
-    found = lampest.reconstruct(recording, terms, formulation="reduced", error_bars=False, verify=lampest.Verify("all"))
-    assert list(found.result().verified) == [Witness.LOWER] * 2
-    assert np.all(found.result().verified_decrease > 0)
-    assert_allclose(found.cell_resistance, right.cell_resistance, rtol=1e-6)
+    estimate = lampest.reconstruct(
+        recording, terms, formulation="reduced", error_bars=False, verify=lampest.Verify("all")
+    )
+    assert list(estimate.result().verified) == [Witness.LOWER] * 2
+    assert np.all(estimate.result().verified_decrease > 0)
+    assert_allclose(estimate.cell_resistance, right.cell_resistance, rtol=1e-6)
 
 
-def test_verdicts_of_a_witness() -> None:
-    found = lampest.reconstruct(recording_of(READOUTS["two_point"]), METHODS["smooth"], formulation="reduced")
-    solution = found.steps[0].solution
+def test_the_witness_compares_objectives() -> None:
+    estimate = lampest.reconstruct(recording_of(READOUTS["two_point"]), METHODS["smooth"], formulation="reduced")
+    solution = estimate.steps[0].solution
     factor = {"lower": 0.9, "same": 1 + 1e-9, "higher": 1.1}
     verdicts = {
         name: compared(solution, replace(solution, objective=solution.objective * f)) for name, f in factor.items()
@@ -215,16 +217,16 @@ def test_a_share_of_frames_lies_between_0_and_1(share: float) -> None:
 
 def own_program(**options: Any) -> tuple[lampest.OwnProgram, lampest.Reconstruction]:
     recording = recording_of(READOUTS["two_point"])
-    found = lampest.reconstruct(recording, METHODS["smooth"], formulation="reduced")
-    return lampest.program(recording, METHODS["smooth"], **options), found
+    estimate = lampest.reconstruct(recording, METHODS["smooth"], formulation="reduced")
+    return lampest.program(recording, METHODS["smooth"], **options), estimate
 
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-def test_a_program_without_own_parts_has_the_estimate_and_its_own_hessian_the_error_bars(formulation: str) -> None:
-    program, found = own_program(formulation=formulation)
+def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(formulation: str) -> None:
+    program, estimate = own_program(formulation=formulation)
     solved = program.solve()
     assert solved.status == "optimum verified" and solved.iterations > 0
-    assert_allclose(solved.cell_resistance[0], found.cell_resistance[0], rtol=1e-6)
+    assert_allclose(solved.cell_resistance[0], estimate.cell_resistance[0], rtol=1e-6)
     # cov(ln r) = (½∇²φ)⁻¹ over the cells that no bound holds, from the closed form without voltages
     evaluation = program.evaluations[0].elsewhere(solved.cell_resistance)
     hessian = Hessian(evaluation, Smoothing.start(evaluation))
@@ -233,7 +235,7 @@ def test_a_program_without_own_parts_has_the_estimate_and_its_own_hessian_the_er
     assert_allclose(solved.cell_resistance_errors[0] / solved.cell_resistance[0], deviations, rtol=1e-5)
 
 
-def test_two_equal_cells_are_one_and_more_certain() -> None:
+def test_two_equal_cells_have_one_value_and_smaller_error_bars() -> None:
     program, _ = own_program()
     cells = program.cells()
     free = program.solve()
@@ -243,7 +245,7 @@ def test_two_equal_cells_are_one_and_more_certain() -> None:
     assert tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
 
 
-def test_the_total_conductance_can_be_given_or_limited() -> None:
+def test_the_total_conductance_can_be_fixed_or_limited() -> None:
     program, _ = own_program()
     total = 1000 * casadi.sum1(casadi.vec(1 / program.cells()))
     usual = (1000 / program.solve().cell_resistance).sum()
@@ -286,7 +288,7 @@ def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
         (lambda program: program.solve()["own"], r"has no own unknown own; it has none"),
     ],
 )
-def test_wrong_own_parts_say_what_is_asked_for(wrong: Any, message: str) -> None:
+def test_errors_of_wrong_own_parts_name_the_required_ones(wrong: Any, message: str) -> None:
     with pytest.raises(lampest.InputError, match=message):
         wrong(own_program()[0])
 
@@ -298,12 +300,12 @@ def test_wrong_own_parts_say_what_is_asked_for(wrong: Any, message: str) -> None
         ({"formulation": "reduced"}, r"formulation must be one of nodal, per_pixel"),
     ],
 )
-def test_wrong_arguments_of_a_program(options: dict[str, Any], message: str) -> None:
+def test_wrong_arguments_of_a_program_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(lampest.InputError, match=message):
         own_program(**options)
 
 
-def test_a_program_that_cannot_be_solved_says_so_and_holds_no_number() -> None:
+def test_an_unsolvable_program_has_a_status_and_no_number() -> None:
     program, _ = own_program()
     solved = program.subject_to("impossible", program.cells()[0, 0] / 1000.0, 1e-9).solve()
     assert solved.status != "optimum verified"
@@ -334,5 +336,5 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
-    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=100)
-    assert ended.stdout == "interrupted\n", ended.stderr
+    completed = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=100)
+    assert completed.stdout == "interrupted\n", completed.stderr

@@ -21,7 +21,7 @@ from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
 WEIGHTED = Misfit(weighting="noise")
-SAID = "their noise: an error of the model"
+MODEL_ERROR_NOTE = "their noise: an error of the model"
 PENALTIES = {
     "two": (LogGradient(), CellResistance()),
     "huber": (LogGradient(loss=Huber(corner=0.3)),),
@@ -49,7 +49,7 @@ def with_errors(cells: Array, seed: int, static: float = 0.0) -> tuple[Array, Ar
     return wrong + NOISE * exact * rng.standard_normal(exact.shape), NOISE * exact
 
 
-def judged(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
+def problem_of(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
     estimator = Estimator((WEIGHTED, LogGradient(weight=1.0)), "reduced")
     scene = Scene(Panel(*cells.shape))
     readings, sigma = with_errors(cells, seed, static)
@@ -62,10 +62,10 @@ def log_error(cells: Array, truth: Array) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_cells_and_the_scale_of_errors_are_recovered_from_readings_that_are_off_by_7_percent(seed: int) -> None:
+def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(seed: int) -> None:
     """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and 23."""
     truth = loaded()
-    data, cost = judged(truth, seed, static=0.07)
+    data, cost = problem_of(truth, seed, static=0.07)
     scale, (estimate,) = references([data], cost)
     assert 8 <= scale.best <= 32 and scale.gain(1.0) > 6
     assert 0.4 < scale.tail / 1.96 / (0.07 / NOISE) < 1.6, "95 % of the errors"
@@ -78,19 +78,17 @@ def test_cells_and_the_scale_of_errors_are_recovered_from_readings_that_are_off_
 @pytest.mark.parametrize("factor", [0.15, 0.5, 5.0])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(factor: float, seed: int) -> None:
-    data, cost = judged(loaded(factor=factor), seed)
+    data, cost = problem_of(loaded(factor=factor), seed)
     scale, (estimate,) = references([data], cost)
     assert scale.best == 1
     assert log_error(estimate.cells[0], loaded(factor=factor)) < 0.07
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_without_heavy_tails_edges_are_mistaken_for_errors_of_the_readings(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_normal_tails_mistake_edges_for_errors_of_the_readings(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = np.full((10, 10), 3000.0) * np.exp(0.02 * np.random.default_rng(seed).standard_normal((10, 10)))
     truth[4:6, 3:5] *= 5
-    data, cost = judged(truth, seed)
+    data, cost = problem_of(truth, seed)
     assert references([data], cost)[0].best == 1
     monkeypatch.setattr(reference, "MODEL", replace(reference.MODEL, degrees_of_freedom=1e6))
     squared = references([data], cost)[0]
@@ -107,10 +105,10 @@ def frames_under_load(static: float, seed: int, unloaded: int = 0) -> Recording:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
+def test_the_model_error_is_in_the_error_bars_and_in_one_sentence(seed: int) -> None:
     recording = frames_under_load(0.07, seed)
     estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    assert sum(SAID in line for line in estimate.checks) == 1
+    assert sum(MODEL_ERROR_NOTE in line for line in estimate.checks) == 1
     assert 10 < estimate.noise.model_factor < 60
     assert in_intervals(estimate).mean() > 0.9
     sigma = estimate.reading_sigma
@@ -124,7 +122,7 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
     recording = frames_under_load(0.0, seed, unloaded)
     estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
     assert estimate.noise.model_factor == 1
-    assert not any(SAID in line for line in estimate.checks)
+    assert not any(MODEL_ERROR_NOTE in line for line in estimate.checks)
     assert in_intervals(estimate).mean() > 0.88
 
 
@@ -133,18 +131,18 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
     """A tenth of the usable readings is withheld."""
-    whole = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
-    readings = whole.readings()
+    complete = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
+    readings = complete.readings()
     rng = np.random.default_rng(3)
-    usable = readings.plain & whole.scene.panel.present & ~impossible_readings(whole.scene.circuit, readings)
+    usable = readings.plain & complete.scene.panel.present & ~impossible_readings(complete.scene.circuit, readings)
     withheld = usable & (rng.random(usable.shape) < 0.1)
-    recording = replace(whole, recorded=np.where(withheld, np.nan, whole.recorded))
+    recording = replace(complete, recorded=np.where(withheld, np.nan, complete.recorded))
     estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
     sigma = estimate.reading_sigma
     model = np.stack([step.solution.reading[-1] for step in estimate.steps])
     assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))  # of missing ones, too
     judged = withheld & estimate.solved[:, None, None]
-    inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
+    inside = np.abs(complete.readings().value - model)[judged] < 1.96 * sigma[judged]
     assert judged.sum() > 300 and least <= inside.mean() <= 0.98
 
 
@@ -170,12 +168,12 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     sigma = chosen.steps[0].weight_sigma[1]
     given = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight)])
     assert_allclose(given.cell_resistance, chosen.cell_resistance, rtol=1e-5)
-    one, other = (found.sigma_own for found in (chosen, given))
-    more = np.sqrt(np.maximum(one**2 - other**2, 0))
-    assert np.all(one > 0.999 * other) and more.max() > 0.05 * other.max()
+    chosen_sigma, given_sigma = (estimate.sigma_own for estimate in (chosen, given))
+    added_sigma = np.sqrt(np.maximum(chosen_sigma**2 - given_sigma**2, 0))
+    assert np.all(chosen_sigma > 0.999 * given_sigma) and added_sigma.max() > 0.05 * given_sigma.max()
     moved = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight * np.exp(0.05))])
     slope = np.abs(np.log(moved.cell_resistance / given.cell_resistance)) / 0.05
-    assert_allclose(more.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
+    assert_allclose(added_sigma.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
 
 
 @pytest.mark.parametrize("per", ["recording", "frame"])
@@ -193,8 +191,8 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
     error = rms(log_errors(estimate)[-1])
     for factor in (0.01, 100.0):
         terms = [replace(term, weight=factor * weight) for term, weight in zip(penalties, chosen[1:], strict=True)]
-        other = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
-        assert error < 1.02 * rms(log_errors(other)[-1])
+        alternative = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
+        assert error < 1.02 * rms(log_errors(alternative)[-1])
 
 
 @pytest.mark.parametrize("static", [0.0, 0.07])
@@ -202,5 +200,5 @@ def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -
     """A table in ohm: neither σ nor a converter."""
     recording = frames_under_load(static, 1)
     estimate = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
-    told = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
-    assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(told))
+    specified = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
+    assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(specified))

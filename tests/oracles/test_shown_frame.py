@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("panel", ["clean", "real"])
 @pytest.mark.parametrize("name", ["air_10kpa", "air_20kpa", "water_10kpa", "water_20kpa"])
-def test_a_cup_is_shown_while_it_sucks(name: str, panel: str) -> None:
+def test_the_shown_frame_contains_a_sucking_cup(name: str, panel: str) -> None:
     """Before it does, its rim alone moves readings further; also where cells differ by factors and readings are off."""
     if panel == "clean":
         recording = Recording.load(ROOT / "data" / f"cup_{name}.h5")
@@ -34,7 +34,7 @@ def test_a_cup_is_shown_while_it_sucks(name: str, panel: str) -> None:
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (8, 5), (1, 6), (6, 1), (2, 2)])
-def test_small_changes_of_a_uniform_panel_come_back(shape: tuple[int, int]) -> None:
+def test_small_changes_of_a_uniform_panel_are_recovered(shape: tuple[int, int]) -> None:
     """Exact to first order, against the network's own readings."""
     panel = Panel(*shape)
     readout = TwoPointReadout()

@@ -18,7 +18,7 @@ from tests.netlist import two_point_resistances
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("lamprey_35mm", "lamprey_25mm", "rod", "ring")
 SHIPPED += tuple(f"cup_{medium}_{kpa}kpa" for medium in ("air", "water") for kpa in (10, 20))
-FINE = Panel(160, 160, 0.5)
+FINE_PANEL = Panel(160, 160, 0.5)
 EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
 ROD = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=30, mass_g=300)
 SIMULATED = sorted(path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole"))
@@ -40,30 +40,30 @@ def change(values: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_file_is_what_its_configuration_makes(name: str) -> None:
+def test_a_shipped_file_equals_its_simulation(name: str) -> None:
     ((output, simulation),) = read_simulations(ROOT / "configs" / f"{name}.yaml")
     assert (ROOT / "configs" / output).resolve() == ROOT / "data" / f"{name}.h5"
-    made = simulate(simulation)
-    kept = shipped(name)
-    assert made.simulation == kept.simulation
-    assert made.scene == kept.scene
-    assert list(kept.role) == [0] * 3 + [1] * 21
-    np.testing.assert_array_equal(made.time, kept.time)
+    computed = simulate(simulation)
+    stored = shipped(name)
+    assert computed.simulation == stored.simulation
+    assert computed.scene == stored.scene
+    assert list(stored.role) == [0] * 3 + [1] * 21
+    np.testing.assert_array_equal(computed.time, stored.time)
     # Other processors round exp and the solution of the network otherwise; a code may then tip, but hardly ever does.
-    np.testing.assert_allclose(made.truth_cell_resistance, kept.truth_cell_resistance, rtol=1e-9)
-    np.testing.assert_allclose(made.truth_pressure, kept.truth_pressure, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(made.raw_sums, kept.raw_sums, atol=1)
-    np.testing.assert_allclose(made.resistance, kept.resistance, rtol=1e-3)
+    np.testing.assert_allclose(computed.truth_cell_resistance, stored.truth_cell_resistance, rtol=1e-9)
+    np.testing.assert_allclose(computed.truth_pressure, stored.truth_pressure, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(computed.raw_sums, stored.raw_sums, atol=1)
+    np.testing.assert_allclose(computed.resistance, stored.resistance, rtol=1e-3)
     assert (ROOT / "data" / f"{name}.h5").stat().st_size < 200_000
 
 
-def test_same_seed_same_bytes(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     paths = tmp_path / "a" / "same.h5", tmp_path / "b" / "same.h5"
     assert [run(ROOT / "configs" / "lamprey_35mm.yaml", path) for path in paths] == [[path] for path in paths]
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-def test_the_force_on_a_panel_is_that_of_the_load() -> None:
+def test_the_force_on_a_panel_equals_that_of_the_load() -> None:
     """A patch has the mean of its pressure: half under a big straight edge, it sees half of it."""
     circles = {"inner_diameter_mm": 27, "outer_diameter_mm": 35}
     for load, force_mn in (
@@ -72,14 +72,14 @@ def test_the_force_on_a_panel_is_that_of_the_load() -> None:
         (SuctionCup(kind="suction_cup", centre_mm=(40, 38), pressure_kpa=-10, **circles), 0),
         (OralDisc(kind="oral_disc", centre_mm=(40, 40), diameter_mm=35, rim_width_mm=5, pressure_kpa=-15), 0),
     ):
-        contact, suction = load.mean_pressure(FINE, 0.5)
+        contact, suction = load.mean_pressure(FINE_PANEL, 0.5)
         assert (contact + suction).sum() * 0.25 == pytest.approx(force_mn, abs=2e-3 * contact.sum() * 0.25)
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
     contact, _ = rod.mean_pressure(Panel(3, 3), 6)
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
 
 
-def test_suction_decays_is_pumped_up_and_is_pulled_off() -> None:
+def test_suction_decays_and_is_pumped_up_and_pulled_off() -> None:
     course = Course(start_s=10, approach_s=2, attachment_s=3, pump_s=40, pump_loss=0.3, release_at_s=200, pull_off=0.5)
     contact, suction = course.contact_and_suction(np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200]))
     expected = [1, 1, 0.7**0.5, 0.7, 0.7 ** (1 / 40), 0.7**0.5, 1.5 * 0.7 ** (24.99 / 40), 0]
@@ -90,7 +90,9 @@ def test_suction_decays_is_pumped_up_and_is_pulled_off() -> None:
 @pytest.mark.parametrize(
     ("name", "covered", "centre"), [("lamprey_35mm", (4, 4), (4, 4)), ("lamprey_25mm", (3, 3), (4, 5))]
 )
-def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], centre: tuple[int, int]) -> None:
+def test_the_simulated_lamprey_resembles_the_papers(
+    name: str, covered: tuple[int, int], centre: tuple[int, int]
+) -> None:
     """Paper, figure 8-a: −82.6 % to −1.8 %; figure 9: a mouth of 35 mm covers 4 × 4 cells, one of 25 mm 3 × 3."""
     recording = shipped(name)
     measured = change(recording.readings().value)
@@ -105,7 +107,7 @@ def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], cent
     assert np.all(np.isfinite(recording.resistance**2 / recording.readings().sigma))
 
 
-def test_raw_sums_only_where_sixteen_bits_hold_them() -> None:
+def test_raw_sums_are_stored_only_within_sixteen_bits() -> None:
     sums = np.array([[65535]])
     assert raw_sums(TwoPointReadout(adc_bits=16, readings=1), sums).dtype == np.uint16
     assert raw_sums(TwoPointReadout(adc_bits=10, readings=65), sums) is None
@@ -124,7 +126,7 @@ def volt(recording: Recording) -> Array:
     return 5 * 1000 / (1000 + recording.recorded)
 
 
-def test_effects_are_as_large_as_they_are_told() -> None:
+def test_effects_have_their_specified_size() -> None:
     """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a common drift, a
     reference that is off, and wire as if a scene told it."""
     clean = with_effects()
@@ -133,13 +135,13 @@ def test_effects_are_as_large_as_they_are_told() -> None:
     assert 0 < abs(ratio[0, 0, 0] - 1) < 0.0102
     scene = Scene(Panel(10, 10), EXACT, lines=Lines(0.5, 0.5))
     wired = with_effects(wire_ohm_per_cell=0.5)
-    told = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
-    assert np.allclose(wired.recorded, told.recorded, rtol=1e-9) and wired.scene.lines is None
+    specified = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
+    assert np.allclose(wired.recorded, specified.recorded, rtol=1e-9) and wired.scene.lines is None
     assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), "an absent effect"
     coarse = TwoPointReadout(adc_bits=16, readings=1, noise_lsb=5.0)
     silent = volt(with_effects(replace(coarse, noise_lsb=0.0)))
-    once, thrice = ((volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0))
-    assert (once, thrice) == (pytest.approx(5 * 5 / 2**16, rel=0.1), pytest.approx(3 * once, rel=0.1))
+    single, triple = ((volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0))
+    assert (single, triple) == (pytest.approx(5 * 5 / 2**16, rel=0.1), pytest.approx(3 * single, rel=0.1))
     gain = volt(with_effects(gain_spread=0.01)) / volt(clean)
     assert np.ptp(gain, axis=(1, 2)).max() < 1e-5 and 0.004 < gain[:, 0, 0].std() < 0.02
     ratio = with_effects(reading_error=0.1).recorded / clean.recorded
@@ -149,18 +151,18 @@ def test_effects_are_as_large_as_they_are_told() -> None:
     assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))
 
 
-def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_from_their_time_on() -> None:
+def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_after_its_begin() -> None:
     plain = with_effects()
     wet = with_effects(leak_ohm=5e3, begins_s=8.0)
     assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
     np.testing.assert_allclose(wet.recorded[9], two_point_resistances(wet.truth_cell_resistance[9], 5e3), rtol=1e-4)
-    more = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded
-    assert not more[:8].any()
-    (row,) = np.flatnonzero(more[8:].any(axis=(0, 2)))
-    assert more[8:, row] == pytest.approx(200, rel=1e-3)
+    increase = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded
+    assert not increase[:8].any()
+    (row,) = np.flatnonzero(increase[8:].any(axis=(0, 2)))
+    assert increase[8:, row] == pytest.approx(200, rel=1e-3)
 
 
-def test_cohort_is_thirty_different_lampreys() -> None:
+def test_the_cohort_has_thirty_different_lampreys() -> None:
     cohort = read_simulations(ROOT / "configs" / "cohort.yaml")
     assert len(cohort) == 30
     assert cohort[6][0] == "../results/cohort/lamprey_07.h5"
@@ -171,7 +173,7 @@ def test_cohort_is_thirty_different_lampreys() -> None:
     assert len({mouth.centre_mm for mouth in mouths}) == 30
 
 
-def test_a_real_scene_is_the_clean_one_on_another_panel() -> None:
+def test_a_real_scene_equals_the_clean_one_on_another_panel() -> None:
     """The same loads, times and water; one panel for all eight, which the scene does not tell of."""
     panels = set()
     for path in SIMULATED:

@@ -16,40 +16,40 @@ CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1}
 COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
 
 
-def recording_of(readout: Readout, cells: Array, kept: float, generator: np.random.Generator) -> Recording:
+def recording_of(readout: Readout, cells: Array, memory: float, generator: np.random.Generator) -> Recording:
     """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share of the channel before."""
-    volt = with_memory(readout, kept, readout.exact_reading(cells))
+    volt = with_memory(readout, memory, readout.exact_reading(cells))
     codes = np.round(volt / readout.lsb_volt + generator.standard_normal(volt.shape))
     role = np.repeat([0, 1], FRAMES).astype(np.uint8)
     return Recording(Scene(Panel(8, 8), readout), codes * readout.lsb_volt, np.arange(2.0 * FRAMES), role)
 
 
-def pressed_mat(kept: float) -> Recording:
+def pressed_mat(memory: float) -> Recording:
     generator = np.random.default_rng(7)
     cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)
     cells[FRAMES:, (1, 4, 6), (2, 6, 7)] *= 0.4
-    return recording_of(COLUMNS, cells, kept, generator)
+    return recording_of(COLUMNS, cells, memory, generator)
 
 
-@pytest.mark.parametrize("kept", [0.02, 0.04, 0.08])
-def test_evidence_shows_a_small_memory(kept: float) -> None:
-    recording = pressed_mat(kept)
+@pytest.mark.parametrize("memory", [0.02, 0.04, 0.08])
+def test_evidence_shows_a_small_memory(memory: float) -> None:
+    recording = pressed_mat(memory)
     assert memory_gain(recording) > MIN_EVIDENCE_GAIN
     estimate = estimated_memory(recording)
-    assert not isinstance(estimate, str) and abs(estimate[0] - kept) < 0.005
+    assert not isinstance(estimate, str) and abs(estimate[0] - memory) < 0.005
 
 
-def test_evidence_shows_no_memory_where_there_is_none() -> None:
+def test_evidence_shows_no_absent_memory() -> None:
     assert memory_gain(pressed_mat(0.0)) <= 0
 
 
-def test_noise_that_the_scene_understates_is_no_memory() -> None:
+def test_understated_noise_is_not_taken_for_memory() -> None:
     recording = pressed_mat(0.0)
     quiet = replace(recording.scene, readout=replace(COLUMNS, readings=20))
     assert memory_gain(replace(recording, scene=quiet)) <= 0
 
 
-def test_the_edge_of_a_load_is_no_memory() -> None:
+def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
     """Edge cells that follow the load in the order of the scan have changed by a share of what the load has."""
     generator = np.random.default_rng(100)
     cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))
@@ -68,5 +68,5 @@ def test_the_edge_of_a_load_is_no_memory() -> None:
         ("readout.groups: [[0, 1], [2, 3]] (read in parallel)", "readout: {groups: [[0, 1], [2, 3]]}"),
     ],
 )
-def test_the_advised_line_is_one_of_the_scene(name: str, line: str) -> None:
+def test_the_advised_line_is_valid_in_the_scene(name: str, line: str) -> None:
     assert entry_line(name) == line

@@ -53,11 +53,11 @@ def panel(
     return recording_of(scene, recorded, resting, truth_cell_resistance=cells)
 
 
-def found_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimates:
+def estimate_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimates:
     return reconstruct(recording, Estimator(terms, "smoother" if terms is ROBUST else "reduced"))
 
 
-def test_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
+def test_the_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
     """n k Σ_i log(1 + a_i) + Σ x²/s², written out once more."""
     squares = np.random.default_rng(1).uniform(0, 4e-3, (5, 4))
 
@@ -72,48 +72,48 @@ def test_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
 
 
 @pytest.mark.parametrize("chance", [0, 2])
-def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(chance: int) -> None:
+def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> None:
     """The residuals of which Φ is the sum of squares, and their derivatives by differences.
 
     Three frames of squares, with errors that one frame shares, off the end of Φ and far from its anchor.
     """
-    made = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    recording = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     rng = np.random.default_rng(2)
     estimator = Estimator((Misfit(weighting="noise"),), "reduced")
-    readings = made.readings()
-    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(3)]
-    cells = np.log(made.truth_cell_resistance[:3]).reshape(3, -1)
+    readings = recording.readings()
+    data = [estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(3)]
+    cells = np.log(recording.truth_cell_resistance[:3]).reshape(3, -1)
     anchor = cells + 1e4 * rng.standard_normal(cells.shape)
-    begun = Joint.of([estimator.cost(made.scene, 1)] * 3, data, Shared.of(made.scene), cells)
-    sigma = np.stack([one.given.sigma.reshape(-1, 1) for one in data])
+    initial = Joint.of([estimator.cost(recording.scene, 1)] * 3, data, Shared.of(recording.scene), cells)
+    sigma = np.stack([frame_data.given.sigma.reshape(-1, 1) for frame_data in data])
     drawn = sigma * rng.standard_normal((3, 4, chance))
     position = np.hstack([cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))])
     stiffness = rng.uniform(10, 1e4, (2, 4))
-    joint = replace(begun, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
+    joint = replace(initial, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
     joint = replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
     size = joint.position.size
     sharing = joint.shared.shape[2]
 
     def residuals(point: Array) -> Array:
-        there = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
-        strayed = there.log_cells - joint.anchor
-        common = there.shift[sharing:]
-        steps = np.diff(there.log_cells, axis=0) - common[:, None]
-        misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in there.at]
-        parts = *misfit, there.chance, there.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
+        trial = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
+        strayed = trial.log_cells - joint.anchor
+        common = trial.shift[sharing:]
+        steps = np.diff(trial.log_cells, axis=0) - common[:, None]
+        misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in trial.at]
+        parts = *misfit, trial.chance, trial.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
         return np.concatenate([np.ravel(part) for part in parts])
 
-    here = np.concatenate([joint.position.ravel(), joint.shift])
-    assert joint.value == pytest.approx(np.sum(residuals(here) ** 2), rel=1e-12)
-    units = 1e-5 * np.eye(len(here))
-    slopes = np.stack([(residuals(here + unit) - residuals(here - unit)) / 2e-5 for unit in units], axis=1)
-    gradient = slopes.T @ residuals(here)
+    current = np.concatenate([joint.position.ravel(), joint.shift])
+    assert joint.value == pytest.approx(np.sum(residuals(current) ** 2), rel=1e-12)
+    units = 1e-5 * np.eye(len(current))
+    slopes = np.stack([(residuals(current + unit) - residuals(current - unit)) / 2e-5 for unit in units], axis=1)
+    gradient = slopes.T @ residuals(current)
     assert_allclose(joint.gradient.ravel(), gradient[:size], rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
     step = np.concatenate([part.ravel() for part in joint.newton()])
     expected = -np.linalg.solve(slopes.T @ slopes, gradient)
     assert_allclose(step, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
     cells = np.arange(size).reshape(joint.position.shape)[:, :4]
-    change = np.zeros((2, 4, len(here)))
+    change = np.zeros((2, 4, len(current)))
     for frame, cell in np.ndindex(2, 4):
         change[frame, cell, [cells[frame + 1, cell], cells[frame, cell], size + sharing + frame]] = 1, -1, -1
     variance = np.einsum("tci,ij,tcj->tc", change, np.linalg.inv(slopes.T @ slopes), change)
@@ -121,15 +121,15 @@ def test_a_step_of_all_frames_solves_the_normal_equations_of_their_residuals(cha
 
 
 @pytest.mark.slow
-def test_the_end_is_the_least_of_the_stated_cost() -> None:
+def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
     """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end and beside it."""
-    made = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    recording = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     estimator = Estimator(ROBUST, "smoother")
-    readings = made.readings()
-    data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
-    start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
-    begun = Joint.of([estimator.cost(made.scene, 1)] * len(data), data, Shared.of(made.scene), start)
-    joint, _ = smoothed(begun, Walk(0.2, 3.0), Settings(tolerance=1e-10))
+    readings = recording.readings()
+    data = [estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(2, 8)]
+    start = np.log(recording.truth_cell_resistance[2:8]).reshape(len(data), -1)
+    initial = Joint.of([estimator.cost(recording.scene, 1)] * len(data), data, Shared.of(recording.scene), start)
+    joint, _ = smoothed(initial, Walk(0.2, 3.0), Settings(tolerance=1e-10))
     shared = joint.shared
     shift = joint.shift
     free = start.size
@@ -141,36 +141,38 @@ def test_the_end_is_the_least_of_the_stated_cost() -> None:
         common = point[free + sharing :]
         model = np.stack([two_point_resistances(cells).ravel() for cells in np.exp(log_cells).reshape(len(data), 3, 3)])
         measured, sigma = (
-            np.stack([getattr(one.given, name).ravel() for one in data]) for name in ("measured", "sigma")
+            np.stack([getattr(frame_data.given, name).ravel() for frame_data in data]) for name in ("measured", "sigma")
         )
         misfit = CORNER**2 * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
         steps = np.diff(log_cells.reshape(len(data), -1), axis=0) - common[:, None]
         misfit += 1e-4 * np.sum((log_cells - start.ravel()) ** 2)
         return float(misfit + offsets @ offsets + np.sum((common / 0.1) ** 2) + np.sum(joint.stiffness * steps**2))
 
-    here = np.concatenate([joint.position.ravel(), shift])
+    current = np.concatenate([joint.position.ravel(), shift])
     assert not joint.pressed.any() and joint.kkt_residual.max() < 1e-7
-    assert stated(here) == pytest.approx(joint.value, rel=1e-10)
+    assert stated(current) == pytest.approx(joint.value, rel=1e-10)
     rng = np.random.default_rng(0)
     for size in (0.0, 1e-3):
-        least = minimize(stated, here + size * rng.standard_normal(here.size), method="BFGS", options={"maxiter": 400})
+        least = minimize(
+            stated, current + size * rng.standard_normal(current.size), method="BFGS", options={"maxiter": 400}
+        )
         assert least.fun > joint.value - 1e-6 * joint.value
 
 
 @pytest.mark.slow
-def test_it_halves_the_error_and_its_bars_hold() -> None:
+def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
     """Standing cells, a jump, and a tap that lasts one frame."""
     alone = []
     together = []
     held = []
     tapped = []
     for seed in range(6):
-        made = panel(seed, systematic="none")
-        estimate = found_of(made)
+        recording = panel(seed, systematic="none")
+        estimate = estimate_of(recording)
         assert estimate.solved.all() and set(estimate.status) == {"optimum verified"}
         held.append(in_intervals(estimate))
         together.append(np.abs(log_errors(estimate)))
-        alone.append(np.abs(log_errors(found_of(made, (Misfit(),)))))
+        alone.append(np.abs(log_errors(estimate_of(recording, (Misfit(),)))))
         tapped.append(log_errors(estimate)[8, 4, 4])
     assert np.median(together) < 0.5 * np.median(alone)
     assert np.percentile(together, 95) < 0.6 * np.percentile(alone, 95)
@@ -180,8 +182,8 @@ def test_it_halves_the_error_and_its_bars_hold() -> None:
 
 
 @pytest.mark.slow
-def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> None:
-    """They move by little, and are taken for still: 64 % of the cells were covered."""
+def test_cells_near_a_breathing_soft_load_do_not_determine_channels() -> None:
+    """Such cells move by little and were taken for still: 64 % of the cells were covered."""
     rng, (down, across) = np.random.default_rng(1), np.indices((8, 8))
     load = 3 * np.exp(-((down - 2.5) ** 2 / 4 + (across - 3.5) ** 2 / 6))
     course = np.append(np.zeros(5), 1 + 0.1 * np.sin(2 * np.arange(9)))
@@ -191,46 +193,48 @@ def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> Non
     channels = 3 * rng.standard_normal((2, 8))
     exact = two_point_resistance(cells) + channels[0][:, None] + channels[1]
     recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
-    estimate = found_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
+    estimate = estimate_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
     assert np.mean(in_intervals(estimate)) > 0.9
 
 
-def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
-    told = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
-    silent = found_of(panel(2, systematic="none"))
-    assert np.median(told.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
+def test_shared_errors_widen_the_error_bars_of_cells() -> None:
+    specified = estimate_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
+    silent = estimate_of(panel(2, systematic="none"))
+    assert np.median(specified.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
 
 
-def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
+def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
     """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the change's error."""
-    made = panel(5, systematic="none", resting=5)
+    recording = panel(5, systematic="none", resting=5)
     rng = np.random.default_rng(5)
     readout = TwoPointReadout()
-    ripple = 0.4 * readout.lsb_volt * rng.standard_normal((len(made.recorded), 6, 1))
-    volt = readout.volt_from_recorded(made.recorded) + ripple
-    rippled = replace(made, recorded=readout.recorded_from_volt(volt))
+    ripple = 0.4 * readout.lsb_volt * rng.standard_normal((len(recording.recorded), 6, 1))
+    volt = readout.volt_from_recorded(recording.recorded) + ripple
+    rippled = replace(recording, recorded=readout.recorded_from_volt(volt))
     together, alone = (
         np.median(np.abs(np.diff(log_errors(estimate), axis=0)))
-        for estimate in (found_of(rippled), found_of(rippled, (Misfit(),)))
+        for estimate in (estimate_of(rippled), estimate_of(rippled, (Misfit(),)))
     )
     assert together < 0.4 * alone
 
 
-def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
-    made = panel(5)
-    recorded = made.recorded.copy()
+def test_a_frame_with_too_few_readings_is_left_out() -> None:
+    recording = panel(5)
+    recorded = recording.recorded.copy()
     recorded[RESTING + 2] = np.nan
-    estimate = found_of(replace(made, recorded=recorded))
+    estimate = estimate_of(replace(recording, recorded=recorded))
     assert estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2]
     assert np.isnan(estimate.cell_resistance[2]).all()
-    blind = found_of(replace(made, recorded=np.where(made.role[:, None, None] == 0, made.recorded, np.nan)))
+    blind = estimate_of(
+        replace(recording, recorded=np.where(recording.role[:, None, None] == 0, recording.recorded, np.nan))
+    )
     assert not blind.solved.any()
-    unread = replace(made, recorded=np.full(made.recorded.shape, np.nan)).readings()[:RESTING].mean()
-    stream = Stream.begin(Estimator(ROBUST, "smoother"), made.scene, 1.0, unread)
-    assert stream.push(made.readings()[RESTING])[1].solution.status is Status.UNRESTED
+    unread = replace(recording, recorded=np.full(recording.recorded.shape, np.nan)).readings()[:RESTING].mean()
+    stream = Stream.begin(Estimator(ROBUST, "smoother"), recording.scene, 1.0, unread)
+    assert stream.push(recording.readings()[RESTING])[1].solution.status is Status.UNRESTED
 
 
-def test_unknown_noise_is_refused() -> None:
-    made = panel(0)
+def test_the_smoother_refuses_unknown_noise() -> None:
+    recording = panel(0)
     with pytest.raises(InputError, match="noise"):
-        found_of(replace(made, scene=Scene(made.scene.panel)))
+        estimate_of(replace(recording, scene=Scene(recording.scene.panel)))

@@ -30,9 +30,9 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     diagonal = np.arange(min(shape))
     usual = 3000 * np.exp(0.3 * rng.standard_normal(shape))
 
-    def panel(where: object, factor: float) -> Array:
+    def panel(place: object, factor: float) -> Array:
         cells = usual.copy()
-        cells[where] *= factor
+        cells[place] *= factor
         return cells
 
     yield "open cell", panel((row, column), large)
@@ -56,27 +56,27 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     yield "1 milliohm and 1 gigaohm", milliohm
 
 
-def many(count: int, most: float, seed: int) -> Iterator[tuple[str, Array]]:
-    """Structured panels of up to `most` lines a side, 0 to 15 decades."""
+def structured_panels(count: int, max_lines: float, seed: int) -> Iterator[tuple[str, Array]]:
+    """Structured panels of up to `max_lines` lines a side, 0 to 15 decades."""
     rng = np.random.default_rng(seed)
     while count > 0:
-        shape = (int(most ** rng.uniform()), int(most ** rng.uniform()))
+        shape = (int(max_lines ** rng.uniform()), int(max_lines ** rng.uniform()))
         for name, cells in structured(shape, rng, rng.uniform(0, 15)):
             yield f"{name} {shape}", cells
             count -= 1
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_fourteen_digits_in_every_structured_case(shape: tuple[int, int]) -> None:
+def test_every_structured_panel_is_exact_to_fourteen_digits(shape: tuple[int, int]) -> None:
     for name, cells in structured(shape, np.random.default_rng(1), 15):
         assert_allclose(exact_two_point_resistance(cells), in_digits(cells), rtol=1e-14, err_msg=name)
 
 
 @pytest.mark.slow
-def test_unsafe_inverse_is_noticed() -> None:
+def test_an_unsafe_inverse_is_noticed() -> None:
     """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
     unsafe = wrong = 0
-    for name, cells in many(1000, 7, 4):
+    for name, cells in structured_panels(1000, 7, 4):
         expected = in_digits(cells)
         network = FloatingNetwork.solve(1 / cells, grounding(cells))
         worst = np.max(np.abs(network.reading() / expected - 1))
@@ -97,7 +97,7 @@ def test_open_cells_leave_the_network() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
-def test_lines_that_nothing_connects_are_infinitely_apart(scale: float) -> None:
+def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
     """Two clusters and a row without cells, lines in mixed order; within the clusters all is as in their own panel."""
     rng = np.random.default_rng(8)
     first = rng.uniform(1e3, 1e4, (3, 4))
@@ -130,7 +130,7 @@ def test_shorts_join_lines() -> None:
 
 
 @pytest.mark.parametrize("wrong", [-1.0, np.nan, -np.inf])
-def test_cells_that_cannot_be(wrong: float) -> None:
+def test_impossible_cells_are_refused(wrong: float) -> None:
     cells = np.full((2, 3), 3000.0)
     cells[1, 2] = wrong
     for forward in (exact_two_point_resistance, two_point_resistance):

@@ -35,13 +35,13 @@ PANEL = Panel(8, 8)
 ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)
 CUP = SuctionCup(kind="suction_cup", centre_mm=(38, 33), inner_diameter_mm=27, outer_diameter_mm=36, pressure_kpa=-9)
 NOISE = 5e-3
-NEW = [
+COMPARING_TERMS = [
     TotalVariation(weight=0.05),
     LogRatio(weight=0.1, loss=Squared()),
     LogRatio(weight=1.0),
     TotalVariationOfChange(weight=0.05),
 ]
-WIDE = Panel(10, 10)
+WIDE_PANEL = Panel(10, 10)
 NOISY = 0.01
 WEIGHTS = 10.0 ** np.arange(-2.5, -0.9, 0.5)
 WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
@@ -118,12 +118,14 @@ WINS: dict[str, tuple[tuple[Shape, int, float, int], tuple[Term, Array], list[tu
 @pytest.mark.parametrize("claim", WINS)
 def test_a_term_wins_on_its_scene(claim: str) -> None:
     """Against plain least squares and the terms before it, each with its best weight in hindsight."""
-    place, own, others, margin = WINS[claim]
+    place, own, alternatives, margin = WINS[claim]
     recorded = scene(*place)
-    assert best(recorded, *own) < margin * min(error(recorded), *(best(recorded, *other) for other in others))
+    assert best(recorded, *own) < margin * min(
+        error(recorded), *(best(recorded, *alternative) for alternative in alternatives)
+    )
 
 
-@pytest.mark.parametrize("term", NEW, ids=lambda term: f"{term.kind}-{term.loss.kind}")
+@pytest.mark.parametrize("term", COMPARING_TERMS, ids=lambda term: f"{term.kind}-{term.loss.kind}")
 def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
     """From starts some factor of four apart. The relative change has up to three minima there and must be searched."""
     rng = np.random.default_rng(9)
@@ -141,7 +143,7 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 
 @pytest.mark.parametrize("reads_both", [False, True])
-def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
+def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
     """What errors of the baseline and of the previous frame add, against estimates from displaced ones."""
     rng = np.random.default_rng(8)
     shape = (3, 4)
@@ -157,8 +159,8 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     def moved(step: Array) -> Array:
         """log r from a previous frame and a baseline that are displaced by `step` in their logarithms."""
         previous, baseline = known * np.exp(step.reshape(2, *shape))
-        where = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
-        return np.log(best_solution(solver, where, known[:1]).cell_resistance.ravel())
+        shifted = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
+        return np.log(best_solution(solver, shifted, known[:1]).cell_resistance.ravel())
 
     carried = np.array([moved(step) - moved(-step) for step in 1e-3 * np.eye(2 * cells)]).T / 2e-3
     root = 0.1 * rng.standard_normal((2 * cells, 2 * cells))
@@ -198,24 +200,26 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     if kind == "panel":
         pattern = 2 + np.sin(np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6))
     else:
-        pattern = np.sum((WIDE_ROD if kind == "rod" else DISC).mean_pressure(WIDE, 10.0), axis=0)
+        pattern = np.sum((WIDE_ROD if kind == "rod" else DISC).mean_pressure(WIDE_PANEL, 10.0), axis=0)
     course = {"panel": breathing, "disc": breathing, "rod": np.ones(frames + 2), "attachment": count >= 5}[kind]
     pressure = ((count >= 0) * course)[:, None, None] * pattern
-    cells = 3050 * np.exp(0.2 * rng.standard_normal(WIDE.shape)) * ratio_from_pressure(pressure)
+    cells = 3050 * np.exp(0.2 * rng.standard_normal(WIDE_PANEL.shape)) * ratio_from_pressure(pressure)
     return recorded(cells, seed + 1000)
 
 
 @pytest.mark.parametrize(("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)])
-def test_beats_the_best_single_weight(kind: str, margin: float) -> None:
+def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float) -> None:
     """Nothing chosen, against the logarithmic change from the previous frame with its best weight in hindsight."""
-    ours = []
-    theirs = []
+    errors = []
+    best_errors = []
     for seed in range(2):
         recording = arriving(kind, seed)
-        ours.append(error(recording, Arrival(), bars=True))
+        errors.append(error(recording, Arrival(), bars=True))
         squared = LogRatio(loss=Squared(), reference="previous")
-        theirs.append(min(error(recording, replace(squared, weight=float(weight)), bars=True) for weight in WEIGHTS))
-    assert rms(ours) < margin * rms(theirs)
+        best_errors.append(
+            min(error(recording, replace(squared, weight=float(weight)), bars=True) for weight in WEIGHTS)
+        )
+    assert rms(errors) < margin * rms(best_errors)
 
 
 def walk(seed: int, percent: float, frames: int = 12) -> Recording:
@@ -230,16 +234,14 @@ def walk(seed: int, percent: float, frames: int = 12) -> Recording:
 @pytest.mark.parametrize(
     ("percent", "ratio", "coverage"), [(2.0, (0.93, 1.07), (0.93, 0.97)), (0.0, (0.75, 1.0), (0.95, 1.0))]
 )
-def test_error_bars_say_what_errors_are(
-    percent: float, ratio: tuple[float, float], coverage: tuple[float, float]
-) -> None:
+def test_error_bars_match_the_errors(percent: float, ratio: tuple[float, float], coverage: tuple[float, float]) -> None:
     """Where cells walk as the term says; where they rest, bars allow for a walk that is not there."""
     spread = []
     inside = []
     for seed in range(20):
         estimate = estimated(walk(seed, percent), Arrival())
-        away = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])
-        spread.append(rms(away))
-        inside.append(np.mean(np.abs(away) < 1.96))
+        scores = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])
+        spread.append(rms(scores))
+        inside.append(np.mean(np.abs(scores) < 1.96))
     assert ratio[0] < rms(spread) < ratio[1]
     assert coverage[0] < np.mean(inside) < coverage[1]

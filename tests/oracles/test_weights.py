@@ -59,7 +59,7 @@ def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int, s
 
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
-def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int, factor: float) -> None:
+def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: float) -> None:
     """Of the linear estimate with two penalties, as a sum over the noise; and what the point's own errors add."""
     estimator = Estimator((Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced")
     data = measured_data(estimator, cells_of(1), 0.003, 2)
@@ -82,7 +82,7 @@ def test_risk_is_the_mean_squared_error_where_the_point_is_the_truth(number: int
 
 
 @pytest.mark.parametrize("most_cells", [1000, 10], ids=["matrices", "samples"])
-def test_the_evidence_chooses_its_fixed_point_and_says_how_sure_it_is(
+def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
     most_cells: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lampest.estimate.weights.MAX_CELLS", most_cells)
@@ -118,7 +118,7 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
-def test_a_large_panel_tells_uneven_cells_from_static_errors(static: float) -> None:
+def test_a_large_panel_distinguishes_uneven_cells_from_static_errors(static: float) -> None:
     """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""
     rng = np.random.default_rng(3)
     shape = (24, 20)
@@ -150,7 +150,7 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         assert sigma[number] == pytest.approx(information**-0.5, rel=0.05)
 
 
-def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:
+def test_a_warning_names_a_chosen_weight_that_prevents_the_fit() -> None:
     """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too large."""
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
     values = lampest.two_point_resistance(truth)
@@ -178,15 +178,15 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 @pytest.mark.parametrize("chosen", [False, True], ids=["known", "chosen"])
 @pytest.mark.parametrize("level", SETTINGS)
 @pytest.mark.parametrize("name", PRIORS)
-def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level: str, chosen: bool) -> None:
-    """Of 2,880 cells; of half as many where the weight is chosen, and 40 draws are 40 weights."""
+def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(name: str, level: str, chosen: bool) -> None:
+    """2,880 cells are drawn, half as many where the weight is chosen; 40 draws have 40 weights."""
     drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, 40 if chosen else 80, 7)
-    half, most, nearly_all = drawn.coverage
+    coverage_50, coverage_80, coverage_95 = drawn.coverage
     if chosen:
-        assert 0.42 < half < 0.62 and 0.72 < most < 0.93 and nearly_all > 0.88
+        assert 0.42 < coverage_50 < 0.62 and 0.72 < coverage_80 < 0.93 and coverage_95 > 0.88
         assert np.quantile(drawn.weights, 0.1) < 2 and np.quantile(drawn.weights, 0.9) > 0.5
     else:
-        assert abs(half - 0.5) < 0.05 and abs(most - 0.8) < 0.04 and abs(nearly_all - 0.95) < 0.02
+        assert abs(coverage_50 - 0.5) < 0.05 and abs(coverage_80 - 0.8) < 0.04 and abs(coverage_95 - 0.95) < 0.02
         assert np.allclose(drawn.weights, 1)
     assert min(drawn.uniformity) > 1e-3
 
@@ -197,7 +197,7 @@ def going_over(folder: Path) -> lampest.Recording:
     rng = np.random.default_rng(4)
     x, y = panel.places_mm
     at = np.linspace(10, 40, 6)
-    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
+    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - centre) ** 2 + (y - 24) ** 2) / 400)) for centre in at])
     codes = COARSE.volt_from_recorded(COARSE.exact_reading(cells)) / COARSE.lsb_volt
     codes = np.round(codes + rng.standard_normal(codes.shape))
     recording = recording_of(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt))
@@ -226,10 +226,10 @@ def test_the_table_of_real_recordings_has_a_row_for_every_method(
     assert list(rows) == [*real.OTHERS, *estimators] and all(row.solved == 1 for row in rows.values())
     assert np.isnan(study.recording.recorded[study.held]).all() and study.held.sum() == 6 * 5
     assert rows["interpolation"].ratio == 1
-    ours = rows["`log_gradient`"]
-    assert ours.ratio < 0.5 and ours.covered > 0.8 and ours.weight_sigma < 1
+    chosen = rows["`log_gradient`"]
+    assert chosen.ratio < 0.5 and chosen.covered > 0.8 and chosen.weight_sigma < 1
     assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
-    assert ours.ratio < min(row.ratio for row in rows.values() if row is not ours)
+    assert chosen.ratio < min(row.ratio for row in rows.values() if row is not chosen)
 
 
 def bump() -> Recording:
@@ -248,15 +248,15 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
     return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
 
 
-def test_evidence_is_laplaces_at_each_estimate() -> None:
+def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
     """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
-    made = bump()
-    one = subject(Gradient(weight="auto"), made, Bounds("none", "none"))
-    scale = float(np.mean(made.sigma[2] ** 2))
+    recording = bump()
+    problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))
+    scale = float(np.mean(recording.sigma[2] ** 2))
 
     def laplace(weight: float) -> tuple[float, float]:
-        point = solve_at(one, weight, None)
-        stated = LeastCost.of(one.data, Penalty("misfit", 1.0), Penalty("gradient", weight))
+        point = solve_at(problem, weight, None)
+        stated = LeastCost.of(problem.data, Penalty("misfit", 1.0), Penalty("gradient", weight))
         residuals, jacobian = stated.as_squares(np.log(point.cells[0]).ravel(), 0.0)
         curvature = jacobian.T @ jacobian / scale + 1e-4 * np.eye(jacobian.shape[1])
         volume = np.linalg.slogdet(curvature)[1] - (jacobian.shape[1] - 1) * np.log(weight / scale)
@@ -268,10 +268,10 @@ def test_evidence_is_laplaces_at_each_estimate() -> None:
     assert_allclose(first[0] - second[0], first[1] - second[1], atol=1e-4)
 
 
-def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
+def test_a_held_cell_contributes_the_integral_of_its_density() -> None:
     """The cost's slope and Gauss-Newton curvature by differences, the integral by quadrature."""
-    made = bump()
-    subject_of_bump = subject(CellResistance(weight="auto"), made)
+    recording = bump()
+    subject_of_bump = subject(CellResistance(weight="auto"), recording)
     point = solve_at(subject_of_bump, 0.3, None)
     at = Evaluation.at(subject_of_bump.with_weight(0.3), subject_of_bump.data, point.cells)
     model = LinearModel(at, np.zeros(0))

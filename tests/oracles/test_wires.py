@@ -35,7 +35,7 @@ READOUTS = {
 TOUCHING = Faults(joined_rows=((1, 3),), joined_columns=((0, 4, 5),))
 each_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
 PRIOR = Contacts(ContactPrior(60.0, 20.0), ContactPrior(150.0, 50.0))
-FRACTION = 0.029  # seen in a real 16 × 16 skin
+MEMORY_FRACTION = 0.029  # seen in a real 16 × 16 skin
 CONVERTERS = {
     "two_point": TwoPointReadout(adc_bits=12),
     "rows": LoadedColumnsReadout(adc_bits=12, noise_lsb=1, load_ohm=3000.0, drive_ohm=100.0),
@@ -44,9 +44,9 @@ CONVERTERS = {
 each_converter = pytest.mark.parametrize("readout", CONVERTERS.values(), ids=CONVERTERS)
 
 
-def simulated(scene: Scene, seed: int = 3, **more: Any) -> Recording:
+def simulated(scene: Scene, seed: int = 3, **options: Any) -> Recording:
     rod = Rod(centre_mm=(30.0, 30.0), diameter_mm=35.0, mass_g=200.0)
-    return simulate(Simulation(1, seed, scene, frames=2, loads=(rod,), **more))
+    return simulate(Simulation(1, seed, scene, frames=2, loads=(rod,), **options))
 
 
 def forgetting(recording: Recording, key: str) -> Recording:
@@ -59,36 +59,36 @@ def solved(recording: Recording, formulation: Any = "reduced", terms: Any = LSM)
 
 
 @each_readout
-def test_told_of_wire_the_cells_are_found(readout: Readout) -> None:
+def test_specified_wire_gives_the_cells(readout: Readout) -> None:
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD, systematic="none"))
-    told = solved(recording)
+    estimate = solved(recording)
     ignored = solved(forgetting(recording, "lines"))
-    assert np.median(np.abs(log_errors(told))) < 0.004
-    assert np.median(np.abs(log_errors(ignored))) > 5 * np.median(np.abs(log_errors(told)))
-    assert 0.7 < rms(scores(told)) < 1.3
+    assert np.median(np.abs(log_errors(estimate))) < 0.004
+    assert np.median(np.abs(log_errors(ignored))) > 5 * np.median(np.abs(log_errors(estimate)))
+    assert 0.7 < rms(scores(estimate)) < 1.3
 
 
 @each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
-def test_other_formulations_know_wire(readout: Readout, formulation: Any) -> None:
+def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> None:
     """As well as without wire: what they leave out is theirs."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
     bare = simulated(Scene(Panel(9, 7), readout))
-    off, off_bare = (np.median(np.abs(log_errors(solved(one, formulation)))) for one in (recording, bare))
-    assert off < 1.5 * off_bare + 0.001
+    error, bare_error = (np.median(np.abs(log_errors(solved(measured, formulation)))) for measured in (recording, bare))
+    assert error < 1.5 * bare_error + 0.001
 
 
 def test_matrix_free_steps_reach_the_same_optimum() -> None:
     """Beyond 256 cells the curvature is a product; the truth is a start for neither."""
     recording = simulated(Scene(Panel(18, 16), READOUTS["two_point"], lines=Lines(1.0, 1.0)))
-    done = solved(recording)
-    assert all(step.solution.solved for step in done.steps)
-    assert np.median(np.abs(log_errors(done))) < 0.02
+    estimate = solved(recording)
+    assert all(step.solution.solved for step in estimate.steps)
+    assert np.median(np.abs(log_errors(estimate))) < 0.02
 
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize("keys", [{"lines": Lines(1.0, 1.0)}, {"faults": TOUCHING}], ids=["wire", "touching"])
-def test_node_voltages_know_wire_and_touching_lines(formulation: str, keys: Any, tmp_path: Path) -> None:
+def test_node_voltages_include_wire_and_touching_lines(formulation: str, keys: Any, tmp_path: Path) -> None:
     """A run file with them is read; tests/oracles/test_program.py has the optima."""
     simulated(Scene(Panel(6, 6), READOUTS["loaded"], **keys)).save(tmp_path / "panel.h5")
     (tmp_path / "run.yaml").write_text(
@@ -98,13 +98,13 @@ def test_node_voltages_know_wire_and_touching_lines(formulation: str, keys: Any,
     assert len(read_run(tmp_path / "run.yaml").cases) == 1
 
 
-def test_lines_without_resistance_are_no_wiring() -> None:
+def test_lines_without_resistance_need_no_wiring() -> None:
     assert Scene(Panel(3, 4), lines=Lines()).wiring is None
     assert Scene(Panel(3, 4), lines=Lines(0.0, 1e-9)).wiring is not None
 
 
 @each_readout
-def test_little_wire_does_little(readout: Readout) -> None:
+def test_small_wire_resistance_changes_readings_little(readout: Readout) -> None:
     """No large conductance stands in the equations: a billionth of an ohm costs no digits."""
     cells = np.random.default_rng(1).uniform(100, 9000, size=(6, 8))
     bare, wired = (readout.exact_reading(cells, wiring) for wiring in (None, Wiring(Lines(1e-9, 0.0))))
@@ -120,8 +120,8 @@ def test_responses_to_wire_are_the_derivatives_of_readings(readout: Readout, lin
     known = lines or Lines()
     names = ("row_ohm_per_cell", "column_ohm_per_cell")
     for response, name in zip(wire_responses(network, known), names, strict=True):
-        more: dict[str, Any] = {name: getattr(known, name) + step}
-        longer = readout.exact_reading(cells, Wiring(replace(known, **more)))
+        lengthened: dict[str, Any] = {name: getattr(known, name) + step}
+        longer = readout.exact_reading(cells, Wiring(replace(known, **lengthened)))
         assert_allclose((longer - network.reading()) / step, response, rtol=1e-4, atol=1e-6 * np.abs(response).max())
 
 
@@ -140,40 +140,40 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
-def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None) -> None:
+def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
     """Of cells on one crossing the sum of conductances is right; each alone has bars without end, and says so."""
     recording = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none"))
-    done = solved(recording)
-    assert all(step.solution.solved for step in done.steps)
+    solution = solved(recording)
+    assert all(step.solution.solved for step in solution.steps)
     rows = [0, 2, 4, 5, 6]
     columns = [1, 2, 3, 6, 7]
     sound = np.ix_([0, 1], rows, columns)
-    assert np.median(np.abs(log_errors(done)[sound])) < 0.01
+    assert np.median(np.abs(log_errors(solution)[sound])) < 0.01
     # With wire what touches is seen a little, and what nobody knows of it is in the bars of all others.
-    bars = done.cell_resistance_errors / done.cell_resistance
+    bars = solution.cell_resistance_errors / solution.cell_resistance
     assert np.all(bars[sound] < (0.03 if lines is None else 0.3))
     touching = np.ones(recording.scene.panel.shape, dtype=bool)
     touching[np.ix_(rows, columns)] = False
-    assert np.all(bars[:, touching] > 1) and np.all(np.isinf(done.cell_resistance_upper[:, touching]))
+    assert np.all(bars[:, touching] > 1) and np.all(np.isinf(solution.cell_resistance_upper[:, touching]))
     if lines is None:  # with wire the cells' ways are not alike, and their sum is not all that is seen
-        cells = (done.cell_resistance, recording.truth_cell_resistance[done.frame])
-        estimate, truth = ((1 / ohm[:, [1, 3]][:, :, columns]).sum(axis=1) for ohm in cells)
-        assert_allclose(estimate, truth, rtol=0.03)
+        cells = (solution.cell_resistance, recording.truth_cell_resistance[solution.frame])
+        combined, truth = ((1 / ohm[:, [1, 3]][:, :, columns]).sum(axis=1) for ohm in cells)
+        assert_allclose(combined, truth, rtol=0.03)
     ignored = solved(forgetting(recording, "faults"))
-    assert np.median(np.abs(log_errors(ignored)[sound])) > 5 * np.median(np.abs(log_errors(done)[sound]))
+    assert np.median(np.abs(log_errors(ignored)[sound])) > 5 * np.median(np.abs(log_errors(solution)[sound]))
 
 
 @pytest.mark.parametrize("term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"])
-def test_shares_that_only_a_penalty_tells_are_followed_to_their_optimum(term: Term) -> None:
+def test_shares_determined_only_by_a_penalty_reach_their_optimum(term: Term) -> None:
     """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of them did not end."""
     recording = simulated(Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),))))
-    done = solved(recording, terms=(*LSM, term))
-    assert all(step.solution.status is Status.OPTIMUM for step in done.steps)
-    assert done.steps[0].solution.iterations < 200
+    estimate = solved(recording, terms=(*LSM, term))
+    assert all(step.solution.status is Status.OPTIMUM for step in estimate.steps)
+    assert estimate.steps[0].solution.iterations < 200
 
 
 @each_readout
-def test_lines_that_touch_are_read_alike_and_no_others(readout: Readout) -> None:
+def test_touching_lines_have_equal_readings_and_others_do_not(readout: Readout) -> None:
     for seed in range(5):
         touching = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING), seed).readings()
         assert (touching_rows(touching), touching_columns(touching)) == (((1, 3),), ((0, 4, 5),))
@@ -181,7 +181,7 @@ def test_lines_that_touch_are_read_alike_and_no_others(readout: Readout) -> None
         assert (touching_rows(apart), touching_columns(apart)) == ((), ())
 
 
-def test_equal_rows_are_no_rows_that_touch() -> None:
+def test_equal_rows_are_not_taken_for_touching_ones() -> None:
     """Where all rows read alike within the noise nothing is told."""
     noisy = TwoPointReadout(readings=1, noise_lsb=4)
     readings = simulate(Simulation(1, 2, Scene(Panel(6, 6), noisy), Cells(spread=0.0), frames=1)).readings()
@@ -194,11 +194,11 @@ def contacted(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1,
 
 
 @each_readout
-def test_the_change_of_cells_hardly_knows_of_contacts(readout: Readout) -> None:
-    """They are the same in both frames: bars of changes are far narrower than those of cells."""
-    done = solved(contacted(readout, 5))
-    bars = done.cell_resistance_errors / done.cell_resistance
-    assert np.median(done.relative_change_errors / 100) < 0.3 * np.median(bars)
+def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
+    """Contacts are equal in both frames: error bars of changes are far narrower than those of cells."""
+    estimate = solved(contacted(readout, 5))
+    bars = estimate.cell_resistance_errors / estimate.cell_resistance
+    assert np.median(estimate.relative_change_errors / 100) < 0.3 * np.median(bars)
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
     """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton method."""
     recording = contacted(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
-    done = solved(recording, terms=terms)
+    solution = solved(recording, terms=terms)
     scene = recording.scene
     readings = recording.readings()[recording.role == 0].mean()
     mean = PRIOR.mean((4, 5))
@@ -222,28 +222,28 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
         misfit = np.sum(((read - readings.value) / readings.sigma) ** 2)
         return float(misfit + 1e-3 * sum(np.sum(step**2) for step in steps) + np.sum(place[20:] ** 2))
 
-    estimate = np.r_[np.log(done.baseline_resistance).ravel(), (done.contacts.mean((4, 5)) - mean) / deviation]
+    estimate = np.r_[np.log(solution.baseline_resistance).ravel(), (solution.contacts.mean((4, 5)) - mean) / deviation]
     least = cost(estimate)
     within = [(None, None)] * 20 + [(low, None) for low in -mean / deviation]  # contacts are not negative
     better = minimize(cost, estimate + 0.01, method="L-BFGS-B", bounds=within, options={"ftol": 1e-12, "gtol": 1e-3})
     assert least <= better.fun * (1 + 1e-5) + 1e-6
     assert np.abs(estimate[20:]).max() > 0.3  # equal cells do tell of contacts
     # The posterior is narrower than the prior there, and its size right: over draws in the next test.
-    assert np.all(done.contacts.deviation((4, 5)) <= deviation * (1 + 1e-9))
+    assert np.all(solution.contacts.deviation((4, 5)) <= deviation * (1 + 1e-9))
 
 
 @pytest.mark.slow
 @each_readout
-def test_estimates_of_contacts_are_as_far_off_as_they_say(readout: Readout) -> None:
+def test_errors_of_estimated_contacts_match_their_deviations(readout: Readout) -> None:
     """Cells of equal resistance and a penalty that knows it."""
     far = []
     narrower = []
     for seed in range(15):
         recording = contacted(readout, seed, spread=0.0)
-        done = solved(recording, terms=(*LSM, Gradient(weight=1e-2)))
+        estimate = solved(recording, terms=(*LSM, Gradient(weight=1e-2)))
         truth = true_contacts(recording.scene, seed).mean((5, 6))
-        far.append((done.contacts.mean((5, 6)) - truth) / done.contacts.deviation((5, 6)))
-        narrower.append(done.contacts.deviation((5, 6)) / PRIOR.deviation((5, 6)))
+        far.append((estimate.contacts.mean((5, 6)) - truth) / estimate.contacts.deviation((5, 6)))
+        narrower.append(estimate.contacts.deviation((5, 6)) / PRIOR.deviation((5, 6)))
     assert np.median(narrower) < 0.7
     assert 0.75 < rms(far) < 1.25
 
@@ -251,20 +251,20 @@ def test_estimates_of_contacts_are_as_far_off_as_they_say(readout: Readout) -> N
 @pytest.mark.parametrize(
     "terms", [(LogRatio(weight=10.0, loss=Squared()),), (LogRatio(weight="auto"),)], ids=["squared", "auto"]
 )
-def test_methods_that_look_back_know_contacts(terms: tuple[Term, ...]) -> None:
+def test_methods_with_a_baseline_model_contacts(terms: tuple[Term, ...]) -> None:
     """The joint first pair estimates them; later frames go on with them."""
     recording = contacted(READOUTS["two_point"], 6, frames=3)
-    done = solved(recording, terms=(*LSM, *terms))
-    assert all(step.solution.solved for step in done.steps)
-    assert done.contacts is not None and done.cell_resistance_errors is not None
-    assert rms(scores(done)) < 2
+    estimate = solved(recording, terms=(*LSM, *terms))
+    assert all(step.solution.solved for step in estimate.steps)
+    assert estimate.contacts is not None and estimate.cell_resistance_errors is not None
+    assert rms(scores(estimate)) < 2
 
 
 def test_known_contacts_are_not_estimated() -> None:
     scene = Scene(Panel(5, 6), READOUTS["two_point"], contacts=Contacts(ContactPrior((10.0, 20.0, 30.0, 40.0, 50.0))))
-    done = solved(simulate(Simulation(1, 1, scene, frames=1)))
-    assert_allclose(done.contacts.mean((5, 6))[:5], [10, 20, 30, 40, 50])
-    assert np.median(np.abs(scores(done))) < 1.5
+    estimate = solved(simulate(Simulation(1, 1, scene, frames=1)))
+    assert_allclose(estimate.contacts.mean((5, 6))[:5], [10, 20, 30, 40, 50])
+    assert np.median(np.abs(scores(estimate))) < 1.5
 
 
 def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
@@ -272,53 +272,55 @@ def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
 
 
 @each_converter
-def test_remembers_channel_by_channel(readout: Readout) -> None:
+def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
     """A capacitor holds a part of each channel of a frame that is scanned over and over, one after the other."""
     volt = volts(readout, (5, 4))
     expected = np.empty_like(volt)
-    kept = 0.0
+    remembered = 0.0
     by_columns = getattr(readout, "driven", "rows") == "columns"
     for _ in range(3):
         for place, value in np.ndenumerate(volt.T if by_columns else volt):
-            kept += (1 - FRACTION) * (value - kept)
-            expected[place[::-1] if by_columns else place] = kept
-    assert_allclose(with_memory(readout, FRACTION, volt), expected, rtol=1e-12)
-    assert_allclose(with_memory(readout, FRACTION, volt[None])[0], expected, rtol=1e-12)
+            remembered += (1 - MEMORY_FRACTION) * (value - remembered)
+            expected[place[::-1] if by_columns else place] = remembered
+    assert_allclose(with_memory(readout, MEMORY_FRACTION, volt), expected, rtol=1e-12)
+    assert_allclose(with_memory(readout, MEMORY_FRACTION, volt[None])[0], expected, rtol=1e-12)
 
 
 @each_converter
-def test_is_taken_off_exactly_and_its_noise_is_told(readout: Readout) -> None:
+def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Readout) -> None:
     volt = volts(readout, (3, 5, 4))
-    recorded = readout.recorded_from_volt(with_memory(readout, FRACTION, volt))
-    freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
+    recorded = readout.recorded_from_volt(with_memory(readout, MEMORY_FRACTION, volt))
+    freed, sigma = without_memory(readout, MEMORY_FRACTION, recorded, readout.sigma(recorded))
     assert_allclose(freed, readout.recorded_from_volt(volt), rtol=1e-11)
     rng = np.random.default_rng(8)
     size = readout.sigma_code() * readout.lsb_volt
     draws = []
     for _ in range(400):
-        noisy = readout.recorded_from_volt(with_memory(readout, FRACTION, volt) + size * rng.normal(size=volt.shape))
-        draws.append(without_memory(readout, FRACTION, noisy, readout.sigma(noisy))[0])
+        noisy = readout.recorded_from_volt(
+            with_memory(readout, MEMORY_FRACTION, volt) + size * rng.normal(size=volt.shape)
+        )
+        draws.append(without_memory(readout, MEMORY_FRACTION, noisy, readout.sigma(noisy))[0])
     assert_allclose(np.std(draws, axis=0), sigma, rtol=0.2)
     assert np.mean(np.std(draws, axis=0) / sigma) == pytest.approx(1, abs=0.02)
 
 
-def test_after_a_channel_that_says_nothing_any_voltage_may_be_remembered() -> None:
+def test_a_missing_channel_leaves_the_remembered_voltage_unknown() -> None:
     readout = CONVERTERS["rows"]
     volt = volts(readout, (4, 4))
-    recorded = with_memory(readout, FRACTION, volt)
+    recorded = with_memory(readout, MEMORY_FRACTION, volt)
     recorded[1, 2] = np.nan
-    freed, sigma = without_memory(readout, FRACTION, recorded, readout.sigma(recorded))
+    freed, sigma = without_memory(readout, MEMORY_FRACTION, recorded, readout.sigma(recorded))
     known = np.isfinite(freed)
     assert np.argwhere(~known).tolist() == [[1, 2]]
-    off = np.abs(freed - volt)
-    assert 0 < off[1, 3] < 3 * sigma[1, 3] and sigma[1, 3] > 10 * sigma[0, 0]
-    others = known & (np.arange(16).reshape(4, 4) != 7)
-    assert np.all(off[others] < 1e-12)
+    errors = np.abs(freed - volt)
+    assert 0 < errors[1, 3] < 3 * sigma[1, 3] and sigma[1, 3] > 10 * sigma[0, 0]
+    unaffected = known & (np.arange(16).reshape(4, 4) != 7)
+    assert np.all(errors[unaffected] < 1e-12)
 
 
 def test_a_rail_stays_a_bound() -> None:
     readout = CONVERTERS["rows"]
-    scene = Scene(Panel(3, 4), readout, converter_memory=FRACTION)
+    scene = Scene(Panel(3, 4), readout, converter_memory=MEMORY_FRACTION)
     volt = volts(readout, (3, 4))
     volt[1, 1], volt[2, 2] = readout.volt_from_code(np.array([0, 2**12 - 1]))
     side = Readings.of(scene, volt).side
@@ -326,13 +328,13 @@ def test_a_rail_stays_a_bound() -> None:
 
 
 @each_converter
-def test_told_of_it_the_cells_are_found(readout: Readout) -> None:
-    scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=FRACTION)
+def test_specified_memory_gives_the_cells(readout: Readout) -> None:
+    scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=MEMORY_FRACTION)
     recording = simulate(Simulation(1, 5, scene, frames=3))
-    told = solved(recording)
+    estimate = solved(recording)
     ignored = solved(forgetting(recording, "converter_memory"))
-    assert np.median(np.abs(log_errors(ignored))) > 3 * np.median(np.abs(log_errors(told)))
-    assert 0.75 < rms(scores(told)) < 1.3
+    assert np.median(np.abs(log_errors(ignored))) > 3 * np.median(np.abs(log_errors(estimate)))
+    assert 0.75 < rms(scores(estimate)) < 1.3
 
 
 def test_impossible_memories_are_refused() -> None:
@@ -362,25 +364,25 @@ def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (5, 8), (9, 4), (16, 16)])
 @pytest.mark.parametrize("ohm", [(1.0, 1.0), (0.3, 20.0), (50.0, 0.02), (0.0, 3.0), (3.0, 0.0)])
-def test_currents_and_voltages_are_badcrossbars(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
+def test_currents_and_voltages_equal_those_of_badcrossbar(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
     rows, columns = shape
     cells = log_normal_cells(rows, columns)
-    theirs = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
+    reference = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
     ties = np.full(rows + columns, 1e-3)
     network = network_of(cells, Lines(*ohm), ties)
     # The impedances know of grounded terminals as well: Z⁻¹ − diag(t) are the currents into them.
     admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
-    assert_allclose(-admittance[rows:, :rows].T, np.reshape(theirs.currents.output, (rows, columns)), rtol=1e-10)
+    assert_allclose(-admittance[rows:, :rows].T, np.reshape(reference.currents.output, (rows, columns)), rtol=1e-10)
     through = network.potential_differences.T @ np.linalg.inv(network.potentials())[:, :rows]
-    theirs_through = np.reshape(theirs.currents.device, (rows, columns, rows))
-    assert_allclose(through.reshape(rows, columns, rows) / cells[..., None], theirs_through, rtol=1e-10, atol=1e-17)
+    reference_through = np.reshape(reference.currents.device, (rows, columns, rows))
+    assert_allclose(through.reshape(rows, columns, rows) / cells[..., None], reference_through, rtol=1e-10, atol=1e-17)
 
 
-def test_the_other_sides_are_mirror_images() -> None:
+def test_networks_fed_from_the_other_sides_are_mirror_images() -> None:
     """badcrossbar knows rows that enter at the left and columns that leave at the bottom; the others are turned."""
     cells = log_normal_cells(5, 8)
     ties = np.full(13, 1e-3)
-    theirs = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[::-1, ::-1]
+    reference = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[::-1, ::-1]
     network = network_of(cells, Lines(2.0, 7.0, "right", "top"), ties)
     admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
-    assert_allclose(-admittance[5:, :5].T, theirs, rtol=1e-10)
+    assert_allclose(-admittance[5:, :5].T, reference, rtol=1e-10)

@@ -20,17 +20,17 @@ IGNORED = ("solve_time", "error_bar_time", "kkt_residual")
 Row = dict[str, float]  # dataset → max |a − b| / max(|a|, |b|) of both files; ∞ for other texts and one of one file
 
 
-def relative_difference(ours: Any, theirs: Any) -> float:
+def relative_difference(first: Any, second: Any) -> float:
     """max |a − b| / max(|a|, |b|) over all values; equal values, NaN with NaN too, differ by 0, a lone NaN by ∞."""
-    a = np.asarray(ours, float)
-    b = np.asarray(theirs, float)
+    a = np.asarray(first, float)
+    b = np.asarray(second, float)
     if a.shape != b.shape:
         return float("inf")
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    equal_entries = (a == b) | (np.isnan(a) & np.isnan(b))
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.abs(a - b) / np.maximum(np.abs(a), np.abs(b))
     size = np.where(np.isfinite(a) & np.isfinite(b), size, np.inf)
-    return float(np.max(size, where=~same, initial=0.0))
+    return float(np.max(size, where=~equal_entries, initial=0.0))
 
 
 def datasets(group: h5py.Group) -> dict[str, Any]:
@@ -41,15 +41,15 @@ def datasets(group: h5py.Group) -> dict[str, Any]:
     return values | {f"@{key}": np.asarray(value) for key, value in attributes.items()}
 
 
-def row(ours: dict[str, Any], theirs: dict[str, Any]) -> Row:
+def row(first: dict[str, Any], second: dict[str, Any]) -> Row:
     """How far each dataset of one group differs between the files."""
-    found = dict.fromkeys(sorted((ours.keys() | theirs.keys()) - {*IGNORED}), float("inf"))
-    for key in found.keys() & ours.keys() & theirs.keys():
-        if ours[key].dtype.kind in "fiub" and key not in FLAGS:
-            found[key] = relative_difference(ours[key], theirs[key])
-        elif np.array_equal(ours[key], theirs[key]):
-            found[key] = 0.0
-    return found
+    differences = dict.fromkeys(sorted((first.keys() | second.keys()) - {*IGNORED}), float("inf"))
+    for key in differences.keys() & first.keys() & second.keys():
+        if first[key].dtype.kind in "fiub" and key not in FLAGS:
+            differences[key] = relative_difference(first[key], second[key])
+        elif np.array_equal(first[key], second[key]):
+            differences[key] = 0.0
+    return differences
 
 
 def agrees(differences: Row, cells: float) -> bool:
@@ -61,12 +61,14 @@ def agrees(differences: Row, cells: float) -> bool:
 def compare(before: Path, after: Path) -> tuple[dict[str, Row], list[str]]:
     """Rows for each recording × estimator and each recording's readings, and the groups that one of them lacks."""
     with h5py.File(before) as first, h5py.File(after) as second:
-        ours, theirs = (
+        first_groups, second_groups = (
             {f"{recording}/{child}": group[child] for recording, group in file["entry"].items() for child in group}
             for file in (first, second)
         )
-        both = sorted(ours.keys() & theirs.keys())
-        return {name: row(datasets(ours[name]), datasets(theirs[name])) for name in both}, sorted(ours.keys() ^ theirs)
+        shared = sorted(first_groups.keys() & second_groups.keys())
+        return {name: row(datasets(first_groups[name]), datasets(second_groups[name])) for name in shared}, sorted(
+            first_groups.keys() ^ second_groups
+        )
 
 
 def equal(before: Path, after: Path, cells: float) -> bool:
@@ -78,8 +80,8 @@ def equal(before: Path, after: Path, cells: float) -> bool:
 def weights_and_rest(differences: Row) -> tuple[float, tuple[float, str]]:
     """The largest difference of a weight, NaN without any, and that of all other datasets with its name."""
     weights = [value for key, value in differences.items() if key.startswith("weight/")]
-    others = [key for key in differences if key not in (*CELLS, BARS, *FLAGS) and not key.startswith("weight/")]
-    return max(weights, default=float("nan")), max(((differences[key], key) for key in others), default=(0.0, ""))
+    remaining = [key for key in differences if key not in (*CELLS, BARS, *FLAGS) and not key.startswith("weight/")]
+    return max(weights, default=float("nan")), max(((differences[key], key) for key in remaining), default=(0.0, ""))
 
 
 def show(rows: dict[str, Row], lone: list[str], cells: float) -> None:

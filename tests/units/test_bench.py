@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[2]
 read_bench = read_settings(SolversFile)
 SOLVERS = SolverLimits().solvers
 Frames = list[BenchFrame]
-ALONE = BenchLimits(nodal=0)  # the reduced solver
+REDUCED_ALONE = BenchLimits(nodal=0)  # the reduced solver
 LSM = {"LSM": paper_methods()["LSM"]}
 
 
@@ -49,11 +49,11 @@ def timed(side: int, times: list[float], method: str = "LSM", solver: str = "red
     known |= {"solver": solver, "objective": 1.0, "gap": 0.0, "iterations": 1, "solved": True, "inverse_s": 1e-6}
     known["status"] = "optimum verified"
     kinds = ["first", *["later"] * len(times)]
-    return [BenchFrame(**known, frame=frame, seconds=one, kind=kinds[frame]) for frame, one in enumerate(times)]
+    return [BenchFrame(**known, frame=frame, seconds=seconds, kind=kinds[frame]) for frame, seconds in enumerate(times)]
 
 
 @pytest.mark.slow
-def test_all_solvers_agree_where_they_say_they_solved() -> None:
+def test_all_solvers_agree_on_solved_frames() -> None:
     """Ours, IPOPT and those of SciPy, on squares and on a panel that is none."""
     limits = SolverLimits(nodal=3, joint=3, scipy_exact=4, scipy_difference=3, scipy_lbfgsb=3)
     file = SolversFile(1, (3, (2, 4)), recordings=2, frames=2, repeats=2, limits=limits)
@@ -73,14 +73,14 @@ def test_all_solvers_agree_where_they_say_they_solved() -> None:
     assert tiny.left_out == ()
 
 
-def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_single_one(tmp_path: Path) -> None:
-    few = BenchFile(1, (3,), LSM, frames=1, repeats=1)
-    frames = run_bench(few, quiet).frames
+def test_the_gap_refers_to_the_lowest_objective_of_several_solvers(tmp_path: Path) -> None:
+    file = BenchFile(1, (3,), LSM, frames=1, repeats=1)
+    frames = run_bench(file, quiet).frames
     names = BenchLimits().solvers
-    assert [(one.solver, one.frame) for one in frames] == [(name, frame) for frame in (0, 1) for name in names]
+    assert [(entry.solver, entry.frame) for entry in frames] == [(name, frame) for frame in (0, 1) for name in names]
     for first, second in (frames[:2], frames[2:]):
         assert min(first.gap, second.gap) == 0 and (first.gap < second.gap) == (first.objective < second.objective)
-    hasty = BenchFile(1, (3,), frames=1, repeats=1, limits=ALONE, solver=Settings(max_iterations=1))
+    hasty = BenchFile(1, (3,), frames=1, repeats=1, limits=REDUCED_ALONE, solver=Settings(max_iterations=1))
     rows = bench_rows(run_bench(hasty, quiet).frames)
     assert {(row.solver, row.gap) for row in rows} == {("reduced", None)}
     assert any(row.solved < row.count for row in rows)
@@ -91,9 +91,9 @@ def test_the_gap_is_above_the_least_objective_of_all_solvers_and_unknown_of_a_si
 
 
 def test_pages_show_tables_that_the_bench_writes() -> None:
-    both = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
-    tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(both)]
-    written = sections(page(STUDY.name, tables, bench_remarks(both)))
+    two_sizes = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
+    tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(two_sizes)]
+    written = sections(page(STUDY.name, tables, bench_remarks(two_sizes)))
     assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in written.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(written)
@@ -103,7 +103,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
 
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)
 @pytest.mark.parametrize("joint", [False, True], ids=["single", "joint"])
-def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, joint: bool) -> None:
+def test_the_jacobian_is_that_of_the_residuals_of_the_cost(method: str, joint: bool) -> None:
     bench = BenchFile(1, ((3, 4),), limits=BenchLimits(joint=4 if joint else 0))
     recording = bench.recording((3, 4))
     readings = recording.readings()
@@ -112,8 +112,8 @@ def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, jo
     cost = Cost(Panel(3, 4), bench.estimators[method].parts, len(data.measured))
     point = _Point(Trf(cost, Settings(), "exact"), data, 1.0)
     position = np.log(1.3 * data.measured).ravel()
-    here = evaluated(cost, data, np.exp(position).reshape(data.measured.shape))
-    assert np.sum(point.residuals(position) ** 2) == pytest.approx(here.objective, rel=1e-12)
+    evaluation = evaluated(cost, data, np.exp(position).reshape(data.measured.shape))
+    assert np.sum(point.residuals(position) ** 2) == pytest.approx(evaluation.objective, rel=1e-12)
     step = 1e-6 * np.eye(len(position))
     differences = [(point.residuals(position + e) - point.residuals(position - e)) / 2e-6 for e in step]
     jacobian = point.jacobian(position)
@@ -121,7 +121,7 @@ def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, jo
 
 
 @pytest.mark.parametrize("name", ["bench", "bench_large"])
-def test_shipped_benchmarks_are_in_order(name: str) -> None:
+def test_shipped_benchmarks_are_valid(name: str) -> None:
     bench = read_bench(ROOT / "configs" / f"{name}.yaml")
     assert list(bench.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
     assert {(10, 10), (32, 32), (100, 100), (200, 200)} <= set(bench.shapes)
@@ -130,7 +130,7 @@ def test_shipped_benchmarks_are_in_order(name: str) -> None:
     assert replace(bench, readout=BenchFile(1, (3,)).readout) == bench
 
 
-def test_ours_and_theirs_stand_side_by_side_on_the_same_mats() -> None:
+def test_the_table_compares_both_packages_on_the_same_mats() -> None:
     solves = list(solved_mats(Mats(sides=(6,), draws=1, noise_percent=(0, 1)), seed=3, settings=Settings()))
     assert [(solve.noise_percent, solve.solver) for solve in solves] == [*product((0, 1), (*OURS, *PUBLISHED))]
     for solve in solves:

@@ -13,6 +13,8 @@ from lampest.panel.panel import Array
 TIMES = np.arange(0, 8, 0.25)
 READINGS = 40
 BLOCKS = np.arange(0, 480, BLOCK_S)
+ANSWER_LOG_ODDS = np.log(9)  # nine in ten is the level of an answer
+CLEAR_LOG_ODDS = 3.0  # twenty to one
 
 
 def window(
@@ -53,11 +55,11 @@ def window(
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("uneven", [0.0, 0.1, 0.25])
-def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
-    found = window(own=0.08, seed=seed, uneven=uneven)
-    assert found.odds > 3 and found.suction > 0.95
-    assert found.hertz[0] == pytest.approx(1.1, abs=0.05)
-    assert abs(found.depth[0] - 0.08) < 2.5 * found.depth[1] < 0.05
+def test_suction_swinging_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
+    shown = window(own=0.08, seed=seed, uneven=uneven)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.95
+    assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
+    assert abs(shown.depth[0] - 0.08) < 2.5 * shown.depth[1] < 0.05
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -72,35 +74,35 @@ def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneve
     ],
     ids=str,
 )
-def test_a_rim_or_a_place_that_swings_is_none(seed: int, moving: dict[str, float]) -> None:
-    found = window(**moving, seed=seed)  # the last one as the square of a movement that is half as fast
-    assert found.odds < 0 or found.suction < 0.1
+def test_a_swinging_rim_or_place_is_not_breath(seed: int, moving: dict[str, float]) -> None:
+    shown = window(**moving, seed=seed)  # the last one as the square of a movement that is half as fast
+    assert shown.odds < 0 or shown.suction < 0.1
 
 
 @pytest.mark.parametrize("uneven", [0.1, 0.25])
-def test_the_depth_is_as_sure_as_it_is_said_to_be(uneven: float) -> None:
+def test_the_depth_of_breath_lies_within_its_error(uneven: float) -> None:
     """Also where the rim swings by less than its pattern, as on a film that it saturates."""
-    found = [window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.04) for seed in range(8)]
-    away = np.array([(value - 0.08) / error for value, error in found])
-    assert np.abs(away).max() < 3 and np.mean(np.abs(away) < 1.96) >= 0.85
-    assert np.median([error for _, error in found]) < 0.03
+    depths = [window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.04) for seed in range(8)]
+    scores = np.array([(value - 0.08) / error for value, error in depths])
+    assert np.abs(scores).max() < 3 and np.mean(np.abs(scores) < 1.96) >= 0.85
+    assert np.median([error for _, error in depths]) < 0.03
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_waves_and_noise_are_none_and_hide_none(seed: int) -> None:
+def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
     assert window(seed=seed).odds < 0 > window(waves=3.0, seed=seed).odds
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
-        found = window(**hiding, seed=seed)
-        assert found.odds > 3 and found.suction > 0.9
+        shown = window(**hiding, seed=seed)
+        assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
 
 
-def test_odds_of_a_window_before_a_pull_stay() -> None:
+def test_a_pull_keeps_the_odds_of_earlier_windows() -> None:
     """A pull ends the window; without one, the longer window replaces the shorter."""
     shown, hidden = (Breath(odds, 1.0, (1.1, 0.1), (0.08, 0.01)) for odds in (8.0, -3.0))
-    before = Breathing().after(shown, 9.0, full=False)
-    assert before.parted((8.0,)) == before
-    assert before.after(hidden, 12.0, full=False).probability < 0.1
-    pulled = before.parted((8.0, 10.0))
+    unpulled = Breathing().after(shown, 9.0, full=False)
+    assert unpulled.parted((8.0,)) == unpulled
+    assert unpulled.after(hidden, 12.0, full=False).probability < 0.1
+    pulled = unpulled.parted((8.0, 10.0))
     assert pulled.full_s == 9.0 and pulled.after(hidden, 15.0, full=False).probability > 0.9
 
 
@@ -116,18 +118,18 @@ def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
     return breath(interval, changes[still], known)
 
 
-def test_a_breath_is_a_share_of_suction_that_is_pulled() -> None:
+def test_the_depth_of_breath_is_relative_to_the_pulled_suction() -> None:
     level = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
-    found = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
-    assert found.odds > 3 and found.depth[0] == pytest.approx(0.05, rel=0.2)
+    shown = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * 1.1 * TIMES), level, 2.5, 5.25)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.depth[0] == pytest.approx(0.05, rel=0.2)
 
 
-def test_a_part_of_a_window_shows_a_breath_alone() -> None:
+def test_part_of_a_window_suffices_to_detect_breath() -> None:
     """While a mouth pulls, it does not breathe steadily."""
     pull = TIMES > 3.75
     wild = 0.5 * pull * np.random.default_rng(5).standard_normal(len(TIMES))
-    found = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
-    assert found.odds > 3 and found.hertz[0] == pytest.approx(1.1, abs=0.15)
+    shown = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.hertz[0] == pytest.approx(1.1, abs=0.15)
 
 
 def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:
@@ -147,11 +149,11 @@ def pumped(period_s: float, loss: float) -> Array:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(("period_s", "loss"), [(25.0, 0.2), (60.0, 0.15), (60.0, 0.4), (90.0, 0.3)])
-def test_suction_that_decays_and_is_pumped_up_is_alive(period_s: float, loss: float, seed: int) -> None:
+def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed: int) -> None:
     """Within five pumps, the published intervals: 20 to 200 s."""
     odds = followed(pumped(period_s, loss), seed=seed)
-    assert np.max(odds) > np.log(9), "nine in ten is the answer's level"
-    assert BLOCKS[np.argmax(odds > np.log(9))] < 5.5 * period_s
+    assert np.max(odds) > ANSWER_LOG_ODDS, "nine in ten is the answer's level"
+    assert BLOCKS[np.argmax(odds > ANSWER_LOG_ODDS)] < 5.5 * period_s
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -168,13 +170,13 @@ def test_suction_that_decays_and_is_pumped_up_is_alive(period_s: float, loss: fl
     ],
     ids=["still", "leaks", "creeps", "aliased breath", "pressed once", "bumped once", "pressed and let go"],
 )
-def test_a_cup_that_leaks_creeps_or_is_touched_is_not(course: Array, seed: int) -> None:
+def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int) -> None:
     odds = followed(course, seed=seed)
-    assert np.max(odds) < np.log(9) and odds[-1] < 0.5
+    assert np.max(odds) < ANSWER_LOG_ODDS and odds[-1] < 0.5
 
 
 @pytest.mark.slow
-def test_rare_and_frequent_bumps_of_either_sign_are_none() -> None:
+def test_rare_and_frequent_bumps_are_not_pumping() -> None:
     """At one in a minute and one in twenty seconds; two of twenty courses may pass the level by chance."""
     passed = []
     for seed in range(10):
@@ -182,11 +184,11 @@ def test_rare_and_frequent_bumps_of_either_sign_are_none() -> None:
         for count in (10, 30):
             at = rng.uniform(0, BLOCKS[-1], count)
             size = rng.normal(0, 0.2, count)
-            passed.append(followed(size @ (at[:, None] <= BLOCKS), seed=seed)[-1] > np.log(9))
+            passed.append(followed(size @ (at[:, None] <= BLOCKS), seed=seed)[-1] > ANSWER_LOG_ODDS)
     assert np.mean(passed) <= 0.1
 
 
-def test_a_mouth_that_rested_is_known_again_within_minutes() -> None:
+def test_a_rested_mouth_is_recognised_within_minutes() -> None:
     long = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for number in range(400):  # twenty minutes
         long = long.after(np.full((3, 1), 0.001 * (-1) ** number), number * BLOCK_S)
@@ -195,12 +197,12 @@ def test_a_mouth_that_rested_is_known_again_within_minutes() -> None:
     for number in range(1, 100):
         value = float(pumped(45.0, 0.3)[number])
         long = long.after(np.full((3, 1), value), began + number * BLOCK_S)
-    assert long.odds > np.log(9) > MIN_LOG_ODDS
+    assert long.odds > ANSWER_LOG_ODDS > MIN_LOG_ODDS
 
 
-def test_what_was_learned_stays_when_a_mouth_has_moved() -> None:
+def test_a_moved_mouth_keeps_its_odds() -> None:
     track = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for time, value in zip(BLOCKS[:100], pumped(45.0, 0.3), strict=False):
         track = track.after(np.full((3, 1), value), float(time))
-    again = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
-    assert again.odds == pytest.approx(track.odds) and again.odds > np.log(9)
+    restarted = Pumping.begin(np.ones(2), np.zeros(2), 300.0, 1, track)
+    assert restarted.odds == pytest.approx(track.odds) and restarted.odds > ANSWER_LOG_ODDS

@@ -12,10 +12,12 @@ import lampest
 from lampest import InputError, read_results, write_results
 from lampest.runs.columns import CELLS, FRAMES, Column, positive_or_infinite
 
-LEAST = Column("least_resistance", FRAMES, "ohm", "smallest cell", lambda done: None, (positive_or_infinite,))
+LEAST_RESISTANCE = Column(
+    "least_resistance", FRAMES, "ohm", "smallest cell", lambda done: None, (positive_or_infinite,)
+)
 
 
-def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
+def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
     case = invented_case()
     for values, message in (
@@ -23,20 +25,22 @@ def test_values_that_do_not_fit_their_column(tmp_path: Path) -> None:
         (np.zeros(3), "/entry/mouth/LSM/least_resistance must be positive"),
     ):
         with pytest.raises(InputError, match=message):
-            write_results(path, [dataclasses.replace(case, extra={"least_resistance": values})], columns=(LEAST,))
+            write_results(
+                path, [dataclasses.replace(case, extra={"least_resistance": values})], columns=(LEAST_RESISTANCE,)
+            )
     with pytest.raises(InputError, match="mouth × LSM: no column says what the extra 'least_resistance' is"):
         write_results(path, [dataclasses.replace(case, extra={"least_resistance": np.ones(3)})])
     assert not path.exists()
 
 
-def test_texts_and_truth_values_are_columns_too(tmp_path: Path) -> None:
+def test_columns_hold_texts_and_truth_values(tmp_path: Path) -> None:
     words = Column("word", FRAMES, "1", "a word", lambda done: None, dtype=str)
     marks = Column("marked", CELLS, "1", "1: marked", lambda done: None, dtype=bool)
     case = invented_case(extra={"word": ("one", "two", "three"), "marked": np.eye(10, dtype=bool)})
     write_results(tmp_path / "r.h5", [case], columns=(words, marks))
-    (found,) = read_results(tmp_path / "r.h5", (words, marks)).cases
-    assert found.extra["word"] == ("one", "two", "three")
-    np.testing.assert_array_equal(found.extra["marked"], np.eye(10, dtype=bool))
+    (stored,) = read_results(tmp_path / "r.h5", (words, marks)).cases
+    assert stored.extra["word"] == ("one", "two", "three")
+    np.testing.assert_array_equal(stored.extra["marked"], np.eye(10, dtype=bool))
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["entry/mouth/LSM/marked"].dtype == np.uint8 and file["entry/mouth/LSM/word"].dtype.kind == "S"
 

@@ -41,10 +41,10 @@ from lampest.studies.study import Row, Study
 
 Command = Callable[..., SimpleNamespace]
 GROUPS = ("show", "study")
-TOP = get_command(app).commands
-COMMANDS = {name: command for name, command in TOP.items() if not command.hidden and name not in GROUPS}
-COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP[group].commands.items()}
-OLD = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
+TOP_COMMANDS = get_command(app).commands
+COMMANDS = {name: command for name, command in TOP_COMMANDS.items() if not command.hidden and name not in GROUPS}
+COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP_COMMANDS[group].commands.items()}
+FORMER_COMMANDS = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 KILLED = """
 import os, signal, sys
@@ -55,10 +55,10 @@ with whole_file(Path(sys.argv[1])) as unfinished:
     os.kill(os.getpid(), signal.SIGKILL)
 """
 COUNTS = {"frames": 7, "lost": 2, "restarts": 1, "clock_jumps": 0, "clock_stopped": False, "parted": 0, "behind": 0}
-ENDED: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
-RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED)
+ENDED_RECORDING: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
+RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED_RECORDING)
 # What a recording ended with, and the warning that follows.
-WARNED: tuple[tuple[dict[str, Any], str], ...] = (
+ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
     ({"clock_jumps": 1}, "1 jump of the board's clock; "),
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
@@ -88,26 +88,24 @@ def test_every_option_has_help_and_every_command_an_example() -> None:
                 assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
 
 
-def test_a_study_takes_a_folder_that_is_not_there_yet(
-    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_creates_its_folder(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     folders: list[object] = []
     monkeypatch.setattr("lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out))
     for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
-        ended = lampest(*name.split(), "--out", str(tmp_path / "new"))
-        assert ended.code == 0, ended.err
+        completed = lampest(*name.split(), "--out", str(tmp_path / "new"))
+        assert completed.code == 0, completed.err
     assert folders == [tmp_path / "new"] * len(studies) and studies
 
 
-def test_no_help_holds_an_emoji(lampest: Command) -> None:
-    """Of words between two colons the help's renderer makes a picture where it knows one."""
+def test_no_help_contains_an_emoji(lampest: Command) -> None:
+    """The renderer of the help turns known words between two colons into a picture."""
     for name in ("compare", "plot", "export", "detect", "tare"):
-        ended = lampest(name, "--help")
-        assert ended.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", ended.out), name
+        completed = lampest(name, "--help")
+        assert completed.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", completed.out), name
 
 
 @pytest.mark.slow
-def test_a_mat_begins_with_a_scene_of_contacts_in_which_a_penalty_wins(
+def test_init_of_a_mat_writes_a_scene_of_contacts_with_a_useful_penalty(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -117,8 +115,8 @@ def test_a_mat_begins_with_a_scene_of_contacts_in_which_a_penalty_wins(
     assert lampest("run", "run.yaml", "--jobs", "1").code == 0
     rows = {row["estimator"]: row["cell error median [%]"] for row in compare(read_results("results/run/results.h5"))}
     assert rows["smooth"] < 0.7 * rows["no_penalty"]
-    ended = lampest("compare", "results/run/results.h5", "--report", "page.html")
-    assert ended.code == 0
+    completed = lampest("compare", "results/run/results.h5", "--report", "page.html")
+    assert completed.code == 0
     headline = re.search(r'class="headline">([^<]*)', (tmp_path / "page.html").read_text())
     assert headline is not None and "no_penalty" not in headline[1]
     wrong = lampest("init", "other", "--purpose", "lamprey")
@@ -132,34 +130,38 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     monkeypatch.chdir(tmp_path)
     assert lampest("init", "start", "--purpose", "mat").code == 0
     shutil.move("start/example.h5", "data/mine.h5")
-    ended = lampest("detect", "data/mine.h5")
-    assert ended.code == 0 and ended.out.startswith("contact since ")
+    completed = lampest("detect", "data/mine.h5")
+    assert completed.code == 0 and completed.out.startswith("contact since ")
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["mine.h5"]
     written = sorted(path.name for path in (tmp_path / "results" / "mine").iterdir())
     assert written == ["detections.h5", "timeline_mine.png", "visits.csv", "visits.png"]
 
 
-def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Command) -> None:
-    assert {name for name, command in TOP.items() if command.hidden} == set(OLD) | set(GROUPS)
+def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:
+    assert {name for name, command in TOP_COMMANDS.items() if command.hidden} == set(FORMER_COMMANDS) | set(GROUPS)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
-        ended = lampest(old)
-        again = lampest(*new.split())
-        assert (ended.code, ended.out) == (0, again.out) and again.err == ""
-        assert ended.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
+        completed = lampest(old)
+        current = lampest(*new.split())
+        assert (completed.code, completed.out) == (0, current.out) and current.err == ""
+        assert completed.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
     for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
-        ended = lampest(old, "nowhere.x")
-        assert ended.code == 2 and f"lampest {new}" in ended.err and "nowhere.x: no such file" in ended.err.lower()
+        completed = lampest(old, "nowhere.x")
+        assert (
+            completed.code == 2
+            and f"lampest {new}" in completed.err
+            and "nowhere.x: no such file" in completed.err.lower()
+        )
 
 
-def test_version_and_mistyped_commands(lampest: Command) -> None:
-    ended = lampest("--version")
-    assert ended.code == 0 and re.fullmatch(r"lampest \d+\.\d+\.\d+\S*\n", ended.out)
-    ended = lampest("plto")
-    assert ended.code == 2 and "Did you mean 'plot'?" in ended.err
+def test_version_is_printed_and_mistyped_commands_are_refused(lampest: Command) -> None:
+    completed = lampest("--version")
+    assert completed.code == 0 and re.fullmatch(r"lampest \d+\.\d+\.\d+\S*\n", completed.out)
+    completed = lampest("plto")
+    assert completed.code == 2 and "Did you mean 'plot'?" in completed.err
     assert "--set" in lampest("run", "x.yaml", "--ste", "a=1").err
 
 
-def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
+def test_progress_on_a_terminal_shows_the_count_and_the_remaining_time(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for terminal, counted in ((False, False), (True, False), (True, True)):
@@ -173,38 +175,38 @@ def test_progress_says_how_many_are_done_and_the_time_left_on_a_terminal(
         assert all(word in drawn for word in ("frames", "33%", "left")) == terminal and ("3/9" in drawn) == counted
 
 
-def test_memory_that_ran_out_is_a_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exhausted_memory_gives_one_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     for error, words in ((MemoryError(), "no details"), (MemoryError(" 3 GiB\n  for a matrix"), "3 GiB for a matrix")):
 
         def failing(error: MemoryError = error) -> None:
             raise error
 
         monkeypatch.setattr("lampest.cli._program", lambda failing=failing: failing)
-        done = lampest("info")
-        assert (done.code, done.out, done.err) == (2, "", f"lampest: not enough memory ({words})\n")
+        completed = lampest("info")
+        assert (completed.code, completed.out, completed.err) == (2, "", f"lampest: not enough memory ({words})\n")
 
 
 def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict[str, Any] = {}
+    requested: dict[str, Any] = {}
     words = ("record", "--port", "p", "--out", "r.h5", "--count", "7", "--baseline", "2", "--period", "0.5")
-    for ended, said in WARNED:
+    for ending, warning in ENDS_WITH_WARNINGS:
 
-        def record(*places: object, on_progress: Any, keys: Any, made: Any = ended, **options: Any) -> Recorded:
-            asked.update(options, places=places, keys=keys())
+        def record(*places: object, on_progress: Any, keys: Any, fields: Any = ending, **options: Any) -> Recorded:
+            requested.update(options, places=places, keys=keys())
             on_progress(Progress(None, 0, 0, "the board is gone"))
-            return replace(RECORDED, **made)
+            return replace(RECORDED, **fields)
 
         monkeypatch.setattr("lampest.recording.board.record.record", record)
-        done = lampest(*words)
-        assert asked.pop("places") == (["p"], Path("r.h5"))
-        assert asked == {"frames": 7, "seconds": None, "scene": None, "baseline": 2, "period": 0.5, "keys": ""}
-        assert done.out == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
-        warnings = [line for line in done.err.splitlines() if "interrupted" not in line]
-        assert len(warnings) == bool(said) and all(line.startswith(f"lampest: {said}") for line in warnings)
-        assert done.code == (130 if "ended_by" in ended else 0)
+        completed = lampest(*words)
+        assert requested.pop("places") == (["p"], Path("r.h5"))
+        assert requested == {"frames": 7, "seconds": None, "scene": None, "baseline": 2, "period": 0.5, "keys": ""}
+        assert completed.out == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
+        warnings = [line for line in completed.err.splitlines() if "interrupted" not in line]
+        assert len(warnings) == bool(warning) and all(line.startswith(f"lampest: {warning}") for line in warnings)
+        assert completed.code == (130 if "ended_by" in ending else 0)
 
 
-def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
+def test_a_simulation_takes_overrides_and_checks_its_space_first(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert lampest("init", tmp_path).code == 0
@@ -216,18 +218,20 @@ def test_a_simulation_is_overridden_and_asks_for_its_room_beforehand(
         return nullcontext(lambda done, total: bars.append((done, total)))
 
     monkeypatch.setattr("lampest.cli.screen.progress", shown)
-    ended = lampest("simulate", simulation, "--set", "frames=2", "--out", tmp_path / "two.h5")
-    assert ended.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
-    assert ended.out == f"{tmp_path / 'two.h5'}\n"
+    completed = lampest("simulate", simulation, "--set", "frames=2", "--out", tmp_path / "two.h5")
+    assert completed.code == 0 and bars[0] == ("frames", True) and bars[-1][0] == bars[-1][1] > 2
+    assert completed.out == f"{tmp_path / 'two.h5'}\n"
     assert "2 measured" in lampest("info", tmp_path / "two.h5").out
     assert lampest("simulate", simulation, "--set", "frames").code == 2
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=999))
-    ended = lampest("simulate", simulation, "--out", tmp_path / "deep" / "new.h5")
-    assert ended.code == 2 and re.search(r"new\.h5: .* may be needed on the disk, and 999 bytes are free", ended.err)
+    completed = lampest("simulate", simulation, "--out", tmp_path / "deep" / "new.h5")
+    assert completed.code == 2 and re.search(
+        r"new\.h5: .* may be needed on the disk, and 999 bytes are free", completed.err
+    )
     assert not (tmp_path / "deep").exists()
 
 
-def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_recording(
+def test_results_of_other_cases_are_renamed_and_never_replace_a_recording(
     disk: SimpleNamespace, lampest: Command
 ) -> None:
     out = disk.folder / "out"
@@ -236,22 +240,24 @@ def test_results_of_other_cases_are_kept_aside_and_none_takes_the_place_of_a_rec
         return lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1", *words)
 
     assert run().err == ""
-    again = run()
-    assert again.err == "" and len(list(out.glob("*.h5"))) == 1
-    assert again.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
-    before = (out / "results.h5").read_bytes()
-    ended = run("--set", "solver.tolerance=1e-7")
-    assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err
-    assert (out / "results_1.h5").read_bytes() == before != (out / "results.h5").read_bytes()
+    repeated = run()
+    assert repeated.err == "" and len(list(out.glob("*.h5"))) == 1
+    assert repeated.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
+    original = (out / "results.h5").read_bytes()
+    completed = run("--set", "solver.tolerance=1e-7")
+    assert (
+        "existing results of other cases were renamed: " in completed.err and str(out / "results_1.h5") in completed.err
+    )
+    assert (out / "results_1.h5").read_bytes() == original != (out / "results.h5").read_bytes()
     shutil.copy(disk.folder / "small.h5", out / "results.h5")
-    ended = run("--set", "recordings=[out/results.h5]")
-    assert ended.code == 2 and "is an input; give the output another name" in ended.err
+    completed = run("--set", "recordings=[out/results.h5]")
+    assert completed.code == 2 and "is an input; give the output another name" in completed.err
     with pytest.raises(InputError, match="is an input"):
         run_batch(read_run(disk.folder / "run.yaml", ("recordings=[out/results.h5]",)), out, Serial())
     assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
 
 
-def test_pictures_of_a_frame_and_an_estimator(tmp_path: Path, lampest: Command) -> None:
+def test_plot_draws_a_given_frame_and_estimator(tmp_path: Path, lampest: Command) -> None:
     results = tmp_path / "results.h5"
     new = tmp_path / "new"
     write_results(results, [invented_case(name, "small", (2, 3, 4)) for name in ("LSM", "LSR-CR")])
@@ -260,13 +266,13 @@ def test_pictures_of_a_frame_and_an_estimator(tmp_path: Path, lampest: Command) 
         (("--out", new / "x.svg"), new / "x.svg", b"<?xml"),
         (("--out", new / "x.pdf"), new / "x.pdf", b"%PDF"),
     ):
-        ended = lampest("plot", results, *words, "--frame", "5", "--estimator", "LSM")
-        assert ended.out.split() == [str(place)] and place.read_bytes().startswith(begin)
+        completed = lampest("plot", results, *words, "--frame", "5", "--estimator", "LSM")
+        assert completed.out.split() == [str(place)] and place.read_bytes().startswith(begin)
     shutil.rmtree(new)
     for wrong in (("--out", new / "x.jpg"), ("--frame", "999"), ("--estimator", "LSMx")):
-        ended = lampest("plot", results, *wrong)
-        assert ended.code == 2 and not new.exists(), wrong
-    assert "did you mean LSM?" in ended.err
+        completed = lampest("plot", results, *wrong)
+        assert completed.code == 2 and not new.exists(), wrong
+    assert "did you mean LSM?" in completed.err
 
 
 @pytest.mark.slow
@@ -291,7 +297,7 @@ def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: 
         assert warning in engine.shown.item.model
 
 
-def one_row(found: object) -> list[Row]:
+def one_row(subject: object) -> list[Row]:
     return [Row(value=1.0)]
 
 
@@ -299,7 +305,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path) -> None:
+def test_a_study_with_an_input_named_like_an_output_writes_nothing(tmp_path: Path) -> None:
     taken = tmp_path / "own.h5"
     taken.write_bytes(b"")
     study: Study[Any, Any] = Study("own", "things", "x.yaml", lambda *_: 0, lambda *_: 0, one_row, form="own/1")
@@ -308,7 +314,7 @@ def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path
     assert names(tmp_path) == {"own.h5"}
 
 
-def test_paths_that_are_none_are_refused(disk: SimpleNamespace) -> None:
+def test_invalid_paths_are_refused(disk: SimpleNamespace) -> None:
     for text in (None, 3, b"r.h5"):
         with pytest.raises(InputError, match="path"):
             Recording.load(text)
@@ -318,7 +324,7 @@ def test_paths_that_are_none_are_refused(disk: SimpleNamespace) -> None:
         read_scene("\0")
 
 
-def test_what_a_killed_writer_left_goes_with_the_next_export(tmp_path: Path) -> None:
+def test_the_next_export_removes_fragments_of_a_killed_writer(tmp_path: Path) -> None:
     write_results(tmp_path / "r.h5", [invented_case("LSM", "mouth", (2, 3, 4))])
     assert subprocess.run([sys.executable, "-c", KILLED, tmp_path / "r.mat"], check=False).returncode == -9
     assert len([name for name in names(tmp_path) if name.endswith(".part")]) == 1

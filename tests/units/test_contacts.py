@@ -31,7 +31,7 @@ def test_errors_of_the_cells_divide_no_contact() -> None:
     assert contact[5, 5]
 
 
-def test_a_line_of_which_nothing_is_known_divides_no_contact() -> None:
+def test_an_unread_line_divides_no_contact() -> None:
     change = blob(5, 5, 2.0, 3.0)
     change[:, 5] = 0.0
     assert len(contacts_of(PANEL, change, SD)) == 2
@@ -45,14 +45,14 @@ def test_heel_and_ball_of_a_foot_are_one_contact() -> None:
     assert foot[2, 5] and foot[6, 5] and foot[9, 5]
 
 
-def test_cells_that_conduct_less_are_no_contact() -> None:
+def test_cells_of_lower_conductance_are_not_a_contact() -> None:
     change = blob(5, 5, 1.5, 2.0) - blob(11, 9, 0.7, 1.0)
     (contact,) = contacts_of(PANEL, change, SD)
     assert contact[5, 5] and not contact[9, 11]
     assert contacts_of(PANEL, -blob(5, 5, 1.5, 2.0), SD) == []
 
 
-def test_what_the_readings_hardly_show_is_no_contact() -> None:
+def test_a_change_within_the_noise_is_not_a_contact() -> None:
     change = blob(5, 5, 1.5, 3.0)
     change[0, 13] = -0.1  # a thirtieth of the load's: an error of the circuit
     change[11, 0] = -0.5
@@ -62,7 +62,7 @@ def test_what_the_readings_hardly_show_is_no_contact() -> None:
     assert len(contacts_of(PANEL, change, SD)) == 2
 
 
-def test_a_faint_pair_of_cells_beside_a_heavy_load_is_no_contact() -> None:
+def test_a_faint_pair_of_cells_near_a_heavy_load_is_not_a_contact() -> None:
     change = blob(4, 6, 1.5, 2.0)
     change[6, 12:14] = -0.22  # as in the rows of two feet, where nothing stood
     assert len(contacts_of(PANEL, change, SD)) == 1
@@ -70,6 +70,6 @@ def test_a_faint_pair_of_cells_beside_a_heavy_load_is_no_contact() -> None:
     assert len(contacts_of(PANEL, change, SD)) == 2
 
 
-def test_a_light_load_beside_a_heavy_one_is_a_contact() -> None:
+def test_a_light_load_near_a_heavy_one_is_a_contact() -> None:
     heavy, light = contacts_of(PANEL, blob(3, 6, 1.2, 3.5) + blob(10, 6, 1.0, 0.5), SD)
     assert heavy[6, 3] and light[6, 10]

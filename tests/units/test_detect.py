@@ -65,7 +65,7 @@ def recorded(seed: int = 2, **known: Any) -> Recording:
 
 
 @pytest.mark.slow
-def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
+def test_pumps_identify_a_mouth_without_visible_breath() -> None:
     """At one frame a second; a cup that leaks as fast, without pumps, stays something that sucks."""
     known: dict[str, Any] = {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5, "seed": 5}
     known |= {"scene": Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0)}
@@ -79,7 +79,7 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
 
 
 @pytest.mark.parametrize("readout", [TwoPointReadout(), LoadedColumnsReadout(load_ohm=1000.0)])
-def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
+def test_frame_noise_survives_its_arrays(readout: Any) -> None:
     """A pattern has a number for each channel of a line; of another shape it is refused."""
     scene = Scene(Panel(2, 3), readout)
     channels = 2 if scene.circuit.by_columns else 3
@@ -93,7 +93,7 @@ def test_noise_that_frames_share_is_what_it_was(readout: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> None:
+def test_detect_of_a_mat_reports_two_contacts_with_place_and_area() -> None:
     """An L and a disc; then a mouth."""
     cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
     disc = Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600)
@@ -111,22 +111,22 @@ def test_a_mat_speaks_of_contacts_alone_two_of_them_with_place_and_area() -> Non
 
 
 @pytest.mark.slow
-def test_a_press_of_a_third_of_a_second_is_a_contact_of_a_mat_and_is_named_elsewhere() -> None:
+def test_a_short_press_is_a_contact_of_a_mat_and_mentioned_otherwise() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
     cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
     course = Course(start_s=0.4, release_at_s=0.7)
     known: dict[str, Any] = {"cells": cells, "course": course, "frame_period_s": 0.05, "frames": 24}
     known |= {"loads": (Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=500),)}
-    mat, other = (answered(recorded(scene=replace(scene, purpose=purpose), **known)) for purpose in ("mat", None))
+    mat, unspecified = (answered(recorded(scene=replace(scene, purpose=purpose), **known)) for purpose in ("mat", None))
     (press,) = mat.attachments
     touched_s = 3 * 0.05 + course.start_s
     released_s = 3 * 0.05 + 0.7
     assert (press.since_s, press.until_s) == pytest.approx((touched_s, released_s), abs=0.11)
     assert press.place == pytest.approx((30, 30), abs=4)
-    assert not other.attachments and "something touched the panel from 0.6 s to 0.9 s" in other.sentence
+    assert not unspecified.attachments and "something touched the panel from 0.6 s to 0.9 s" in unspecified.sentence
 
 
-def test_cells_that_conduct_less_are_no_contact_and_get_no_cause() -> None:
+def test_cells_of_lower_conductance_are_neither_a_contact_nor_explained() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
     known: dict[str, Any] = {"cells": Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6), "frame_period_s": 0.25}
     loaded = recorded(scene=scene, loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),), **known)
@@ -174,19 +174,25 @@ def test_a_mouth_on_a_panel_with_pull_ups_sucks_in_the_recording_and_in_its_resu
 
 
 @pytest.mark.slow
-def test_one_frame_shows_no_change(tmp_path: Path) -> None:
+def test_a_single_frame_shows_no_change(tmp_path: Path) -> None:
     recorded(frames=1).save(tmp_path / "one.h5")
     answer = detect_recording(tmp_path / "one.h5")
     assert answer.answer == CANNOT_SAY and "one frame" in answer.why
     scene = Scene(PANEL)
     values = np.full((3, 8, 10), 500.0)
     for frames, known in ((2, False), (3, True)):
-        few = Recording(scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8))
-        found = known_of(Prepared(few))
-        assert isinstance(found, Known) if known else found.why == "the noise is unknown, and too few frames show it"
+        recording = Recording(
+            scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8)
+        )
+        known_or_answer = known_of(Prepared(recording))
+        assert (
+            isinstance(known_or_answer, Known)
+            if known
+            else known_or_answer.why == "the noise is unknown, and too few frames show it"
+        )
 
 
-def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:
+def test_detect_refuses_files_other_than_recordings_and_results(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
     with pytest.raises(InputError, match=r"other\.h5"):

@@ -26,7 +26,7 @@ class Turned(Numbers):
         return super().read(path, columns, rows)
 
 
-def test_a_layout_is_named_or_known_by_the_suffix_of_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_layout_is_given_or_follows_from_the_file_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importing, "LAYOUTS", (Numbers(),))
     for name, layout in (("M.NUM", None), ("m.dat", "numbers"), ("m.num", "numbers"), ("m.dat", Numbers())):
         np.arange(500, 512, dtype="<u2").tofile(tmp_path / name)

@@ -18,7 +18,7 @@ from lampest.panel import compiled
 from lampest.panel.panel import Array
 
 
-def drawn(cells: int, seed: int) -> tuple[Array, Array]:
+def random_change(cells: int, seed: int) -> tuple[Array, Array]:
     """A change of still cells, and its covariance."""
     rng = np.random.default_rng(seed)
     root = 0.01 * rng.standard_normal((cells, cells)) + 0.02 * np.eye(cells)
@@ -26,8 +26,8 @@ def drawn(cells: int, seed: int) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_error_more_is_scored_by_the_density_of_the_change_with_it(seed: int) -> None:
-    change, covariance = drawn(9, seed)
+def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -> None:
+    change, covariance = random_change(9, seed)
     columns = 0.05 * np.random.default_rng(seed + 10).standard_normal((9, 4))
     scores = scores_with_errors(change, np.linalg.inv(covariance), columns)
     for score, column in zip(scores, columns.T, strict=True):
@@ -45,7 +45,7 @@ def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> floa
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> None:
-    change, covariance = drawn(8, seed)
+    change, covariance = random_change(8, seed)
     change[[2, 5]] += -0.8, 0.1 * seed
     precision = np.linalg.inv(covariance)
     lost, moved = select_changed(precision @ change, precision, usual_starts(change))
@@ -56,7 +56,7 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     assert score[0] > evidence(change, covariance, moved) - 1e-9
 
 
-def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
     logarithm = np.full((4, 2, 3), 0.1)
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
@@ -70,7 +70,7 @@ def test_a_load_changes_within_its_frames_where_its_strongest_cell_does(monkeypa
     np.testing.assert_allclose(within, [0.25, 0])
 
 
-def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_forked_child_renews_only_the_locks_of_cached_properties(monkeypatch: pytest.MonkeyPatch) -> None:
     """A property's lock would be held there for ever by a thread of the parent; the module's own is free again."""
     held = RLock()
     waiting: Any = cached_property(len)
@@ -90,8 +90,8 @@ def test_locks_of_cached_properties_are_new_in_a_forked_child_and_others_stay(mo
         lock.release()
 
 
-def test_levels_have_the_false_alarms_that_they_state() -> None:
-    """Of a normal distribution, on both sides; once in so many numbers."""
+def test_levels_have_their_stated_false_alarm_rate() -> None:
+    """Both tails of a normal distribution exceed a level once in the stated count of numbers."""
 
     def once_in(sigmas: float) -> float:
         return float(1 / (2 * norm.sf(sigmas)))

@@ -39,27 +39,27 @@ def flip(path: Path, place: str, row: int) -> None:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str, lampest: Callable[..., Any]) -> None:
+def test_check_names_a_damaged_frame_and_repair_drops_it(killed: Path, place: str, lampest: Callable[..., Any]) -> None:
     meant = Recording.load(killed)
     flip(killed, place, 5)
     for reader in (Recording.load, StoredRecording.of):
         with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
             reader(killed)
-    ended = lampest("check", "--repair", killed)
-    assert (ended.code, ended.err) == (0, "")
-    assert ended.out == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost\n"
-    found = Recording.load(killed)
-    left = np.delete(np.arange(FRAMES), 5)
-    np.testing.assert_array_equal(found.recorded, meant.recorded[left])
-    np.testing.assert_array_equal(found.raw_sums, np.asarray(meant.raw_sums)[left])
-    np.testing.assert_array_equal(found.time, meant.time[left])
-    np.testing.assert_array_equal(found.acquisition.sequence, left)
-    np.testing.assert_array_equal(found.acquisition.lost, (left == 6).astype(int))
-    assert found.acquisition.event_label == ("touch", "leave")
+    completed = lampest("check", "--repair", killed)
+    assert (completed.code, completed.err) == (0, "")
+    assert completed.out == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost\n"
+    recording = Recording.load(killed)
+    remaining = np.delete(np.arange(FRAMES), 5)
+    np.testing.assert_array_equal(recording.recorded, meant.recorded[remaining])
+    np.testing.assert_array_equal(recording.raw_sums, np.asarray(meant.raw_sums)[remaining])
+    np.testing.assert_array_equal(recording.time, meant.time[remaining])
+    np.testing.assert_array_equal(recording.acquisition.sequence, remaining)
+    np.testing.assert_array_equal(recording.acquisition.lost, (remaining == 6).astype(int))
+    assert recording.acquisition.event_label == ("touch", "leave")
     assert sorted(file.name for file in killed.parent.iterdir()) == ["growing.h5", "killed.h5"]
 
 
-def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> None:
+def test_estimates_of_a_board_are_stored_and_checked_like_sums(tmp_path: Path) -> None:
     killed = unclosed_recording(tmp_path / "killed.h5", SCENE, FRAMES, unloaded=3, estimates=True)
     number = np.where(np.arange(FRAMES) % 2, np.arange(FRAMES), np.nan)
     expected = np.broadcast_to(number[:, None, None], (FRAMES, 3, 4))
@@ -68,15 +68,15 @@ def test_a_boards_estimates_are_kept_and_checked_as_sums_are(tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5"):
         Recording.load(killed)
     assert repair(killed) == (FRAMES - 1, 1)
-    found = Recording.load(killed)
-    left = np.delete(np.arange(FRAMES), 5)
-    np.testing.assert_array_equal(found.board_log_change, expected[left])
-    assert joined((found,), left > 7).board_log_change.shape == (4, 3, 4)
+    recording = Recording.load(killed)
+    remaining = np.delete(np.arange(FRAMES), 5)
+    np.testing.assert_array_equal(recording.board_log_change, expected[remaining])
+    assert joined((recording,), remaining > 7).board_log_change.shape == (4, 3, 4)
     with pytest.raises(InputError, match="/entry/board/log_change has another shape than the frames"):
-        replace(found, board_log_change=expected)
+        replace(recording, board_log_change=expected)
 
 
-def test_boards_without_estimates_leave_no_dataset_of_them(killed: Path) -> None:
+def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) -> None:
     repair(killed)
     assert Recording.load(killed).board_log_change is None
     with h5py.File(killed) as file:
@@ -84,7 +84,7 @@ def test_boards_without_estimates_leave_no_dataset_of_them(killed: Path) -> None
 
 
 @pytest.mark.parametrize("damaged", [None, 5])
-def test_a_journal_without_a_salt_is_read_as_before(killed: Path, damaged: int | None) -> None:
+def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:
     """Checksums of older versions: of the columns of a row alone, without a salt and the row's number."""
     meant = Recording.load(killed).recorded
     with h5py.File(killed.with_name("growing.h5"), "r+") as file:
@@ -100,10 +100,10 @@ def test_a_journal_without_a_salt_is_read_as_before(killed: Path, damaged: int |
     if damaged is not None:
         with pytest.raises(InputError, match=r"1 of 12 frames .* frame 5"):
             Recording.load(old)
-    left = range(FRAMES) if damaged is None else np.delete(np.arange(FRAMES), damaged)
+    remaining = range(FRAMES) if damaged is None else np.delete(np.arange(FRAMES), damaged)
     assert damaged is not None or np.array_equal(Recording.load(old).recorded, meant)
-    assert repair(old) == (len(left), FRAMES - len(left))
-    np.testing.assert_array_equal(Recording.load(old).recorded, meant[list(left)])
+    assert repair(old) == (len(remaining), FRAMES - len(remaining))
+    np.testing.assert_array_equal(Recording.load(old).recorded, meant[list(remaining)])
 
 
 def test_a_damaged_event_is_dropped(killed: Path) -> None:
@@ -111,11 +111,13 @@ def test_a_damaged_event_is_dropped(killed: Path) -> None:
     with pytest.raises(InputError, match=r"killed.h5: an event is damaged; .*check --repair"):
         Recording.load(killed)
     assert repair(killed) == (FRAMES, 0)
-    found = Recording.load(killed).acquisition
-    assert found is not None and found.event_label == ("leave",) and found.event_time.tolist() == [0.5]
+    acquisition = Recording.load(killed).acquisition
+    assert (
+        acquisition is not None and acquisition.event_label == ("leave",) and acquisition.event_time.tolist() == [0.5]
+    )
 
 
-def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
+def test_the_shortest_dataset_limits_the_number_of_events(killed: Path) -> None:
     """A writer that was killed between two datasets left one longer than the other."""
     for name, flags in (("time", [1, 0]), ("label", [1, 0]), ("crc32", [1])):
         with h5py.File(killed.with_name("growing.h5")) as file, h5py.File(killed.with_name("c.h5"), "w") as copy:
@@ -124,34 +126,34 @@ def test_events_are_as_many_as_all_their_datasets_hold(killed: Path) -> None:
             assert EVENTS.undamaged(copy).tolist() == flags
 
 
-def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
+def test_a_fully_damaged_journal_is_refused_and_left_unchanged(killed: Path) -> None:
     for row in range(FRAMES):
         flip(killed, "raw/sums", row)
-    left = killed.read_bytes()
+    original = killed.read_bytes()
     with pytest.raises(InputError, match="every frame is damaged"):
         repair(killed)
-    assert killed.read_bytes() == left
+    assert killed.read_bytes() == original
 
 
-def test_a_file_that_its_writer_left_open_stays_unless_it_ends_too_early(killed: Path) -> None:
-    whole = killed.read_bytes()
+def test_an_unclosed_file_is_read_unchanged_and_a_truncated_one_refused(killed: Path) -> None:
+    content = killed.read_bytes()
     assert is_left_open(killed) and len(Recording.load(killed).time) == FRAMES
-    assert killed.read_bytes() == whole
-    for length in (20, 47, 48, 300, len(whole) // 2):
-        killed.write_bytes(whole[:length])
+    assert killed.read_bytes() == content
+    for length in (20, 47, 48, 300, len(content) // 2):
+        killed.write_bytes(content[:length])
         with pytest.raises(InputError, match=r"killed\.h5"):
             Recording.load(killed)
 
 
-def test_damage_in_it_is_a_sentence_that_names_it(killed: Path) -> None:
+def test_damage_of_an_unclosed_file_gives_one_sentence(killed: Path) -> None:
     """HDF5 alone waits for the right checksum without end."""
-    whole = killed.read_bytes()
+    content = killed.read_bytes()
     expected = Recording.load(killed).recorded
     refused = 0
     with h5py.File(killed.with_name("growing.h5")) as file:
         header = h5py.h5o.get_info(file["entry/two_point/resistance"].id).addr
     for place in (9, 12, header + 6, *np.random.default_rng(1).integers(0, header + 200, 60)):
-        damaged = bytearray(whole)
+        damaged = bytearray(content)
         damaged[place] ^= 16
         killed.write_bytes(damaged)
         try:
@@ -159,4 +161,4 @@ def test_damage_in_it_is_a_sentence_that_names_it(killed: Path) -> None:
         except InputError as error:
             assert str(error).startswith(str(killed))
             refused += 1
-    assert refused > 10
+    assert refused > 10, "some of the flipped bits do damage"

@@ -19,7 +19,7 @@ HOUSE = Path(__file__).parents[2]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
 EXTRAS = {"dask": "cluster", "hdmf": "export"}  # come with what an extra names
 HEAVY = ("casadi", "numpy", "scipy", "h5py", "pydantic", "ruamel", "matplotlib", "xarray", "pandas", "serial")
-READ = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
+LOAD_RECORDING = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
 HELP = (
     "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
     "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): cli.main()\n"
@@ -45,15 +45,15 @@ def imported() -> set[str]:
 
 
 @pytest.mark.slow
-def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
+def test_every_optional_library_has_its_pip_name() -> None:
     requirements = [*PROJECT["dependencies"], *itertools.chain(*PROJECT["optional-dependencies"].values())]
     known = {match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))} | EXTRAS.keys()
     known |= {f"lampest[{name}]" for name in PROJECT["optional-dependencies"]}
-    assert len(imported()) > 20
+    assert len(imported()) > 20, "imports were collected"
     assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
 
 
-def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_no_library() -> None:
+def test_the_error_of_a_missing_library_names_its_extra_unlike_own_modules() -> None:
     for library, groups, brings in (("serial", (), "pyserial"), ("paho.mqtt", ("streams",), r"lampest\[streams\]")):
         words = rf"^{library} is not installed; pip install '{brings}' brings it$"
         with pytest.raises(InputError, match=words), extra(*groups):
@@ -63,24 +63,24 @@ def test_a_missing_library_is_named_with_what_brings_it_and_a_module_of_ours_is_
             raise ModuleNotFoundError("no such module", name=name)
 
 
-def test_without_matplotlib_reports_have_no_picture_and_plots_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = lampest.Recording.load(HOUSE / "tests" / "golden" / "recording.h5")
-    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
     for name in [*sys.modules]:
         if name.startswith("lampest.report.plots"):
             monkeypatch.delitem(sys.modules, name)
         if name.partition(".")[0] == "matplotlib":
             monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    for plot in (recording.plot, found.plot):
+    for plot in (recording.plot, estimate.plot):
         with pytest.raises(InputError, match=r"pip install 'lampest\[plots\]' brings it"):
             plot()
     monkeypatch.setattr("lampest.report.reconstruction.find_spec", lambda name: None)
-    page = found._repr_html_()
+    page = estimate._repr_html_()
     assert "<pre" in page and "<img" not in page
 
 
-def test_without_matplotlib_detect_writes_everything_but_pictures(
+def test_detect_writes_everything_but_pictures_without_matplotlib(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("lampest.cli.results.find_spec", lambda name: None)
@@ -90,18 +90,18 @@ def test_without_matplotlib_detect_writes_everything_but_pictures(
     assert "lampest[plots]" in captured.out + captured.err
 
 
-def loaded(code: str) -> set[str]:
+def loaded_modules(code: str) -> set[str]:
     """The modules that a fresh process holds after some code."""
     command = [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"]
-    told = subprocess.run(command, cwd=HOUSE, capture_output=True, text=True)
-    assert told.returncode == 0, told.stderr
-    return set(told.stdout.split())
+    completed = subprocess.run(command, cwd=HOUSE, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
+    return set(completed.stdout.split())
 
 
 @pytest.mark.slow
-def test_a_process_imports_what_it_needs_alone() -> None:
+def test_a_process_imports_only_needed_libraries() -> None:
     for code, absent in (
-        (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
+        (LOAD_RECORDING, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
         ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "casadi", "lampest.estimate")),
         ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
@@ -113,4 +113,4 @@ def test_a_process_imports_what_it_needs_alone() -> None:
         (HELP, HEAVY),
         ("import lampest.runs.batch, lampest.runs.executors", ("dask", "distributed")),
     ):
-        assert not loaded(code) & set(absent), code
+        assert not loaded_modules(code) & set(absent), code

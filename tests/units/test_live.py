@@ -55,8 +55,8 @@ LEAK_BYTES_PER_FRAME = 60.0
 @pytest.fixture(scope="module")
 def lamprey() -> Recording:
     """Three unloaded and six measured frames."""
-    few = Recording.load(LAMPREY, slice(9))
-    return dataclasses.replace(few, number=None, raw_sums=None, raw_readings=None)
+    recording = Recording.load(LAMPREY, slice(9))
+    return dataclasses.replace(recording, number=None, raw_sums=None, raw_readings=None)
 
 
 def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> list[Picture]:
@@ -70,9 +70,7 @@ def of_every_frame(name: str) -> Estimator:
 
 
 @pytest.mark.slow
-def test_what_is_left_to_another_process_reaches_the_frames_after(
-    lamprey: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_findings_of_the_other_process_reach_later_frames(lamprey: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that waits for them."""
     monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
@@ -90,7 +88,7 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
 
 
 @pytest.mark.slow
-def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Recording) -> None:
+def test_every_frame_waits_for_its_findings_if_the_other_process_dies(lamprey: Recording) -> None:
     engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
 
     def kill() -> None:
@@ -126,23 +124,23 @@ def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object])
 @pytest.mark.parametrize(
     "method", [of_every_frame("smooth"), of_every_frame("relative_change"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
 )
-def test_live_finds_what_a_batch_finds(method: Estimator) -> None:
+def test_live_estimates_equal_those_of_a_batch(method: Estimator) -> None:
     # Without outliers, and errors of single readings: only a batch sees later frames, which tell them from a change.
     ((_, simulation),) = read_simulations(Path(__file__).parents[2] / "configs" / "lamprey_35mm.yaml")
     calm = dataclasses.replace(simulation.unmodelled, outlier_probability=0.0)
     exact = dataclasses.replace(simulation.scene, systematic="none")
     lamprey = simulate(dataclasses.replace(simulation, scene=exact, frames=6, unmodelled=calm))
-    found = pictures(method, lamprey)
+    live = pictures(method, lamprey)
     batch = reconstruct(lamprey, method)
-    np.testing.assert_array_equal([picture.relative_change for picture in found], batch.relative_change)
+    np.testing.assert_array_equal([picture.relative_change for picture in live], batch.relative_change)
     change = 100 * (batch.measured / batch.measured_baseline - 1)
-    np.testing.assert_array_equal([picture.measured_change for picture in found], change)
-    assert [picture.status for picture in found] == ["optimum verified"] * 6
+    np.testing.assert_array_equal([picture.measured_change for picture in live], change)
+    assert [picture.status for picture in live] == ["optimum verified"] * 6
     flags = [step.solution.open_cell[-1] for step in batch.steps]
-    np.testing.assert_array_equal([picture.open_cell for picture in found], flags)
+    np.testing.assert_array_equal([picture.open_cell for picture in live], flags)
 
 
-def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_said() -> None:
+def test_a_reading_frozen_in_the_unloaded_frames_stays_missing_and_is_named() -> None:
     rng = np.random.default_rng(3)
     recorded = two_point_resistance(3000 * np.exp(0.001 * rng.standard_normal((11, 5, 6))))
     recorded[8:, 2] *= 0.9
@@ -158,15 +156,15 @@ def test_a_reading_that_is_frozen_in_the_unloaded_frames_stays_missing_and_is_sa
 
 
 @pytest.mark.slow
-def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_is_none(lamprey: Recording) -> None:
+def test_live_reports_a_wrong_circuit_but_not_a_wrong_reading(lamprey: Recording) -> None:
     """The recording was made with 140 ohm in series; here nobody tells."""
     scene = dataclasses.replace(lamprey.scene, series_resistance_ohm=0.0)
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, dataclasses.replace(lamprey, scene=scene), 1e6, None)
         engine.finish()
-        said = engine.shown.item.model
-    assert "series_resistance_ohm near" in said
-    assert json.loads(view_text(View("a", "b", "c", model=said), 0.0))["model"] == said
+        sentence = engine.shown.item.model
+    assert "series_resistance_ohm near" in sentence
+    assert json.loads(view_text(View("a", "b", "c", model=sentence), 0.0))["model"] == sentence
     # The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells to 100 ohm.
     mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
     frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
@@ -175,18 +173,18 @@ def test_a_circuit_that_does_not_explain_the_frames_is_said_and_a_wrong_reading_
     assert Prepared(first).check.mark == "yes"
 
 
-def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over(
+def test_slow_solving_continues_with_the_newest_frame_and_counts_skipped_ones(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun = threading.Semaphore(0)
+    started = threading.Semaphore(0)
     go = threading.Semaphore(0)
     shown = []
-    truly = engine_module.solved_scan
+    original = engine_module.solved_scan
 
     def slowly(*arguments: Any) -> Any:
-        begun.release()
+        started.release()
         assert go.acquire(timeout=20)
-        stream, picture = truly(*arguments)
+        stream, picture = original(*arguments)
         shown.append(picture)
         return stream, picture
 
@@ -196,7 +194,7 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
     with Engine("test", "test", LSM, 1) as engine:
         for _ in range(2):
             engine.take(source, scan)
-        assert begun.acquire(timeout=20)
+        assert started.acquire(timeout=20)
         began = time.monotonic()
         for _ in range(5):
             engine.take(source, dataclasses.replace(scan, lost=2))
@@ -208,16 +206,16 @@ def test_slow_solving_goes_on_with_the_newest_frame_and_says_what_it_passed_over
     assert (view.frames, view.lost, view.skipped, len(view.history)) == (7, 10, 4, 2)
 
 
-def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Recording) -> None:
+def test_a_failed_frame_shows_no_number_and_the_next_is_solved(lamprey: Recording) -> None:
     resistance = lamprey.resistance.copy()
     resistance[4, 1:] = np.nan
-    found = pictures(LSM, dataclasses.replace(lamprey, recorded=resistance))
-    failed = found[1]
-    after = found[2]
+    shown = pictures(LSM, dataclasses.replace(lamprey, recorded=resistance))
+    failed = shown[1]
+    recovered = shown[2]
     assert failed.status == "too few of the frame's readings are values: the others are missing, or bounds"
     assert np.isnan(failed.measured_change[1:]).all() and np.isfinite(failed.measured_change[0]).all()
     assert np.isnan(failed.relative_change).all() and np.isnan(failed.force.newton) and not failed.open_cell.any()
-    assert after.status == "optimum verified" and np.isfinite(after.relative_change).all()
+    assert recovered.status == "optimum verified" and np.isfinite(recovered.relative_change).all()
     view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
     content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
     assert content["picture"]["change"] == [None] * 100 and not content["picture"]["health"]["solved"]
@@ -229,7 +227,7 @@ def test_a_frame_that_fails_shows_no_number_and_the_next_one_goes_on(lamprey: Re
 
 
 @pytest.mark.parametrize("frames", [None, 1])
-def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
+def test_an_exception_of_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
     narrow = dataclasses.replace(LSM, bounds=Bounds(upper=1.0))
     with Engine("test", "test", narrow, 3) as engine, pytest.raises(InputError, match="bounds leave no room for cell"):
         from_recording(engine, lamprey, 1e9, frames)
@@ -237,7 +235,7 @@ def test_what_stops_the_solver_stops_live(lamprey: Recording, frames: int | None
 
 
 @pytest.mark.slow
-def test_a_replay_takes_its_time(lamprey: Recording) -> None:
+def test_a_replay_keeps_its_pace(lamprey: Recording) -> None:
     waits: list[float] = []
     with Engine("test", "test", LSM, 3) as engine:
         from_recording(engine, lamprey, 4.0, 5, waits.append)
@@ -248,39 +246,39 @@ def test_a_replay_takes_its_time(lamprey: Recording) -> None:
     np.testing.assert_allclose(waits, 0.25 * np.arange(5), atol=0.1)
 
 
-def test_methods_and_those_of_a_file(disk: SimpleNamespace) -> None:
+def test_estimators_are_chosen_by_name_or_from_a_file(disk: SimpleNamespace) -> None:
     assert chosen(None, disk.run())[0] == "LSM"
-    name, found = chosen("LSR-dCR", disk.run())
-    assert (name, found.formulation, found.relative) == ("LSR-dCR", "auto", True)
+    name, estimator = chosen("LSR-dCR", disk.run())
+    assert (name, estimator.formulation, estimator.relative) == ("LSR-dCR", "auto", True)
     with pytest.raises(InputError, match=r"no estimator is called 'LSR'; .*run\.yaml has LSM, LSR-CR, LSR-dCR"):
         chosen("LSR", disk.run())
 
 
 @pytest.mark.slow
-def test_live_pressure_forgets_what_the_film_remembers() -> None:
+def test_live_pressure_excludes_the_memory_of_the_film() -> None:
     """30 frames of nothing, 20 of a rod, 50 of nothing."""
     film = Film(0.2, 0.08)
     course = Course(start_s=30, release_at_s=50)
     rod = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
-    told = simulate(Simulation(1, 3, scene, frames=100, loads=(rod,), course=course, film=film))
-    silent = dataclasses.replace(told, scene=dataclasses.replace(told.scene, film=None))
-    left = [pictures(LSM, recording)[-40].force.newton for recording in (told, silent)]
-    assert abs(left[0]) < 0.1 * abs(left[1])
+    specified = simulate(Simulation(1, 3, scene, frames=100, loads=(rod,), course=course, film=film))
+    silent = dataclasses.replace(specified, scene=dataclasses.replace(specified.scene, film=None))
+    forces = [pictures(LSM, recording)[-40].force.newton for recording in (specified, silent)]
+    assert abs(forces[0]) < 0.1 * abs(forces[1])
 
 
 def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the page's button, and by `out`; the second of three frames lost two before it."""
+    """The button of the page and `out` record; two frames before the second of three were lost."""
     hello = dataclasses.replace(IDLE, readings=64, period_us=500_000)
     sums = np.full((4, 3, 4), 64 * 700, np.uint16)
     sums[2:, 1, 2] = 64 * 720
     frames = [Frame(64, number, 500 * number, 0, each) for number, each in enumerate(sums)]
-    told = scene_of(hello, None)
+    declared = scene_of(hello, None)
     samples = [
-        Sample(each, hello, told, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)
+        Sample(each, hello, declared, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)
     ]
 
-    def arriving(*source: Any, **more: Any) -> Any:
+    def arriving(*source: Any, **options: Any) -> Any:
         yield from (samples[:2], (), samples[2:])
 
     for module in (run_module, record_module):
@@ -306,21 +304,21 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
         assert (view.frames, view.lost, view.state) == (3, 2, "receiving") and view.picture is not None
         assert (view.picture.number, view.picture.time, view.picture.arrived) == (3, 1.0, 50.0)
         assert np.unravel_index(np.argmax(np.abs(view.picture.measured_change)), (3, 4)) == (1, 2)
-        found = Recording.load(tmp_path / f"{name}.h5")
-        assert found.role.tolist() == [UNLOADED, UNLOADED, MEASURED]
-        np.testing.assert_array_equal(found.raw_sums, sums[:3])
+        recording = Recording.load(tmp_path / f"{name}.h5")
+        assert recording.role.tolist() == [UNLOADED, UNLOADED, MEASURED]
+        np.testing.assert_array_equal(recording.raw_sums, sums[:3])
 
 
 @pytest.mark.slow
-def test_a_stream_keeps_nothing_of_the_frames_that_went() -> None:
-    before, after = stream_figures((FRAMES // 4, FRAMES))
-    assert after.allocated - before.allocated < LEAK_BYTES_PER_FRAME * (after.frames - before.frames)
-    assert after.open_files <= before.open_files
+def test_a_stream_retains_no_past_frames() -> None:
+    early, late = stream_figures((FRAMES // 4, FRAMES))
+    assert late.allocated - early.allocated < LEAK_BYTES_PER_FRAME * (late.frames - early.frames)
+    assert late.open_files <= early.open_files
 
 
 @pytest.mark.slow
-def test_the_live_page_keeps_its_history_and_nothing_else() -> None:
-    """Its history is full after 1,800 frames."""
-    before, after = live_figures((2 * FRAMES, 3 * FRAMES))
-    assert after.allocated - before.allocated < LEAK_BYTES_PER_FRAME * (after.frames - before.frames)
-    assert after.open_files <= before.open_files and after.threads == before.threads
+def test_the_live_page_retains_only_its_history() -> None:
+    """The history is full after 1,800 frames."""
+    early, late = live_figures((2 * FRAMES, 3 * FRAMES))
+    assert late.allocated - early.allocated < LEAK_BYTES_PER_FRAME * (late.frames - early.frames)
+    assert late.open_files <= early.open_files and late.threads == early.threads

@@ -32,21 +32,21 @@ LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 
 CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
-def test_an_urgent_errand_waits_for_urgent_ones_alone() -> None:
+def test_an_urgent_errand_waits_only_for_urgent_ones() -> None:
     look = Errand("look", int)
     urgent = Errand("look", int, urgent=True)
-    other = Errand("check", int)
-    assert look.queued([other]) == [other, look]
-    assert Errand("look", float).queued([look, other]) == [Errand("look", float), other]
+    check = Errand("check", int)
+    assert look.queued([check]) == [check, look]
+    assert Errand("look", float).queued([look, check]) == [Errand("look", float), check]
     assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued([urgent])
     assert look.run() == 0
 
 
-def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
+def simulated_mouth(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
     """Three unloaded frames and some measured ones."""
     course = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
-    made = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
-    return dataclasses.replace(simulate(made), name="mouth")
+    simulation = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
+    return dataclasses.replace(simulate(simulation), name="mouth")
 
 
 def news(recording: Recording) -> list[object]:
@@ -58,35 +58,35 @@ def news(recording: Recording) -> list[object]:
 
 
 @pytest.mark.slow
-def test_live_answers_as_detect_does(tmp_path: Path) -> None:
-    recording = taken(40, (MOUTH,))
+def test_live_and_detect_give_the_same_answer(tmp_path: Path) -> None:
+    recording = simulated_mouth(40, (MOUTH,))
     recording.save(tmp_path / "mouth.h5")
     batch = detect_recording(tmp_path / "mouth.h5")
     live = functools.reduce(Watched.after, news(recording), Watched(recording.name)).detected
     assert live.answer == batch.answer == "lamprey" and live.content().keys() == batch.content().keys()
     assert live.frames_per_second == batch.frames_per_second == 4.0
-    (one,), (other,) = live.attachments, batch.attachments
-    assert one.since_s == other.since_s and one.place == pytest.approx(other.place, abs=0.3)
+    (live_load,), (batch_load,) = live.attachments, batch.attachments
+    assert live_load.since_s == batch_load.since_s and live_load.place == pytest.approx(batch_load.place, abs=0.3)
 
 
 @pytest.mark.slow
-def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
+def test_the_watching_process_answers_and_its_death_is_reported() -> None:
     answers: list[Detected] = []
-    beside = watcher("mouth", answers.append)
-    for one in news(taken(4)):
-        beside.ask([one])
-    beside.finish()
+    watching = watcher("mouth", answers.append)
+    for item in news(simulated_mouth(4)):
+        watching.ask([item])
+    watching.finish()
     assert answers[-1].answer == "nothing"
-    beside = watcher("mouth", answers.append)
-    beside.ask([2])
-    assert waited(lambda: beside._worker.process is not None, 20.0)
-    beside._worker.kill()
-    beside.finish()
+    watching = watcher("mouth", answers.append)
+    watching.ask([2])
+    assert waited(lambda: watching._worker.process is not None, 20.0)
+    watching._worker.kill()
+    watching.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
-    beside.close()
+    watching.close()
 
 
-def test_a_wait_ends_with_its_condition_or_its_time() -> None:
+def test_a_wait_ends_on_its_condition_or_timeout() -> None:
     answers = [True, True, True, False, False]
     assert waited(lambda: answers.pop(), 60.0) and answers == [True], "asked once more at the end"
     begin = time.monotonic()
@@ -94,10 +94,10 @@ def test_a_wait_ends_with_its_condition_or_its_time() -> None:
     assert waited(lambda: True, 0.0)
 
 
-def test_an_answer_that_changes_is_in_the_log_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
-    answers = [Detected.of("mouth", (one,), 4.0) for one in (CUP, CUP, LAMPREY, LAMPREY)]
+def test_the_log_contains_each_changed_answer_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
+    answers = [Detected.of("mouth", (load,), 4.0) for load in (CUP, CUP, LAMPREY, LAMPREY)]
     with Engine("test", "test", METHODS["smooth"], 3) as engine:
         for answer in answers:
             engine._take_detected(answer)
-    said = [record.getMessage() for record in caplog.records if record.name == "lampest"]
-    assert said == [f"mouth: {answers[0].sentence}", f"mouth: {answers[2].sentence}"]
+    messages = [record.getMessage() for record in caplog.records if record.name == "lampest"]
+    assert messages == [f"mouth: {answers[0].sentence}", f"mouth: {answers[2].sentence}"]

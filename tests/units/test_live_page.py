@@ -26,6 +26,7 @@ from lampest.report.live.server import PageActions, address, is_local_name, serv
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
+MAX_CLOSING_SECONDS = 3.0  # of a server with a client that never asks; its connection times out after ten
 
 
 @contextlib.contextmanager
@@ -77,30 +78,30 @@ def first_view(answer: http.client.HTTPResponse) -> Any:
     return json.loads(line[6:])
 
 
-def test_the_newest_is_never_missed() -> None:
+def test_a_slow_reader_never_misses_the_newest_item() -> None:
     """A reader that is slower than the writer skips, but sees numbers grow, and the last thing."""
     newest = Newest(0)
-    seen = []
+    received = []
 
     def read() -> None:
         number = 0
         while (news := newest.after(number)) is not None:
             number = news.number
-            seen.append(news)
+            received.append(news)
             time.sleep(1e-4)
 
     reader = threading.Thread(target=read)
     reader.start()
-    for thing in range(1, 2001):
-        newest.put(thing)
+    for value in range(1, 2001):
+        newest.put(value)
     newest.close()
     reader.join(10)
-    assert all(news.number == news.item for news in seen)
-    assert seen == sorted(seen) and seen[-1].item == 2000
+    assert all(news.number == news.item for news in received)
+    assert received == sorted(received) and received[-1].item == 2000
     assert newest.after(2000, 0.01) is None and newest.closed
 
 
-def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNamespace) -> None:
+def test_the_server_serves_only_the_page_and_the_views(page: SimpleNamespace) -> None:
     answer = page.ask()
     assert answer.status == 200 and answer.headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
@@ -122,15 +123,15 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
     assert page.server.server_address[0] == "127.0.0.1" and "/?token=" in page.server.url
 
 
-def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_ask_for_and_need_the_token() -> None:
-    asked: list[str] = []
+def test_actions_are_reserved_for_the_page_and_need_the_token() -> None:
+    requested: list[str] = []
 
     def record(name: str) -> None:
         if "." in name:
             raise InputError("that is no name")
-        asked.append(name)
+        requested.append(name)
 
-    actions = PageActions(lambda: asked.append("zero"), lambda: asked.append("seen"))
+    actions = PageActions(lambda: requested.append("zero"), lambda: requested.append("seen"))
     with page_at("127.0.0.1", actions=actions) as page:
         for path, headers, status in (
             ("/zero", {}, 403),
@@ -141,10 +142,10 @@ def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_a
             ("/acknowledge", {"X_Lampest": "zero"}, 403),
             ("/record", {"X_Lampest": "record"}, 404),  # there is nothing to record
         ):
-            assert page.status(path, "POST", **headers) == status and not asked
+            assert page.status(path, "POST", **headers) == status and not requested
         words = ("zero", "acknowledge")
         assert [page.status(f"/{word}", "POST", X_Lampest=word) for word in words] == [200, 200]
-        assert asked == ["zero", "seen"]
+        assert requested == ["zero", "seen"]
     bearer = {"Authorization": f"Bearer {TOKEN}"}
     with page_at("127.0.0.1", TOKEN, PageActions(record=record)) as page:
         for path, headers, status in (
@@ -153,13 +154,13 @@ def test_a_zero_an_end_of_the_alarm_and_a_recording_are_for_the_page_itself_to_a
             ("/record?name=x", bearer, 403),  # a foreign page's form has no such header
             ("/record?name=../x", {"X_Lampest": "record", **bearer}, 400),
         ):
-            assert page.status(path, "POST", **headers) == status and len(asked) == 2
+            assert page.status(path, "POST", **headers) == status and len(requested) == 2
         for path in ("/record?name=x", "/record"):
             assert page.status(path, "POST", X_Lampest="record", **bearer) == 200
-        assert asked[2:] == ["x", ""]
+        assert requested[2:] == ["x", ""]
 
 
-def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNamespace) -> None:
+def test_the_loopback_server_refuses_foreign_host_names(page: SimpleNamespace) -> None:
     assert page.status(Host="localhost:8137") == 200
     assert page.status("/views", Host="attacker.example:8137") == 403
     assert all(is_local_name(name) for name in ("127.0.0.1", "[::1]:80", "[::1]", "localhost", "127.0.0.9:1"))
@@ -175,7 +176,9 @@ def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNames
         assert answer.startswith(b"HTTP/1.0 %d " % code) and answer.count(b"HTTP/1.") == 1 and b"<html" not in answer
 
 
-def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pytest.CaptureFixture[str]) -> None:
+def test_clients_may_connect_and_disconnect_at_any_time(
+    page: SimpleNamespace, capfd: pytest.CaptureFixture[str]
+) -> None:
     for request in (b"", b"GET", b"\0\xff\r\n\r\n", b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n") * 10:
         with page.wired(request) as client:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
@@ -187,7 +190,7 @@ def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pyte
     assert capfd.readouterr() == ("", "")
 
 
-def test_guests_beyond_the_seats_are_told_so_and_those_that_never_read_give_theirs_to_others(
+def test_surplus_clients_are_refused_and_stalled_ones_lose_their_seat(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name, value in {"MAX_STREAMS": 2, "TURN_SECONDS": 0.3, "HEARTBEAT_SECONDS": 0.1}.items():
@@ -202,7 +205,7 @@ def test_guests_beyond_the_seats_are_told_so_and_those_that_never_read_give_thei
         assert server_module.PageServer.daemon_threads
 
 
-def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
+def test_the_last_view_reaches_every_client_and_no_client_delays_the_end() -> None:
     with contextlib.ExitStack() as running:
         page = running.enter_context(page_at("127.0.0.1"))
         page.wired(b"")  # a guest that never asks
@@ -214,12 +217,12 @@ def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
         began = time.monotonic()
         running.pop_all().close()
     assert '"state":"lampest has ended"' in answer.read().decode()
-    assert time.monotonic() - began < 3
+    assert time.monotonic() - began < MAX_CLOSING_SECONDS
     answer.close()
     connection.close()
 
 
-def test_an_address_is_a_host_and_a_port_that_nobody_has(page: SimpleNamespace) -> None:
+def test_an_address_needs_a_host_and_a_free_port(page: SimpleNamespace) -> None:
     assert address("localhost:0") == ("127.0.0.1", 0) and address("[::1]:81") == ("::1", 81)
     for text in ("", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"):
         with pytest.raises(InputError, match="not of the form HOST:PORT"):
@@ -232,7 +235,7 @@ def test_an_address_is_a_host_and_a_port_that_nobody_has(page: SimpleNamespace) 
 
 
 @pytest.mark.parametrize("origin", ["https://attacker.example", "http://127.0.0.1:1", "null"])
-def test_other_users_and_other_pages_of_this_computer_take_no_seat(origin: str) -> None:
+def test_other_local_users_and_pages_take_no_seat(origin: str) -> None:
     with page_at("127.0.0.1", actions=PageActions()) as page:
         for path in ("/", "/views"):
             assert page.status(path, Cookie="") == page.status(path, Origin=origin) == 403
@@ -251,7 +254,7 @@ def test_other_users_and_other_pages_of_this_computer_take_no_seat(origin: str) 
         assert page.status("/views", **own) == 200
 
 
-def test_elsewhere_nobody_comes_in_without_the_token(open_page: SimpleNamespace) -> None:
+def test_remote_clients_need_the_token(open_page: SimpleNamespace) -> None:
     for path in ("/", "/views", "/nothing", "/?token=", "/?token=a-token-of-my-owN", f"/?other={TOKEN}", f"/#{TOKEN}"):
         answer = open_page.ask(path)
         text = answer.read()
@@ -262,22 +265,22 @@ def test_elsewhere_nobody_comes_in_without_the_token(open_page: SimpleNamespace)
     assert open_page.status(f"/?token={TOKEN}", "PUT") == 405
 
 
-def test_a_browser_needs_the_token_once_and_programs_bring_it_as_they_like(open_page: SimpleNamespace) -> None:
+def test_a_browser_needs_the_token_once_and_programs_send_it_in_any_form(open_page: SimpleNamespace) -> None:
     assert open_page.server.url == f"http://127.0.0.1:{open_page.port}/?token={TOKEN}"
     answer = open_page.ask(f"/?token={TOKEN}")
     cookie = answer.headers["Set-Cookie"]
     assert answer.status == 200 and answer.read().startswith(b"<!") and TOKEN not in cookie
     assert cookie.endswith("; HttpOnly; SameSite=Lax; Path=/")
     crumb = cookie.split(";")[0]
-    again = open_page.ask(Cookie=crumb)
-    assert (again.status, again.headers.get("Set-Cookie")) == (200, None)
+    second = open_page.ask(Cookie=crumb)
+    assert (second.status, second.headers.get("Set-Cookie")) == (200, None)
     assert first_view(open_page.ask("/views", Cookie=f"theme=dark; {crumb}"))["state"] == "receiving"
     assert open_page.status("/views", Cookie=crumb[:-1]) == 403
     assert open_page.status(f"/views?token={TOKEN}") == 200
     assert all(open_page.status("/views", Authorization=f"{kind} {TOKEN}") == 200 for kind in ("Bearer", "token"))
 
 
-def test_a_token_is_made_up_unless_one_is_given() -> None:
+def test_a_missing_token_is_generated() -> None:
     tokens = set()
     for _ in range(2):
         with page_at("0.0.0.0") as page:

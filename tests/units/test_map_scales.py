@@ -20,7 +20,7 @@ def test_numbers_of_a_horizontal_bar_do_not_collide(shape: tuple[int, int]) -> N
     painter.draw(axes, Tile("map", change))
     painter.bar(axes.figure, axes, "bottom")
     figure.canvas.draw()
-    (bar,) = (other for other in right.axes if other is not axes)
+    (bar,) = (candidate for candidate in right.axes if candidate is not axes)
     boxes = [label.get_window_extent() for label in bar.get_xticklabels() if label.get_text()]
     assert len(boxes) > 3
     assert all(first.x1 < second.x0 for first, second in pairwise(boxes))

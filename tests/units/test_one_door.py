@@ -36,7 +36,7 @@ from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording, take_sample
 
 SHAPE = (8, 9)
-WHOLE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)
+SOUND_SCENE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)
 MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=80)
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
@@ -55,15 +55,19 @@ class Case:
 
 
 CASES = {
-    "nothing": Case(WHOLE),
-    "dead row": Case(replace(WHOLE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8),
-    "dead column": Case(replace(WHOLE, faults=Faults(dead_columns=(4,))), Faults(dead_columns=(4,)), RELATIVE, 1 / 9),
-    "open cell": Case(replace(WHOLE, faults=Faults(open=((3, 4),))), Faults(open=((3, 4),))),
-    "shorted cell": Case(replace(WHOLE, faults=Faults(shorted=((5, 1),))), Faults(shorted=((5, 1),)), least=1 / 72),
-    "reading of zero": Case(WHOLE, Faults(shorted=((5, 1),)), least=1 / 72),
-    "readings at a rail": Case(replace(WHOLE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1),
-    "systematic errors": Case(replace(WHOLE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL),
-    "water": Case(replace(WHOLE, water=Water(400.0), systematic=Systematic(0.01, 3.0)), estimator=ARRIVAL),
+    "nothing": Case(SOUND_SCENE),
+    "dead row": Case(replace(SOUND_SCENE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8),
+    "dead column": Case(
+        replace(SOUND_SCENE, faults=Faults(dead_columns=(4,))), Faults(dead_columns=(4,)), RELATIVE, 1 / 9
+    ),
+    "open cell": Case(replace(SOUND_SCENE, faults=Faults(open=((3, 4),))), Faults(open=((3, 4),))),
+    "shorted cell": Case(
+        replace(SOUND_SCENE, faults=Faults(shorted=((5, 1),))), Faults(shorted=((5, 1),)), least=1 / 72
+    ),
+    "reading of zero": Case(SOUND_SCENE, Faults(shorted=((5, 1),)), least=1 / 72),
+    "readings at a rail": Case(replace(SOUND_SCENE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1),
+    "systematic errors": Case(replace(SOUND_SCENE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL),
+    "water": Case(replace(SOUND_SCENE, water=Water(400.0), systematic=Systematic(0.01, 3.0)), estimator=ARRIVAL),
 }
 
 
@@ -92,13 +96,13 @@ def samples_of(recording: Recording) -> list[Sample]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_every_way_in_gives_the_same_cells(name: str) -> None:
+def test_every_entry_point_gives_the_same_cells(name: str) -> None:
     case = CASES[name]
     recording = recording_of(case)
     readings = recording.readings()
     assert np.mean((readings.side != 0) | (readings.seen == 0)) >= case.least
-    found = reconstruct(recording, case.estimator)
-    assert np.all(np.isfinite(found.cell_resistance))
+    estimate = reconstruct(recording, case.estimator)
+    assert np.all(np.isfinite(estimate.cell_resistance))
 
     def board(engine: Engine) -> None:
         for sample in samples_of(recording):
@@ -113,20 +117,20 @@ def test_every_way_in_gives_the_same_cells(name: str) -> None:
     for resistance in recording.resistance[recording.role != UNLOADED]:
         stream, step = stream.push(Readings.of(scene, resistance))
         cells.append(step.solution.cell_resistance[-1])
-    assert_allclose(cells, found.cell_resistance, rtol=1e-7)
-    assert_allclose(stream.baseline_resistance, found.baseline_resistance, rtol=1e-9)
+    assert_allclose(cells, estimate.cell_resistance, rtol=1e-7)
+    assert_allclose(stream.baseline_resistance, estimate.baseline_resistance, rtol=1e-9)
     replayed = live_pictures(case.estimator, 3, lambda engine: from_recording(engine, recording, 1e9, None))
     boarded = live_pictures(case.estimator, 3, board)
     for pictures in (replayed, boarded):
-        assert [picture.status for picture in pictures] == [step.solution.status.value for step in found.steps]
+        assert [picture.status for picture in pictures] == [step.solution.status.value for step in estimate.steps]
         ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
-        assert_allclose(ratio, found.cell_resistance / found.baseline_resistance, rtol=1e-7)
+        assert_allclose(ratio, estimate.cell_resistance / estimate.baseline_resistance, rtol=1e-7)
         flags = [picture.open_cell for picture in pictures]
-        assert_array_equal(flags, [step.solution.open_cell[-1] for step in found.steps])
+        assert_array_equal(flags, [step.solution.open_cell[-1] for step in estimate.steps])
     assert_array_equal([picture.force for picture in boarded], [picture.force for picture in replayed])
 
 
-def test_what_does_not_fit_is_named() -> None:
+def test_errors_name_inconsistent_inputs() -> None:
     """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
     role = np.ones(2, dtype=np.uint8)
@@ -136,11 +140,11 @@ def test_what_does_not_fit_is_named() -> None:
         ((good, np.zeros(SHAPE)), r"^sigma\[0, 0\] is 0 ohm; it must be positive$"),
     ):
         with pytest.raises(InputError, match=sentence):
-            Readings.of(WHOLE, *given)
+            Readings.of(SOUND_SCENE, *given)
     with pytest.raises(InputError, match="recording must be a Recording"):
         Prepared.of("mine.h5")
     with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
-        Recording(WHOLE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
+        Recording(SOUND_SCENE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from lampest.runs.executors import Serial
 
 Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
-FEW = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
+SMALL_SCENE = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
 RUN = """
 schema: 1
@@ -79,7 +79,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, small: None) -> None:
+def test_parts_give_the_results_of_the_whole_recording(tmp_path: Path, lampest: Command, small: None) -> None:
     """A part without a measured frame, frames that cannot be read and outliers are among them."""
     values = frames(110)
     values[45:75] = np.nan
@@ -91,23 +91,23 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     def run(name: str) -> SimpleNamespace:
         return lampest("run", tmp_path / "run.yaml", "--out", tmp_path / name, "--jobs", "1")
 
-    ended = run("parts")
-    assert (ended.code, ended.err) == (0, "")
+    completed = run("parts")
+    assert (completed.code, completed.err) == (0, "")
     assert [file.suffix for file in (tmp_path / "parts" / "cases").iterdir()] == [".h5"] * 3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stored, "MAX_READINGS", 10**6)
         run("whole")
-    parts, whole = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
-    for ours, theirs in zip(parts.cases, whole.cases, strict=True):
-        assert ours.case_id == theirs.case_id and ours.status == theirs.status
-        assert np.array_equal(ours.frame, theirs.frame) and np.array_equal(ours.time, theirs.time)
-        np.testing.assert_allclose(ours.cell_resistance, theirs.cell_resistance, rtol=1e-2)
-        assert ours.cell_resistance_errors is not None or ours.estimator == "scaled"
+    parts, complete = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
+    for actual, expected in zip(parts.cases, complete.cases, strict=True):
+        assert actual.case_id == expected.case_id and actual.status == expected.status
+        assert np.array_equal(actual.frame, expected.frame) and np.array_equal(actual.time, expected.time)
+        np.testing.assert_allclose(actual.cell_resistance, expected.cell_resistance, rtol=1e-2)
+        assert actual.cell_resistance_errors is not None or actual.estimator == "scaled"
     assert "0 cases solved, 3 were done before" in run("parts").out
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
 
 
-def test_parts_know_that_the_data_chose_their_weights(tmp_path: Path, small: None) -> None:
+def test_results_of_parts_record_automatic_weights(tmp_path: Path, small: None) -> None:
     save(tmp_path, frames(40))
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
     terms = lampest.Misfit(weighting="noise"), lampest.Gradient()
@@ -117,7 +117,7 @@ def test_parts_know_that_the_data_chose_their_weights(tmp_path: Path, small: Non
         assert {estimates.automatic for _, estimates, _ in parts} == {weight == "auto"}
 
 
-def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path: Path, small: None) -> None:
+def test_a_long_recording_has_the_frame_period_of_its_first_part(tmp_path: Path, small: None) -> None:
     time = np.concatenate([0.1 * np.arange(20), 10.0 + 0.7 * np.arange(20)])
     role = (np.arange(40) >= UNLOADED).astype(np.uint8)
     lampest.Recording(SCENE, frames(40), time, role).save(tmp_path / "long.h5")
@@ -129,14 +129,12 @@ def test_the_frame_period_of_a_long_recording_is_that_of_its_first_part(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("apart", [True, False])
-def test_an_ended_run_goes_on_behind_its_last_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
-) -> None:
+def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool) -> None:
     """Three parts of 16 frames, of estimates that look back or do not; the second is damaged before it goes on.
 
     Parts that stand apart are solved in any order, by an executor or by the case itself.
     """
-    told: list[tuple[int, int]] = []
+    progress: list[tuple[int, int]] = []
 
     class Backwards(Serial):
         def results(self, function: Any, arguments: Sequence[Any]) -> Any:
@@ -144,13 +142,13 @@ def test_an_ended_run_goes_on_behind_its_last_part(
 
     monkeypatch.setattr(stored, "MAX_READINGS", 100)
     monkeypatch.setattr(stored, "PART_READINGS", 96)
-    save(tmp_path, frames(48, FEW), FEW)
+    save(tmp_path, frames(48, SMALL_SCENE), SMALL_SCENE)
     penalty = "gradient" if apart else "gradient_of_relative_change"
     entry = f"{{formulation: reduced, terms: {{misfit: {{}}, {penalty}: {{weight: 1e-3}}}}}}"
     (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n")
     run = read_run(tmp_path / "run.yaml")
-    assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: told.append(frames)).done == 1
-    assert told[-1] == (48, 48) and told == sorted(told)
+    assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: progress.append(frames)).done == 1
+    assert progress[-1] == (48, 48) and progress == sorted(progress)
     write = batch.write_carried
     written = list[str]()
 
@@ -179,7 +177,7 @@ def test_an_ended_run_goes_on_behind_its_last_part(
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, small: None, fresh: bool) -> None:
+def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(tmp_path: Path, small: None, fresh: bool) -> None:
     save(tmp_path, frames(40))
     (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
     run = read_run(tmp_path / "run.yaml")
@@ -196,7 +194,7 @@ def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, smal
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")
-def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
+def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
     """Peak resident size of two processes; the 25 maps of the longer recording alone would be 48 MB."""
     scene = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
     run = "schema: 1\nrecordings: [long.h5]\nformulation: naive\nestimators: {one: {terms: {misfit: {}}}}\n"
@@ -206,12 +204,12 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
         save(folder, frames(count, scene), scene)
         (folder / "run.yaml").write_text(run)
         words = [sys.executable, "-c", SCRIPT, str(folder / "run.yaml"), str(folder / "out")]  # parts of 200 frames
-        ended = subprocess.run(words, capture_output=True, text=True, check=True)
-        peaks.append(int(ended.stdout))
+        completed = subprocess.run(words, capture_output=True, text=True, check=True)
+        peaks.append(int(completed.stdout))
     assert peaks[1] < 1.02 * peaks[0]
 
 
-def test_what_needs_all_frames_says_so(tmp_path: Path, lampest: Command, small: None) -> None:
+def test_methods_that_need_all_frames_refuse_long_recordings(tmp_path: Path, lampest: Command, small: None) -> None:
     save(tmp_path, frames(40))
     robust = "misfit: {weighting: noise, loss: {kind: student, corner: 4}}"
     for entry, words in (
@@ -219,8 +217,8 @@ def test_what_needs_all_frames_says_so(tmp_path: Path, lampest: Command, small: 
         ("{tare: {}, terms: {misfit: {weighting: noise}}}", "zero is followed"),
     ):
         (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators:\n  one: {entry}\n")
-        ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
-        assert ended.code == 2 and words in ended.err and "40 frames of 20 cells" in ended.err
+        completed = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
+        assert completed.code == 2 and words in completed.err and "40 frames of 20 cells" in completed.err
         assert not os.path.lexists(tmp_path / "out")
 
 
@@ -228,14 +226,14 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     save(tmp_path, frames(30))
     (tmp_path / "run.yaml").write_text(RUN)
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1").code == 0
-    whole, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
-    for ours, theirs in zip(part.cases, whole.cases, strict=True):
-        assert np.array_equal(ours.cell_resistance, theirs.cell_resistance[5:9])
-        assert ours.status == theirs.status[5:9]
-        assert np.array_equal(ours.weights["misfit"], theirs.weights["misfit"][5:9])
-    recording, some = (Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9)))
-    assert np.array_equal(some.recorded, recording.recorded[5:9])
-    assert some.number is not None and list(some.number) == [5, 6, 7, 8]
+    complete, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
+    for actual, expected in zip(part.cases, complete.cases, strict=True):
+        assert np.array_equal(actual.cell_resistance, expected.cell_resistance[5:9])
+        assert actual.status == expected.status[5:9]
+        assert np.array_equal(actual.weights["misfit"], expected.weights["misfit"][5:9])
+    recording, excerpt = (Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9)))
+    assert np.array_equal(excerpt.recorded, recording.recorded[5:9])
+    assert excerpt.number is not None and list(excerpt.number) == [5, 6, 7, 8]
 
 
 def test_a_long_recording_is_closed_by_parts(tmp_path: Path, request: pytest.FixtureRequest) -> None:
@@ -273,7 +271,7 @@ def test_a_check_refuses_files_of_other_programs_without_checksums(tmp_path: Pat
         checked_sentence(tmp_path / "readings.h5")
 
 
-def test_what_holds_all_of_a_recording_asks_for_its_memory(
+def test_commands_that_load_a_whole_recording_check_its_memory(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save(tmp_path, frames(2000))
@@ -287,6 +285,6 @@ def test_what_holds_all_of_a_recording_asks_for_its_memory(
         ("study", "weights", "run.yaml"),
         ("tare", "long.h5", "--frames", "0:5", "--out", "tared.h5"),
     ):
-        ended = lampest(*command)
-        assert ended.code == 2 and f"long.h5: {refusal}" in ended.err
+        completed = lampest(*command)
+        assert completed.code == 2 and f"long.h5: {refusal}" in completed.err
     assert not (tmp_path / "tared.h5").exists()

@@ -73,7 +73,7 @@ def test_a_threshold_is_refused(tmp_path: Path) -> None:
         imported(tmp_path, SCENES["loaded"], np.where(codes > np.quantile(codes, 0.6), codes, 0), unloaded=0)
 
 
-def test_a_scale_of_its_own_is_refused(tmp_path: Path) -> None:
+def test_a_rescaled_table_is_refused(tmp_path: Path) -> None:
     codes = codes_of(SCENES["loaded"]).astype(float)
     np.save(tmp_path / "mine.npy", (codes - codes.min()) / np.ptp(codes))
     with pytest.raises(InputError, match="from exactly 0 to exactly 1 are scaled to some range"):
@@ -84,21 +84,21 @@ def test_a_scale_of_its_own_is_refused(tmp_path: Path) -> None:
 def test_the_resting_frame_restores_what_was_not_clipped(tmp_path: Path, scene: Scene) -> None:
     codes = codes_of(scene)
     difference, resting = subtracted(codes)
-    told = replace(scene, baseline="subtracted")
+    by_difference = replace(scene, baseline="subtracted")
     raw = imported(
         tmp_path, lampest.Scene(scene.panel, scene.readout, scene.series_resistance_ohm, baseline="raw"), codes
     )
-    whole = imported(tmp_path, told, difference, resting)
-    loaded = whole.role != UNLOADED
-    np.testing.assert_array_equal(whole.recorded[loaded], raw.recorded[loaded])
-    clipped = imported(tmp_path, told, np.maximum(difference, 0), resting)
-    kept = difference[loaded] > 0
-    np.testing.assert_array_equal(clipped.recorded[loaded][kept], raw.recorded[loaded][kept])
-    assert np.isnan(clipped.recorded[loaded][~kept]).all()
-    assert whole.scene.baseline == "raw"
+    unclipped = imported(tmp_path, by_difference, difference, resting)
+    loaded = unclipped.role != UNLOADED
+    np.testing.assert_array_equal(unclipped.recorded[loaded], raw.recorded[loaded])
+    clipped = imported(tmp_path, by_difference, np.maximum(difference, 0), resting)
+    positive = difference[loaded] > 0
+    np.testing.assert_array_equal(clipped.recorded[loaded][positive], raw.recorded[loaded][positive])
+    assert np.isnan(clipped.recorded[loaded][~positive]).all()
+    assert unclipped.scene.baseline == "raw"
 
 
-def test_a_subtracted_frame_has_to_be_given_and_told(tmp_path: Path) -> None:
+def test_a_subtracted_frame_must_be_given_and_specified(tmp_path: Path) -> None:
     scene = SCENES["grounded"]
     difference, resting = subtracted(codes_of(scene))
     with pytest.raises(InputError, match="give the resting frame that was subtracted"):
@@ -107,7 +107,7 @@ def test_a_subtracted_frame_has_to_be_given_and_told(tmp_path: Path) -> None:
         imported(tmp_path, scene, difference, resting)
 
 
-def test_open_cells_at_rest_are_imported_where_the_scene_says_so(tmp_path: Path) -> None:
+def test_cells_open_at_rest_are_imported_if_the_scene_allows_them(tmp_path: Path) -> None:
     scene = Scene(Panel(*SHAPE), GroundedReadout(load_ohm=1000.0, drive_ohm=50.0, readings=1), baseline="raw")
     codes = np.where(np.arange(10)[:, None, None] >= UNLOADED_FRAMES, codes_of(scene), 0)
     assert imported(tmp_path, scene, codes).scene.baseline == "raw"

@@ -51,8 +51,8 @@ def frames(draw: st.DrawFn) -> Frame:
     columns = draw(st.integers(1, 16))
     readings = draw(st.integers(1, 64))
     seed = draw(st.integers(0, 2**32 - 1))
-    most = readings * protocol.MAX_CODE if draw(st.booleans()) else 3
-    sums = np.random.default_rng(seed).integers(0, most + 1, (rows, columns)).astype(np.uint16)
+    max_sum = readings * protocol.MAX_CODE if draw(st.booleans()) else 3
+    sums = np.random.default_rng(seed).integers(0, max_sum + 1, (rows, columns)).astype(np.uint16)
     counts = [draw(st.integers(0, 2**bits - 1)) for bits in (32, 32, 16)]
     return Frame(readings, *counts, sums)
 
@@ -67,13 +67,13 @@ def received(data: bytes) -> tuple[protocol.Message, ...]:
     return Receiver().feed(data)[1]
 
 
-def test_crc_and_cobs_are_those_of_their_catalogues() -> None:
+def test_crc_and_cobs_agree_with_their_catalogues() -> None:
     assert protocol.crc16(b"123456789") == 0x29B1
     for body, wire in COBS:
         assert protocol.stuffed(body).hex() == wire and protocol.unstuffed(bytes.fromhex(wire)) == body
 
 
-def test_hello_and_answer_come_back_and_commands_are_no_messages() -> None:
+def test_hello_and_answer_are_decoded_and_commands_are_not_messages() -> None:
     for running in (False, True):
         hello = Hello(*(16, 3, 1, 16, 16, 64, (2, 9), 4, 5, 6, 3300, 7, 12, "sensor", running))
         assert received(message(hello_body(hello))) == (hello,)
@@ -83,20 +83,20 @@ def test_hello_and_answer_come_back_and_commands_are_no_messages() -> None:
 
 @given(st.lists(frames(), min_size=1, max_size=4), st.binary(max_size=60), st.binary(max_size=60), st.data())
 @settings(max_examples=60)
-def test_cuts_and_garbage_around_do_not_matter(
+def test_cuts_and_surrounding_garbage_lose_no_frame(
     sent: list[Frame], before: bytes, after: bytes, data: st.DataObject
 ) -> None:
     """However the line is cut into pieces, all frames arrive; the garbage before has no zero in it or it may be cut."""
     wire = before + b"".join(message(frame_body(frame)) for frame in sent) + b"\0" + after
     receiver = Receiver()
-    found = list[Frame]()
+    arrived = list[Frame]()
     while wire:
         cut = data.draw(st.sampled_from([1, 2, 17, 300, len(wire)]))
         receiver, items = receiver.feed(wire[:cut])
-        found += [item for item in items if isinstance(item, Frame)]
+        arrived += [item for item in items if isinstance(item, Frame)]
         wire = wire[cut:]
-    assert len(found) == len(sent)
-    assert all(same(got, want) for got, want in zip(found, sent, strict=True))
+    assert len(arrived) == len(sent)
+    assert all(same(actual, expected) for actual, expected in zip(arrived, sent, strict=True))
 
 
 @given(frames(), st.data())
@@ -110,15 +110,15 @@ def test_up_to_three_flipped_bits_are_noticed(frame: Frame, data: st.DataObject)
 
 
 @given(frames(), frames(), st.data())
-def test_a_torn_frame_costs_only_itself(torn: Frame, whole: Frame, data: st.DataObject) -> None:
+def test_a_truncated_frame_costs_only_itself(torn: Frame, whole: Frame, data: st.DataObject) -> None:
     wire = message(frame_body(torn))
     cut = data.draw(st.integers(1, len(wire) - 1))
-    found = received(wire[:cut] + message(frame_body(whole)))
-    assert same(found[-1], whole)
+    messages = received(wire[:cut] + message(frame_body(whole)))
+    assert same(messages[-1], whole)
 
 
 @given(st.integers(0, 255).filter(lambda version: version != protocol.PROTOCOL_VERSION), frames())
-def test_another_version_is_named_and_not_read(version: int, frame: Frame) -> None:
+def test_another_version_is_named_and_not_decoded(version: int, frame: Frame) -> None:
     assert received(message(bytes([version]) + frame_body(frame)[1:])) == (protocol.Foreign(version),)
 
 
@@ -130,7 +130,7 @@ def test_impossible_content_with_a_right_crc_is_garbage() -> None:
         assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
 
 
-def test_estimates_come_back_and_impossible_ones_are_garbage() -> None:
+def test_estimates_are_decoded_and_impossible_ones_are_garbage() -> None:
     """A board in whose numbers a bit turned unseen by the CRC has sent no estimate rather than a wrong one."""
     change = np.linspace(-27, 27, 256, dtype=np.float32).reshape(16, 16)
     (estimate,) = received(message(estimate_body(Estimate(3, 2**32 - 1, change))))
@@ -151,7 +151,7 @@ def test_estimates_come_back_and_impossible_ones_are_garbage() -> None:
 
 
 @given(st.binary(max_size=3000))
-def test_noise_is_never_a_frame_never_an_error_and_fills_no_memory(noise: bytes) -> None:
+def test_noise_gives_neither_a_frame_nor_an_error_and_fills_no_memory(noise: bytes) -> None:
     receiver, items = Receiver().feed(noise)
     assert not any(isinstance(item, Frame) for item in items)
     for _ in range(20):
@@ -162,7 +162,7 @@ def test_noise_is_never_a_frame_never_an_error_and_fills_no_memory(noise: bytes)
 
 
 def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:
-    """Those that boards with this version of the protocol were flashed with."""
+    """Boards with this version of the protocol were flashed with these numbers."""
     assert {kind.name: kind.value for kind in Kind} == KINDS and protocol.PROTOCOL_VERSION == 1
     wire = command(Kind.SET_PERIOD, 7, 0x01020304)
     body = b"\x01\x16\x07\x04\x03\x02\x01"
@@ -193,14 +193,16 @@ class ObedientPort:
         self.data += self.answers(kind, tag, value)
 
 
-def asked(answers: Callable[[Kind, int, int], bytes]) -> tuple[port.Board, list[tuple[str, int]]]:
+def board_with(answers: Callable[[Kind, int, int], bytes]) -> tuple[port.Board, list[tuple[str, int]]]:
     line: Any = ObedientPort(answers)
     return port.Board(line, "port"), line.commands
 
 
-def test_a_refused_command_is_a_sentence_unless_a_lost_answer_explains_it() -> None:
+def test_a_refused_command_gives_a_sentence_unless_a_lost_answer_explains_it() -> None:
     for result in Result:
-        board, _ = asked(lambda kind, tag, value, it=result: message(answer_body(Answer(kind, tag, it, value))))
+        board, _ = board_with(
+            lambda kind, tag, value, answered=result: message(answer_body(Answer(kind, tag, answered, value)))
+        )
         for kind in (Kind.START, Kind.STOP, Kind.SET_ROWS):
             if result is Result.DONE or (kind is Kind.START and result is Result.REFUSED_RUNNING):
                 board.order(kind, 5)
@@ -210,11 +212,11 @@ def test_a_refused_command_is_a_sentence_unless_a_lost_answer_explains_it() -> N
             assert str(caught.value) == f"port: {kind.name} 5 refused: {result.value}"
 
 
-def test_a_command_is_sent_four_times_and_nothing_else_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_is_sent_four_times_without_losing_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(port, "ANSWER_SECONDS", 0.01)
     frame = Frame(1, 3, 4, 0, np.ones((1, 2), dtype=np.uint16))
     idle = replace(HELLO, readings=3)
-    board, commands = asked(lambda kind, tag, value: b"")
+    board, commands = board_with(lambda kind, tag, value: b"")
     with pytest.raises(port.NoBoardError, match=r"^port: the board does not answer IDENTIFY$"):
         board.identify()
     assert commands == [("IDENTIFY", 0)] * 4 and board.heard == 0
@@ -222,23 +224,23 @@ def test_a_command_is_sent_four_times_and_nothing_else_is_lost(monkeypatch: pyte
         message(frame_body(frame)) + b"noise\0",
         message(hello_body(HELLO)) + message(hello_body(idle)) + message(frame_body(frame)),
     ]
-    board, commands = asked(lambda kind, tag, value: sent.pop(0))
+    board, commands = board_with(lambda kind, tag, value: sent.pop(0))
     assert board.identify() == HELLO and len(commands) == 2
-    found = board.messages()
-    assert [type(item) for item in found] == [Frame, Hello, Frame] and all(map(same, found[::2], (frame, frame)))
+    items = board.messages()
+    assert [type(item) for item in items] == [Frame, Hello, Frame] and all(map(same, items[::2], (frame, frame)))
 
 
-def test_a_board_is_set_before_it_starts() -> None:
+def test_a_board_is_configured_before_it_starts() -> None:
     """By default a frame a second, or as fast as the board can."""
     for period, shortest, chosen in ((None, 1_000, 1_000_000), (None, 2_000_000, 2_000_000), (1_000, 1_000, 1_000)):
-        found = replace(HELLO, rows=3, columns=4, readings=5, shortest_period_us=shortest)
+        greeting = replace(HELLO, rows=3, columns=4, readings=5, shortest_period_us=shortest)
 
-        def answers(kind: Kind, tag: int, value: int, hello: Hello = found) -> bytes:
+        def answers(kind: Kind, tag: int, value: int, hello: Hello = greeting) -> bytes:
             body = hello_body(hello) if kind is Kind.IDENTIFY else answer_body(Answer(kind, tag, Result.DONE, value))
             return message(body)
 
-        board, commands = asked(answers)
-        assert board.start(3, 4, 5, period, baseline=300) == replace(found, estimates=True)
+        board, commands = board_with(answers)
+        assert board.start(3, 4, 5, period, baseline=300) == replace(greeting, estimates=True)
         sizes = [("SET_ROWS", 3), ("SET_COLUMNS", 4), ("SET_READINGS", 5), ("SET_BASELINE", 255), ("IDENTIFY", 0)]
         assert commands == [("STOP", 0), *sizes, ("SET_PERIOD", chosen), ("IDENTIFY", 0), ("START", 0)]
         with pytest.raises(port.NoBoardError, match="restarted while it was being set"):

@@ -77,7 +77,7 @@ class Page(HTMLParser):
         return [str(given[attribute]) for _, given in self.tags if attribute in given]
 
 
-def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_noise() -> None:
+def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise() -> None:
     """Texts that come from files are text."""
     names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
     known: dict[str, Any] = {"case_yaml": "</pre><b>&", "truth": False, "weights": {}}
@@ -95,7 +95,7 @@ def test_a_page_needs_nothing_else_and_recommends_nothing_without_truth_and_nois
 
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
-def test_a_report_of_every_shape_is_written_whatever_failed(shape: tuple[int, int, int]) -> None:
+def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int, int]) -> None:
     """Also where no frame was solved, or where a change is NaN because the unloaded panel was not."""
     cases = [certain(invented_case(method, shape=shape)) for method in METHODS[:2]]
     cases.append(invented_case("failed", shape=shape, failed=tuple(range(shape[0]))))
@@ -107,7 +107,7 @@ def test_a_report_of_every_shape_is_written_whatever_failed(shape: tuple[int, in
 
 
 @pytest.mark.slow
-def test_same_bytes_twice_and_wrong_input_in_a_sentence(tmp_path: Path) -> None:
+def test_reports_are_reproducible_and_wrong_input_gives_one_sentence(tmp_path: Path) -> None:
     source = tmp_path / "results.h5"
     out = tmp_path / "report.html"
     write_results(source, [certain(invented_case(method, shape=(3, 4, 4))) for method in METHODS[:2]])
@@ -139,15 +139,15 @@ def maps() -> tuple[np.ndarray, np.ndarray]:
     return pressure, errors
 
 
-def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
+def test_forces_of_noisy_maps_scatter_by_their_errors() -> None:
     pressure, errors = maps()
     rng = np.random.default_rng(4)
     forces = list[float]()
     for _ in range(200):
         noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
-        one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
-        forces.append(one.values[1, -1])
-    assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
+        pressed = pressed_of(pressing(pressure=noisy, pressure_own=errors))
+        forces.append(pressed.values[1, -1])
+    assert np.std(forces) == pytest.approx(pressed.errors[1, -1], rel=0.2)
 
 
 @pytest.mark.parametrize("sources", [1, 3])

@@ -46,7 +46,7 @@ def recorder(script: Script, out: Path) -> Iterator[tuple[WildBoard, Running]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS)
-def test_all_that_was_sent_before_a_signal_is_in_the_file(tmp_path: Path, number: signal.Signals) -> None:
+def test_the_file_contains_all_frames_sent_before_a_signal(tmp_path: Path, number: signal.Signals) -> None:
     out = tmp_path / "r.h5"
     with recorder(hundred_a_second, out) as (board, process):
         length = len(wire(board.hello, 300))
@@ -55,10 +55,10 @@ def test_all_that_was_sent_before_a_signal_is_in_the_file(tmp_path: Path, number
         for _ in range(3):
             process.send_signal(number)
         stdout, stderr = process.communicate(timeout=60)
-    found = Recording.load(out)
+    recording = Recording.load(out)
     assert process.returncode == 130
-    assert len(found.time) >= sent and found.acquisition.sequence.tolist() == list(range(len(found.time)))
-    assert stdout.startswith(f"{len(found.time)} frames, 0 lost, 0 restarts")
+    assert len(recording.time) >= sent and recording.acquisition.sequence.tolist() == list(range(len(recording.time)))
+    assert stdout.startswith(f"{len(recording.time)} frames, 0 lost, 0 restarts")
     assert f"lampest: {number.name} ended the recording; " in stderr and stderr.endswith("is kept\n")
     assert {path.name for path in tmp_path.iterdir()} == {"r.h5"}
 
@@ -83,7 +83,7 @@ def test_a_recording_outlives_its_terminal_with_nohup(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS[1:])
-def test_live_ends_with_130_too(number: signal.Signals) -> None:
+def test_live_ends_with_code_130(number: signal.Signals) -> None:
     words = ("live", "--recording", LAMPREY, "--speed", 1000, "--http", "127.0.0.1:0")
     with started(COMMAND, *words) as process:
         assert process.stdout is not None and process.stdout.readline().startswith("http://127.0.0.1:")
@@ -92,7 +92,7 @@ def test_live_ends_with_130_too(number: signal.Signals) -> None:
     assert (process.returncode, stderr) == (130, "lampest: interrupted; what was finished is kept\n")
 
 
-def test_a_second_signal_within_a_second_does_not_interrupt_the_clean_up_of_the_first() -> None:
+def test_a_second_signal_within_a_second_does_not_interrupt_the_clean_up() -> None:
     """An exception inside a destructor is printed and lost."""
     with pytest.raises(KeyboardInterrupt), ending_signals():
         try:

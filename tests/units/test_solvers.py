@@ -49,23 +49,23 @@ def decayed(unknowns: Array) -> SumOfSquares:
     return SumOfSquares(amplitude * falling + offset - measured, slopes)
 
 
-def test_the_minimum_is_that_of_scipy_within_bounds_or_without() -> None:
+def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
     free = (-np.inf, np.inf)
     box = (np.array([0.0, 0.0, 0.5]), np.array([5.0, 1.2, 5.0]))
     for damping, bounds in ((0.0, free), (10.0, free), (LOOP.damping, free), (LOOP.damping, box)):
         start = np.array([1.0, 0.5, 1.0])
         position, squares = replace(LOOP, damping=damping).minimum(decayed, start, bounds)
         exactly = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}
-        theirs = least_squares(lambda at: decayed(at).residual, start, bounds=bounds, **exactly)
-        assert_allclose(position, theirs.x, rtol=1e-5)
-        assert np.isclose(squares.cost, theirs.cost, rtol=1e-6)
+        reference = least_squares(lambda at: decayed(at).residual, start, bounds=bounds, **exactly)
+        assert_allclose(position, reference.x, rtol=1e-5)
+        assert np.isclose(squares.cost, reference.cost, rtol=1e-6)
         assert np.all(position >= bounds[0]) and np.all(position <= bounds[1])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
-def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
-    """Of the third frame of a recording: evaluations of the cost, products with ∇²φ, and its factors."""
+def test_second_derivatives_are_factored_once_and_reused(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """Evaluations of the cost, products with ∇²φ and factorisations are counted in the third frame."""
     bench = BenchFile(schema=1, sizes=(8,))
     counts = dict[str, int]()
     recording = bench.recording((8, 8), number)
@@ -91,8 +91,8 @@ def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.Monk
     assert solution.strict and counts["of"] == 1
     assert counts["product"] <= 7  # 8 where ∇²φ is factored at the end alone
     assert counts["elsewhere"] <= 4  # 5 where the last point is evaluated again
-    again = solution.at.elsewhere(solution.at.cell_resistance)
-    assert np.isclose(again.objective, solution.objective, rtol=1e-13, atol=0)
+    repeated = solution.at.elsewhere(solution.at.cell_resistance)
+    assert np.isclose(repeated.objective, solution.objective, rtol=1e-13, atol=0)
 
 
 def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
@@ -105,8 +105,8 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
     resting = Readings.of(scene, recording.recorded[recording.role == 0]).mean()
     stream = lampest.Stream.begin(estimator, scene, 0.2, resting)
     for frame in recording.recorded[recording.role == 1]:
-        before, (stream, step) = stream, stream.push(Readings.of(scene, frame))
-    data, _ = before.given(Readings.of(scene, recording.recorded[-1]))
+        previous, (stream, step) = stream, stream.push(Readings.of(scene, frame))
+    data, _ = previous.given(Readings.of(scene, recording.recorded[-1]))
     assert step.solution.status is Status.OPTIMUM
     return estimator.problem(scene, 1, 0.2).cost, data, step.cell_resistance[None]
 

@@ -45,7 +45,7 @@ def message(number: int, side: int = 64) -> Message:
     return Message(panel, picture, View("here", "LSM", "receiving", panel))
 
 
-def within(work: Callable[[], object]) -> None:
+def finish_in_time(work: Callable[[], object]) -> None:
     """Do something that must come to an end."""
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
@@ -61,7 +61,7 @@ def send_all(send: Send) -> None:
             send(message(number))
             time.sleep(0.002)
 
-    within(every)
+    finish_in_time(every)
 
 
 def small_socket() -> socket.socket:
@@ -72,9 +72,9 @@ def small_socket() -> socket.socket:
 
 
 @contextmanager
-def sleeper(where: str) -> Iterator[socket.socket]:
+def sleeper(url: str) -> Iterator[socket.socket]:
     """A listener at an address that never reads."""
-    port = urlsplit(where).port
+    port = urlsplit(url).port
     with closing(small_socket()) as asleep:
         asleep.connect(("127.0.0.1", port))
         asleep.sendall(HANDSHAKE.format(port=port).encode())
@@ -92,42 +92,44 @@ def read_all(end: socket.socket) -> int:
 
 
 @pytest.mark.slow
-def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the_end() -> None:
-    came: list[int] = []
-    way = publish_at("websocket://127.0.0.1:0").opened(print)
-    where, send = way.__enter__()
-    with sleeper(where) as asleep, connect(where, max_size=None) as awake:
+def test_a_stalled_websocket_delays_neither_frames_nor_clients_nor_the_end() -> None:
+    received: list[int] = []
+    publishing = publish_at("websocket://127.0.0.1:0").opened(print)
+    url, send = publishing.__enter__()
+    with sleeper(url) as asleep, connect(url, max_size=None) as awake:
 
         def listening() -> None:
             with suppress(ConnectionClosed):
-                came.extend(json.loads(text)["sequence"] for text in awake)
+                received.extend(json.loads(text)["sequence"] for text in awake)
 
         ear = threading.Thread(target=listening, daemon=True)
         ear.start()
         send_all(send)
-        within(lambda: way.__exit__(None, None, None))
+        finish_in_time(lambda: publishing.__exit__(None, None, None))
         ear.join(PATIENCE_SECONDS)
-        assert came[-1] == FRAMES and came == sorted(set(came)), "who listens gets the newest frame, in order"
+        assert received[-1] == FRAMES and received == sorted(set(received)), (
+            "who listens gets the newest frame, in order"
+        )
         assert read_all(asleep) < FRAMES * len(message(1).text()) / 2, "what it did not take is not kept for it"
 
 
 @pytest.mark.slow
-def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stalled_websocket_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(publish_module, "MAX_STREAMS", 1)
     monkeypatch.setattr(publish_module, "TURN_SECONDS", 0.2)
-    with publish_at("websocket://127.0.0.1:0").opened(print) as (where, send), sleeper(where):
+    with publish_at("websocket://127.0.0.1:0").opened(print) as (url, send), sleeper(url):
         send_all(send)
 
         def admitted() -> None:
             while True:
-                with suppress(InvalidStatus), connect(where, max_size=None):
+                with suppress(InvalidStatus), connect(url, max_size=None):
                     return
                 time.sleep(0.1)
 
-        within(admitted)
+        finish_in_time(admitted)
 
 
-def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None:
+def test_a_stalled_broker_delays_neither_frames_nor_the_end() -> None:
     taken: list[socket.socket] = []
     with closing(small_socket()) as door:
         door.bind(("127.0.0.1", 0))
@@ -140,18 +142,20 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
             taken.append(end)
 
         threading.Thread(target=deaf, daemon=True).start()
-        way = publish_at(f"mqtt://127.0.0.1:{door.getsockname()[1]}/panel").opened(print)
-        _, send = way.__enter__()
+        publishing = publish_at(f"mqtt://127.0.0.1:{door.getsockname()[1]}/panel").opened(print)
+        _, send = publishing.__enter__()
         send_all(send)
-        clients = [one for one in gc.get_objects() if type(one) is Client]
-        ours = [one.socket() for one in clients if one.socket() is not None]
-        assert ours and all(one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for one in ours), "sent at once"
-        within(lambda: way.__exit__(None, None, None))
+        clients = [client for client in gc.get_objects() if type(client) is Client]
+        sockets = [client.socket() for client in clients if client.socket() is not None]
+        assert sockets and all(client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for client in sockets), (
+            "sent at once"
+        )
+        finish_in_time(lambda: publishing.__exit__(None, None, None))
         with closing(taken[0]):
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
 
 
-def test_a_websocket_is_for_this_computer_and_elsewhere_asks_for_a_token() -> None:
+def test_a_websocket_is_local_or_requires_a_token() -> None:
     for host, headers, path, status in (
         ("127.0.0.1", {"Origin": "http://evil.example"}, "", 403),
         ("127.0.0.1", {"Origin": "http://127.0.0.1:8137"}, "", 101),
@@ -162,9 +166,9 @@ def test_a_websocket_is_for_this_computer_and_elsewhere_asks_for_a_token() -> No
         ("0.0.0.0", {"Authorization": f"Bearer {TOKEN}"}, "", 101),
     ):
         token = TOKEN if host == "0.0.0.0" else None
-        with publish_at(f"websocket://{host}:0", token).opened(print) as (where, _):
+        with publish_at(f"websocket://{host}:0", token).opened(print) as (url, _):
             try:
-                address = f"ws://127.0.0.1:{urlsplit(where).port}/{path}"
+                address = f"ws://127.0.0.1:{urlsplit(url).port}/{path}"
                 with connect(address, additional_headers=headers) as connection:
                     answer = connection.response.status_code
             except InvalidStatus as refused:

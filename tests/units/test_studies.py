@@ -55,7 +55,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return read_plan(folder / "tiny.yaml")
 
 
-def test_a_time_is_the_least_of_all_turns(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_measured_time_is_the_minimum_of_all_turns(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each frame of turn n takes 5 − n s: of a block of frames each has its share."""
     solve = tradeoff.reconstruct
     turns = count()
@@ -90,7 +90,7 @@ def test_a_time_is_the_least_of_all_turns(tiny: Plan, monkeypatch: pytest.Monkey
     assert {frame.baseline_s for frame in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
 
 
-def test_a_call_takes_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_of_a_call_is_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
     for wall, cpu in ((3.0, 2.0), (2.0, 3.0)):
         clocks = {"perf_counter": iter([10.0, 10.0 + wall]), "process_time": iter([1.0, 1.0 + cpu])}
         for name, times in clocks.items():
@@ -98,7 +98,7 @@ def test_a_call_takes_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.
         assert common.clocked(lambda: "done") == ("done", 2.0)
 
 
-def test_peak_memory_is_that_of_two_frames_and_unknown_if_the_process_died(
+def test_peak_memory_covers_two_frames_and_is_unknown_after_a_crash(
     tiny: Plan, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     solved = list[int]()
@@ -119,13 +119,13 @@ def test_peak_memory_is_that_of_two_frames_and_unknown_if_the_process_died(
 
 
 @pytest.mark.slow
-def test_shipped_file_is_valid() -> None:
+def test_a_shipped_study_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
     assert {*plan.settings.ladder} >= {"naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"}
     assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}
 
 
-def test_shipped_file_can_be_tuned() -> None:
+def test_cases_of_the_shipped_tuning_file_can_be_tuned() -> None:
     cases = read_run(Path(__file__).parents[2] / "configs" / "tune.yaml").cases
     assert len(cases) == 8
     assert all(case.estimator.automatic and why_not(case.estimator, 200) is None for case in cases)
@@ -133,14 +133,14 @@ def test_shipped_file_can_be_tuned() -> None:
 
 def test_a_page_names_the_commit_of_its_last_run_once() -> None:
     text = "# A page\n\n    lampest run a.yaml   # first\n    python -m docs.studies.mats [--seed 1] --kinds 'a b'\n"
-    once = with_commit(text, "abc", "1 May 2026")
-    assert once.startswith(text) and once.endswith("ran at commit abc, 1 May 2026.\n")
-    assert with_commit(once, "def", "2 May 2026") == once.replace("abc", "def").replace("1 May", "2 May")
+    marked = with_commit(text, "abc", "1 May 2026")
+    assert marked.startswith(text) and marked.endswith("ran at commit abc, 1 May 2026.\n")
+    assert with_commit(marked, "def", "2 May 2026") == marked.replace("abc", "def").replace("1 May", "2 May")
     page = PAGE.with_name("bench.md")
     assert commands(page)[0] == "python -m docs.studies.bench configs/bench.yaml"
 
 
-def test_a_row_for_each_effect_and_a_column_for_each_estimator(tmp_path: Path) -> None:
+def test_the_audit_table_has_a_row_per_effect_and_a_column_per_estimator(tmp_path: Path) -> None:
     (tmp_path / "audit.csv").write_text(ROWS)
     lines = table(rows_of(tmp_path)).splitlines()
     assert lines[0] == "| not specified | LSM | LSR | own part, LSM | own part, LSR | reported |"
@@ -150,16 +150,16 @@ def test_a_row_for_each_effect_and_a_column_for_each_estimator(tmp_path: Path) -
     assert len(MARKED.findall(text)) == with_table(text, "| new |\n").count("| new |") == 1
 
 
-def test_table_one_is_the_same_in_the_shipped_run() -> None:
+def test_table_one_agrees_with_the_shipped_run() -> None:
     """The run's file says it for `lampest compare`, the data file for `lampest study paper`."""
-    beside = read_run(CONFIGS / "table1.yaml").published
+    published = read_run(CONFIGS / "table1.yaml").published
     for row in read_published(FILE).errors:
-        figures = getattr(beside[row.method], row.steps)
+        figures = getattr(published[row.method], row.steps)
         assert (figures.time_s, figures.time_sd_s) == (row.time_s, row.time_sd_s)
         assert (figures.error_percent, figures.error_sd_percent) == (row.error_percent, row.error_sd_percent)
 
 
-def test_a_published_method_without_results_is_one_sentence() -> None:
+def test_a_published_method_without_results_gives_one_sentence() -> None:
     with pytest.raises(InputError, match="clean scenes: there are no results of mine"):
         Side("clean scenes", "clean", [], {}, {}, {}).change("mine")
 
@@ -171,7 +171,7 @@ def test_an_audit_in_which_every_estimator_fails_keeps_no_promise() -> None:
     assert "0 of 1 rows keep the promise; not: nothing × LSM" in audit_remarks(results)
 
 
-def test_baselines_are_judged_by_the_cost_that_they_minimise_and_crashes_are_shown(
+def test_baselines_are_judged_by_their_own_cost_and_crashes_are_shown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Relative methods solve theirs without the terms that compare with it."""
@@ -190,7 +190,7 @@ def test_baselines_are_judged_by_the_cost_that_they_minimise_and_crashes_are_sho
 
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError])
-def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_broken_arithmetic_gives_a_status(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(*arguments: object) -> None:
         raise error("singular")
 
@@ -205,15 +205,15 @@ def test_broken_arithmetic_is_a_status(error: type[Exception], monkeypatch: pyte
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, breaks)
-            found = best_solution(solver, data, None)
+            solution = best_solution(solver, data, None)
         if place.endswith("convex_start"):
-            assert found.solved
+            assert solution.solved
         else:
-            assert found.status is Status.BREAKDOWN
-            assert np.all(np.isnan(found.cell_resistance))
+            assert solution.status is Status.BREAKDOWN
+            assert np.all(np.isnan(solution.cell_resistance))
 
 
-def test_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:
+def test_the_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:
     text = "schema: 1\ngrid: {sizes: [2], decades: [1, 2], noise: [0]}\nstructured: {sizes: []}\n"
     text += "estimators: {mine: {terms: {misfit: {}}}}\n"
     atlas = read_settings(AtlasFile)(disk.run(text, "edge.yaml"))

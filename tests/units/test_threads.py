@@ -66,33 +66,33 @@ def forks(count, seconds, work):
             os._exit(0 if work(number) else 1)
         yield os.waitpid(child, 0)[1]
 """
-EQUAL = """
+COMPARISON = """
 count, ways = int(sys.argv[1]), sys.argv[2].split(",")
-found = {}
+estimates = {}
 def work(number):
     gc.collect()  # frees what other threads dropped
-    found[number] = estimate(number, ways[number % len(ways)])
+    estimates[number] = estimate(number, ways[number % len(ways)])
 ended(begun(count, work))
 for number in range(count):
-    np.testing.assert_allclose(found[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
+    np.testing.assert_allclose(estimates[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
 """
 
 
 def run(text: str, *arguments: object) -> None:
     """Run a scene in a process of its own, which must end well."""
     command = [sys.executable, "-X", "faulthandler", "-c", SCENE + textwrap.dedent(text), *map(str, arguments)]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert (ended.returncode, ended.stderr) == (0, ""), f"{ended.returncode}: {ended.stderr[-3000:]}"
+    completed = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (completed.returncode, completed.stderr) == (0, ""), f"{completed.returncode}: {completed.stderr[-3000:]}"
 
 
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"])
-def test_threads_find_the_cells_that_one_thread_finds(count: int, ways: str) -> None:
-    run(EQUAL, count, ways)
+def test_several_threads_give_the_cells_of_one_thread(count: int, ways: str) -> None:
+    run(COMPARISON, count, ways)
 
 
 @pytest.mark.slow
-def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> None:
+def test_a_failing_or_cancelled_thread_harms_no_other() -> None:
     run(
         """
         import ctypes
@@ -111,12 +111,12 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
         class Cancelled(Exception):
             pass
 
-        found, raised = {}, []
+        estimates, raised = {}, []
         estimate(0, "squares")  # an exception that comes from outside may break an import, whoever imports
         def work(number):
             try:
                 for _ in range(3):
-                    found[number] = estimate(number, "squares", more=[Failing()] if number % 4 == 1 else [])
+                    estimates[number] = estimate(number, "squares", more=[Failing()] if number % 4 == 1 else [])
             except (lampest.InputError, Cancelled) as error:
                 raised.append(error)  # kept by a thread that is not the one that made the symbols
 
@@ -127,13 +127,13 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
         assert sum("no residual" in str(error) for error in raised) == 3
         raised.clear()
         for number in range(0, 12, 4):
-            np.testing.assert_allclose(found[number], estimate(number, "squares"), rtol=1e-12)
+            np.testing.assert_allclose(estimates[number], estimate(number, "squares"), rtol=1e-12)
         """
     )
 
 
 @pytest.mark.slow
-def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None:
+def test_processes_forked_during_estimates_can_estimate() -> None:
     """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
     run(
         """
@@ -151,7 +151,7 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
     )
 
 
-def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> None:
+def test_processes_forked_while_threads_limit_blas_can_limit_it() -> None:
     run(
         """
         from lampest.files.process import ONE_BLAS_THREAD
@@ -170,13 +170,13 @@ def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> No
     )
 
 
-def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
+def test_ctrl_c_ends_only_the_main_thread() -> None:
     run(
         """
-        found = {}
+        estimates = {}
         estimate(7, "squares")  # Python's locks of modules stay taken if an exception from outside ends an import
         def work(number):
-            found[number] = estimate(number, "squares")
+            estimates[number] = estimate(number, "squares")
         threads = begun(6, work)
         signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background begins without it
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -186,7 +186,7 @@ def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
         except KeyboardInterrupt:
             pass
         ended(threads)
-        assert len(found) == 6
+        assert len(estimates) == 6
         """
     )
 
@@ -216,22 +216,22 @@ def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
         assert 0 < alone < len(during) and all(threads == {1} for threads in during) and blas_threads() == {2}
 
 
-def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:
+def test_the_last_leaving_thread_restores_the_threads_of_blas() -> None:
     entered = Barrier(2)
-    left = Barrier(2)
+    leaving = Barrier(2)
     during = list[set[int]]()
 
     def first() -> None:
         with ONE_BLAS_THREAD:
             entered.wait()
-        left.wait()
+        leaving.wait()
 
     with threadpool_limits(2, "blas"):
         worker = Thread(target=first)
         worker.start()
         with ONE_BLAS_THREAD:
             entered.wait()
-            left.wait()
+            leaving.wait()
             during.append(blas_threads())
         worker.join()
         assert during == [{1}] and blas_threads() == {2}

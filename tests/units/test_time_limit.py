@@ -41,7 +41,7 @@ FORMULATIONS: dict[Any, tuple[Any, ...]] = {
 }
 
 
-def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
+def test_failed_cases_stop_no_other_and_are_solved_by_the_next_run(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solve = batch.reconstruct
@@ -56,34 +56,34 @@ def test_cases_that_fail_stop_no_other_and_are_solved_by_the_next_run(
         monkeypatch.setattr(batch, "reconstruct", sometimes)
         return lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
 
-    nothing = run(lambda estimator: True)
-    assert (nothing.code, (out / "results.h5").exists()) == (3, False)
-    assert nothing.out.strip() == "0 cases solved, 0 were done before, 3 failed: no results"
+    all_failed = run(lambda estimator: True)
+    assert (all_failed.code, (out / "results.h5").exists()) == (3, False)
+    assert all_failed.out.strip() == "0 cases solved, 0 were done before, 3 failed: no results"
     plain = run(lambda estimator: len(estimator.terms) == 1)
     assert (plain.code, plain.err) == (3, "lampest: small × LSM failed: out of luck\n")
     assert "2 cases solved, 0 were done before, 1 failed" in plain.out
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSR-CR", "LSR-dCR"]
-    whole = run(lambda estimator: False)
-    assert (whole.code, whole.err) == (0, "") and "1 case solved, 2 were done before" in whole.out
+    all_solved = run(lambda estimator: False)
+    assert (all_solved.code, all_solved.err) == (0, "") and "1 case solved, 2 were done before" in all_solved.out
     assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 
 @pytest.mark.slow
-def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> None:
+def test_the_study_of_starts_uses_the_chosen_weights(disk: SimpleNamespace) -> None:
     text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
     text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
     words = (disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
     command = [sys.executable, "-m", "docs.studies.starts", *map(str, words)]
-    ended = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    assert "one" in ended.stdout and "pair" in ended.stdout
+    completed = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
+    assert "one" in completed.stdout and "pair" in completed.stdout
     header, *rows = (disk.folder / "out" / "starts.csv").read_text().splitlines()
     assert header == "recording,estimator,frames,best,worst_excess,most_minima,random_solved,random"
     assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
 
 
-def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written_unless_its_user_insists(
+def test_a_panel_beyond_time_or_memory_is_refused_before_writing_unless_forced(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (run := tmp_path / "run.yaml").write_text(RUN)
@@ -92,13 +92,13 @@ def test_a_panel_beyond_patience_or_memory_is_refused_before_anything_is_written
         recording_of(scene, np.full((2, size, size), 1500.0), 1).save(tmp_path / "r.h5")
         monkeypatch.setenv("LAMPEST_MEMORY", memory or "8GB")
         with mock.patch("lampest.runs.batch.run_batch", side_effect=KeyboardInterrupt) as started:
-            ended = lampest("run", run, "--out", tmp_path / "out", *words)
+            completed = lampest("run", run, "--out", tmp_path / "out", *words)
         assert started.called == (not messages)
-        assert all(message in ended.err for message in messages)
-        assert not messages or (ended.code == 2 and not (tmp_path / "out").exists())
+        assert all(message in completed.err for message in messages)
+        assert not messages or (completed.code == 2 and not (tmp_path / "out").exists())
 
 
-def test_memory_of_a_control_group_is_what_it_allows_less_what_it_uses(
+def test_available_memory_of_a_control_group_is_its_limit_minus_its_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(process.ALLOWED, raising=False)
@@ -109,7 +109,7 @@ def test_memory_of_a_control_group_is_what_it_allows_less_what_it_uses(
 
 
 def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
-    before = signal.getsignal(signal.SIGALRM)
+    original = signal.getsignal(signal.SIGALRM)
     token = process.EXPENDABLE.set(True)
     try:
         with process.ended_where_hung(1.0):
@@ -117,7 +117,7 @@ def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
         assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
     finally:
         process.EXPENDABLE.reset(token)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, original)
 
 
 def recorded(frames: int = 4) -> Any:
@@ -129,7 +129,7 @@ def recorded(frames: int = 4) -> Any:
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -> None:
+def test_a_frame_not_solved_in_time_holds_nan_and_a_status(formulation: Any) -> None:
     estimator = Estimator(FORMULATIONS[formulation], formulation, solver=Settings(time_limit_s=1e-9), error_bars=False)
     stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, recorded()[:1]).mean())
     steps = [stream.push(Readings.of(SCENE, recorded()[1]))[1]]
@@ -139,12 +139,12 @@ def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -
         assert step.status == "the time limit was reached before an optimum" and np.isnan(step.cell_resistance).all()
 
 
-def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    truly = newton_module.trust_region_step
+def test_a_hanging_solve_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = newton_module.trust_region_step
 
     def slowly(*arguments: Any) -> Any:
         time.sleep(0.05)
-        return truly(*arguments)
+        return original(*arguments)
 
     monkeypatch.setattr(newton_module, "trust_region_step", slowly)
     estimator = Estimator(FORMULATIONS["reduced"], "reduced", solver=Settings(time_limit_s=0.08), error_bars=False)

@@ -30,9 +30,9 @@ def mutants(folder: Path) -> list[Mutant]:
     return mutants_of(folder, folder / "panel.py")
 
 
-def test_a_module_has_a_mutant_of_every_operator_in_every_expression_that_is_computed(tmp_path: Path) -> None:
-    made = mutants(tmp_path)
-    changes = {(mutant.operator, mutant.before, mutant.after) for mutant in made}
+def test_a_module_has_a_mutant_of_every_operator_in_every_computed_expression(tmp_path: Path) -> None:
+    all_mutants = mutants(tmp_path)
+    changes = {(mutant.operator, mutant.before, mutant.after) for mutant in all_mutants}
     assert ("constant", "2.5", "25.0") in changes and ("constant", "3", "30") in changes
     assert ("sign", "-length", "(length)") in changes and (
         "arithmetic",
@@ -41,14 +41,14 @@ def test_a_module_has_a_mutant_of_every_operator_in_every_expression_that_is_com
     ) in changes
     assert ("extreme", "max(length, width)", "(min(length, width))") in changes
     assert ("comparison", "length < LIMIT", "(length >= LIMIT)") in changes
-    assert {mutant.operator for mutant in made} >= {"sorting", "logic", "negation", "truth"}
-    assert not any("7" in mutant.before or mutant.before == "4" for mutant in made)
-    for mutant in made:
+    assert {mutant.operator for mutant in all_mutants} >= {"sorting", "logic", "negation", "truth"}
+    assert not any("7" in mutant.before or mutant.before == "4" for mutant in all_mutants)
+    for mutant in all_mutants:
         ast.parse(mutant.apply_to(SOURCE.encode()))
-    assert {mutant.function for mutant in made} == {"", "Panel.area"}
+    assert {mutant.function for mutant in all_mutants} == {"", "Panel.area"}
 
 
-def test_a_mutant_meets_the_golden_rows_that_call_its_function_and_then_the_shortest_test_of_each_file(
+def test_a_mutant_meets_the_golden_rows_of_its_function_and_then_short_tests(
     tmp_path: Path,
 ) -> None:
     area = next(mutant for mutant in mutants(tmp_path) if mutant.function)
@@ -59,8 +59,8 @@ def test_a_mutant_meets_the_golden_rows_that_call_its_function_and_then_the_shor
         "tests/b.py::medium": {"seconds": 1.5, "functions": ["panel.py:Panel.area", "panel.py:g"]},
         "tests/c.py::of_something_else": {"seconds": 0.1, "functions": ["panel.py:g"]},
     }
-    rows, others = guards_of(area, tests)
-    assert rows == [f"{GOLDEN}row]"] and others == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
+    rows, other_tests = guards_of(area, tests)
+    assert rows == [f"{GOLDEN}row]"] and other_tests == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_a_difference_of_cells_or_statuses_counts(
     assert equal(*pair, 1e-12) is equal(*reversed(pair), 1e-12) is alike
 
 
-def test_rows_say_where_and_how_much_and_the_exit_code_whether_all_is_equal(pair: tuple[Path, Path]) -> None:
+def test_rows_show_differences_and_the_exit_code_shows_equality(pair: tuple[Path, Path]) -> None:
     def code(*words: object) -> int:
         program = [sys.executable, "-m", "tests.studies.equal", *map(str, words)]
         return subprocess.run(program, cwd=Path(__file__).parents[2], capture_output=True).returncode
@@ -136,7 +136,7 @@ def test_rows_say_where_and_how_much_and_the_exit_code_whether_all_is_equal(pair
     assert weights_and_rest(row) == (0.5, (0.75, "two_point_model"))
 
 
-def test_relative_difference_of_odd_values() -> None:
+def test_the_relative_difference_of_odd_values_is_defined() -> None:
     odd = np.array([0.0, np.nan, np.inf, -1.0])
     assert relative_difference(odd, odd) == 0
     assert relative_difference(odd, -odd) == np.inf

@@ -36,12 +36,14 @@ def load(since_s: float, until_s: float | None, diameter_mm: float = 35.0, sucks
     return Attachment(sucks, since_s, (40.0, 1.0), (50.0, 1.0), until_s=until_s, breath=breath, **numbers)
 
 
-def detected(*loads: Attachment, start: str | None = "2026-05-04T17:30:00+00:00", end_s: float = 7200.0) -> Detected:
+def detected_loads(
+    *loads: Attachment, start: str | None = "2026-05-04T17:30:00+00:00", end_s: float = 7200.0
+) -> Detected:
     return Detected.of("pond", loads, 4.0, start_time=start, end_s=end_s)
 
 
-def test_a_visit_is_a_row_with_the_clock_of_its_recording() -> None:
-    first, second = visits_of([detected(load(600.0, 900.0), load(3600.0, None, sucks=RING))])
+def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
+    first, second = visits_of([detected_loads(load(600.0, 900.0), load(3600.0, None, sucks=RING))])
     assert (first.answer, first.begin, first.duration_s, first.left) == (
         LAMPREY,
         "2026-05-04T17:40:00.000+00:00",
@@ -53,35 +55,35 @@ def test_a_visit_is_a_row_with_the_clock_of_its_recording() -> None:
 
 
 def test_visits_are_counted_by_day_and_by_night() -> None:
-    answer = detected(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
+    answer = detected_loads(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
     table = count_table([answer], visits_of([answer]))
     ((day, hours, lampreys, _, an_hour, hours_of_night, at_night, _, _),) = table.cells
     assert (day, hours, lampreys, an_hour, hours_of_night, at_night) == ("2026-05-04", "0.5", "1", "2", "1.5", "1")
 
 
-def test_a_mouth_of_the_same_size_may_have_come_back() -> None:
+def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
     loads = load(0.0, 100.0, 30.0), load(200.0, 300.0, 40.0), load(400.0, 500.0, 30.5)
-    assert [visit.may_be_visit for visit in visits_of([detected(*loads)])] == [None, None, 1]
+    assert [visit.may_be_visit for visit in visits_of([detected_loads(*loads)])] == [None, None, 1]
 
 
-def test_visits_of_several_recordings_are_in_the_order_of_time() -> None:
-    late = detected(load(10.0, 20.0))
-    early = detected(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
+def test_visits_of_several_recordings_are_sorted_by_time() -> None:
+    late = detected_loads(load(10.0, 20.0))
+    early = detected_loads(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
     assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == ["2026-05-03", "2026-05-04"]
 
 
 def test_the_sentence_counts_visits() -> None:
-    sentence = detected(load(0.0, 100.0), load(200.0, 300.0), load(400.0, None)).sentence
+    sentence = detected_loads(load(0.0, 100.0), load(200.0, 300.0), load(400.0, None)).sentence
     assert sentence.startswith("3 lamprey visits; last: lamprey attached since 400.0 s")
 
 
 @pytest.mark.parametrize(("threshold", "answer"), [(0.9, LAMPREY), (0.999, SUCKS)])
-def test_the_threshold_decides_what_is_called_a_lamprey(threshold: float, answer: str) -> None:
+def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: str) -> None:
     sure = replace(load(0.0, None), sucks=0.99)
     assert answer_of(sure, 4.0, threshold)[0] == answer
 
 
-def test_a_reason_is_of_its_time() -> None:
+def test_a_reason_applies_to_its_time() -> None:
     """After 55 minutes nothing shows within minutes, and after nine seconds nothing at 4.5 s at the earliest."""
     silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
     assert "earliest" not in answer_of(silent, 4.0)[2]
@@ -90,14 +92,14 @@ def test_a_reason_is_of_its_time() -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_of_recordings_is_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
+def test_a_folder_of_recordings_gives_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
     """Two recordings of one name, with clocks and in folders of their own; their visits are exported from the file."""
-    whole, *_ = attached("ring", 1.0, 5, 6, 6.0)
+    recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"
     out = tmp_path / "out"
     for day in (1, 2):
         (season / str(day)).mkdir(parents=True)
-        replace(whole, start_time=f"2026-05-0{day}T12:00:00+00:00").save(season / str(day) / "pond.h5")
+        replace(recording, start_time=f"2026-05-0{day}T12:00:00+00:00").save(season / str(day) / "pond.h5")
     assert lampest("detect", season, "--out", out).code == 0
     with (out / "visits.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -117,67 +119,67 @@ def test_a_folder_without_a_recording_is_refused(tmp_path: Path, lampest: Callab
     assert refused.code == 2 and "holds no recording" in refused.err
 
 
-def test_a_look_that_fails_is_one_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The load is recognised by the next one, and the recording is told to its end."""
-    whole, *_ = attached("rod", 4.0, 3, 6, 8.0)
-    known = known_of(Prepared(whole))
+def test_a_failed_recognition_is_repeated_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next attempt recognises the load, and the recording is evaluated to its end."""
+    recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known)
-    looks = list[bool]()
+    attempts = list[bool]()
     verdict = Detector.verdict
 
     def failing(*frame: object) -> object:
-        looks.append(True)
-        if len(looks) == 1:
+        attempts.append(True)
+        if len(attempts) == 1:
             raise np.linalg.LinAlgError("Singular matrix")
         return verdict(*frame)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Detector, "verdict", failing)
-    found = known.answer(measured_frames(whole, known, np.ones(len(whole.time), dtype=bool)))
-    assert len(looks) > 1 and found.answer == PRESSES and found.attachments[0].until_s is not None
+    answer = known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
+    assert len(attempts) > 1 and answer.answer == PRESSES and answer.attachments[0].until_s is not None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
-def test_a_ring_that_trembles_is_no_lamprey_in_any_frame(number: int) -> None:
-    """By 3 % at a breathing rate; no cell has risen."""
-    whole, *_ = attached("trembling ring", 4.0, 8100 + number)
-    known = known_of(Prepared(whole))
+def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
+    """The ring trembles by 3 % at a breathing rate; no cell has risen."""
+    recording, *_ = attached("trembling ring", 4.0, 8100 + number)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     watch = known.watch()
     sucking = 0.0
-    for frame in measured_frames(whole, known, np.ones(len(whole.time), dtype=bool)):
+    for frame in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
         watch = watch.push(*frame)
-        sucking = max([sucking, *(one.sucks for one in watch.attachments)])
+        sucking = max([sucking, *(attachment.sucks for attachment in watch.attachments)])
     assert sucking < 0.5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["wavy mouth", "mouth and body", "pulled mouth", "mouth in current"])
-def test_uneven_mouths_beside_bodies_in_currents_and_pulled_suck_and_live(kind: str) -> None:
+def test_uneven_mouths_near_bodies_in_currents_or_pulled_are_recognised(kind: str) -> None:
     answers = [seen(kind, 4.0, 8200 + number) for number in range(3)]
-    assert all(one.sucks > 0.9 for one in answers)
+    assert all(attachment.sucks > 0.9 for attachment in answers)
     # a body whose tail beats at the rate of breath may hide it
-    assert kind == "mouth and body" or sum(np.isfinite(one.lamprey) for one in answers) >= 2
+    assert kind == "mouth and body" or sum(np.isfinite(attachment.lamprey) for attachment in answers) >= 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["bubbles", "rock", "hand", "fin"])
-def test_nothing_stood_on_the_panel_where_something_comes(kind: str) -> None:
+def test_an_arriving_load_is_not_assumed_in_the_unloaded_frames(kind: str) -> None:
     for number in range(3):
-        whole, *_ = attached(kind, 4.0, 8300 + number)
-        found = answered(whole)
-        assert not any("in its unloaded frames" in note for note in (*found.notes, found.why))
+        recording, *_ = attached(kind, 4.0, 8300 + number)
+        answer = answered(recording)
+        assert not any("in its unloaded frames" in note for note in (*answer.notes, answer.why))
 
 
 @pytest.mark.slow
-def test_few_cells_that_become_even_are_no_load_that_left() -> None:
+def test_few_cells_becoming_even_are_not_taken_for_a_departed_load() -> None:
     """A fin presses on few cells, which happen to be more even under it."""
-    found = answered(attached("fin", 4.0, 977000)[0])
-    assert found.answer == PRESSES and not any("in its unloaded frames" in note for note in found.notes)
+    answer = answered(attached("fin", 4.0, 977000)[0])
+    assert answer.answer == PRESSES and not any("in its unloaded frames" in note for note in answer.notes)
 
 
-def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
-    """Its sine is hardly sampled: amplitudes come from the prior, and not from a division by nothing."""
+def test_a_wave_at_half_the_frame_rate_has_the_depth_of_a_breath() -> None:
+    """The sine of the wave is hardly sampled: the prior bounds the amplitude, and nothing is divided by zero."""
     times = np.arange(0, 8, 0.25)
     rise = np.repeat([-2.0, 1.0], 20)
     slopes = np.repeat([-300.0, 90.0], 20)
@@ -186,5 +188,5 @@ def test_a_wave_at_half_the_frame_rate_has_a_depth_of_a_breath() -> None:
     patterns = Patterns.of(np.eye(40), rise, slopes[None], 0.2 * np.abs(slopes), moves, supply)
     noise = np.random.default_rng(4).standard_normal((len(times), 40))
     changes = np.outer(0.08 * np.sin(2 * np.pi * 2.0 * times + 0.3), slopes) + noise
-    found = breath(SteadyFrames.of(times, changes), changes, patterns)
-    assert found is not None and found.depth[0] < 0.3 and found.hertz[0] < 2.0
+    wave = breath(SteadyFrames.of(times, changes), changes, patterns)
+    assert wave is not None and wave.depth[0] < 0.3 and wave.hertz[0] < 2.0

@@ -21,49 +21,49 @@ TWO_POINT = TwoPointReadout(noise_lsb=0.7)
 ROD = Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500)
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10)
 UNLOADED = 5
-KEPT = 0.12
+MEMORY_SHARE = 0.12  # of a load's change, which the film keeps after the load has left
 Course = tuple[Shape, int, int]  # a load, the first frame with it and the first without it
 
 
-def taken(
-    *courses: Course, frames: int = 20, readout: Readout = TWO_POINT, side: int = 6, kept: float = KEPT
+def recording_with(
+    *courses: Course, frames: int = 20, readout: Readout = TWO_POINT, side: int = 6, memory_share: float = MEMORY_SHARE
 ) -> Recording:
     """A frame a second, the first five unloaded; of a load that leaves a film keeps a part."""
     scene = Scene(Panel(side, side), readout, 140.0 if readout is TWO_POINT else 0.0)
-    rest = simulate(Simulation(1, 5, scene, frames=1)).truth_cell_resistance
+    resting = simulate(Simulation(1, 5, scene, frames=1)).truth_cell_resistance
     logarithm = np.zeros((frames, side, side))
     for load, begin, end in courses:
         loaded = simulate(Simulation(1, 5, scene, frames=1, loads=(load,))).truth_cell_resistance
         change = np.log(loaded[-1] / loaded[0])
         logarithm[max(begin, 0) : end] += change
-        logarithm[end:] += kept * change
-    recorded, _ = measured(scene, rest[0] * np.exp(logarithm), Unmodelled(), 5)
+        logarithm[end:] += memory_share * change
+    recorded, _ = measured(scene, resting[0] * np.exp(logarithm), Unmodelled(), 5)
     role = (np.arange(frames) >= UNLOADED).astype(np.uint8)
     return Recording(scene, recorded, np.arange(float(frames)), role, name="watched")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [2, 3])
-def test_unloaded_frames_that_something_touched_are_none(first: int) -> None:
-    found = answered(taken((ROD, first, 12)))
-    assert found.answer == CANNOT_SAY and "while its unloaded frames were taken" in found.why
+def test_touched_unloaded_frames_are_rejected(first: int) -> None:
+    answer = answered(recording_with((ROD, first, 12)))
+    assert answer.answer == CANNOT_SAY and "while its unloaded frames were taken" in answer.why
 
 
-def test_what_changes_as_little_as_a_film_settles_is_no_touch() -> None:
+def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
     """A fiftieth of what a rod does."""
-    recording = taken((ROD, 8, 20))
-    touched = taken((ROD, 2, 20))
+    recording = recording_with((ROD, 8, 20))
+    touched = recording_with((ROD, 2, 20))
     recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
     assert answered(recording).answer == PRESSES
 
 
 @pytest.mark.slow
-def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it_leaves() -> None:
+def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
     """What cells show then is like suction."""
-    found = answered(taken((ROD, 0, 10)))
-    assert found.answer == CANNOT_SAY and found.why.endswith("in its unloaded frames, and left at 10.0 s")
-    again = answered(taken((ROD, 0, 10), (MOUTH, 14, 20)))
-    assert again.answer == SUCKS and len(again.attachments) == 1
+    answer = answered(recording_with((ROD, 0, 10)))
+    assert answer.answer == CANNOT_SAY and answer.why.endswith("in its unloaded frames, and left at 10.0 s")
+    second = answered(recording_with((ROD, 0, 10), (MOUTH, 14, 20)))
+    assert second.answer == SUCKS and len(second.attachments) == 1
 
 
 @pytest.mark.parametrize(
@@ -74,12 +74,12 @@ def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it
         Ring(centre_mm=(44, 46), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850),
     ],
 )
-def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing(load: Shape) -> None:
-    found = answered(taken((load, -1, 9), frames=8, side=10))
-    assert found.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in found.why
+def test_a_load_in_all_unloaded_frames_is_not_called_nothing(load: Shape) -> None:
+    answer = answered(recording_with((load, -1, 9), frames=8, side=10))
+    assert answer.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in answer.why
 
 
-def test_cells_of_an_uneven_film_are_no_load_in_the_unloaded_frames() -> None:
+def test_cells_of_an_uneven_film_are_not_taken_for_a_load_in_the_unloaded_frames() -> None:
     search = Detector(6.0).search(Panel(10, 10))
     high = np.zeros((10, 10))
     high[3:7, 3:7] = 2.0
@@ -91,8 +91,8 @@ def test_cells_of_an_uneven_film_are_no_load_in_the_unloaded_frames() -> None:
         assert not search.lies_on(8 + bare)
 
 
-def test_an_outlier_in_an_unloaded_frame_does_not_blind() -> None:
-    recording = taken((ROD, 7, 14), frames=14)
+def test_an_outlier_in_an_unloaded_frame_does_not_prevent_detection() -> None:
+    recording = recording_with((ROD, 7, 14), frames=14)
     recording.recorded[2, 1, 1] *= 3
     known = known_of(Prepared(recording))
     assert isinstance(known, Known) and np.max(known.watch().test.least()) < 10
@@ -104,41 +104,44 @@ def unloaded(recording: Recording) -> Unloaded:
     return Unloaded(recording.scene, tuple(scan_of(recording, frame) for frame in range(UNLOADED)))
 
 
-def test_what_comes_in_the_last_moment_is_recognised_as_far_as_it_shows() -> None:
-    found = answered(taken((MOUTH, 18, 20)))
-    assert found.answer == SUCKS and found.attachments[0].since_s == 18.0
-    live = Watched("watched").after(news := unloaded(recording := taken((MOUTH, 17, 20))))
+def test_a_load_in_the_last_frames_is_recognised() -> None:
+    answer = answered(recording_with((MOUTH, 18, 20)))
+    assert answer.answer == SUCKS and answer.attachments[0].since_s == 18.0
+    live = Watched("watched").after(news := unloaded(recording := recording_with((MOUTH, 17, 20))))
     for frame in range(len(news.scans), 20):
         live = live.after(scan_of(recording, frame))
     assert live.detected.answer == CANNOT_SAY and "touched the panel at 17.0 s" in live.detected.why
 
 
 @pytest.mark.slow
-def test_a_load_that_patterns_hardly_see_leaves_as_it_came() -> None:
+def test_a_poorly_visible_load_arrives_and_leaves() -> None:
     """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of the touch."""
     readout = LoadedColumnsReadout(polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7)
     weak = Rod(centre_mm=(26, 24), diameter_mm=22, mass_g=25)
-    found = answered(taken((weak, 8, 14), readout=readout))
-    assert [one.until_s for one in found.attachments] == [14.0]
+    answer = answered(recording_with((weak, 8, 14), readout=readout))
+    assert [attachment.until_s for attachment in answer.attachments] == [14.0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD])
-def test_of_two_loads_the_one_that_leaves_is_reported_and_its_memory_is_none(other: Shape) -> None:
+def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shape) -> None:
     mouth = OralDisc(centre_mm=(25, 68), diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10)
-    found = answered(taken((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
-    assert [one.until_s for one in found.attachments] == [30.0, None]
-    then = dataclasses.replace(mouth, centre_mm=(68, 24))  # it jumps there
-    found = answered(taken((mouth, 8, 20), (then, 20, 40), frames=40, side=10))
-    assert [one.until_s for one in found.attachments] == [20.0, None]
-    assert all(one.sucks > 0.9 for one in found.attachments) and found.attachments[1].distance((68, 24)) < 3
+    answer = answered(recording_with((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
+    assert [attachment.until_s for attachment in answer.attachments] == [30.0, None]
+    moved = dataclasses.replace(mouth, centre_mm=(68, 24))  # it jumps there
+    answer = answered(recording_with((mouth, 8, 20), (moved, 20, 40), frames=40, side=10))
+    assert [attachment.until_s for attachment in answer.attachments] == [20.0, None]
+    assert (
+        all(attachment.sucks > 0.9 for attachment in answer.attachments)
+        and answer.attachments[1].distance((68, 24)) < 3
+    )
 
 
 @pytest.mark.slow
-def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
+def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     """At a frame a second, while the temperature sways readings by 3 % in two hours."""
     visits = ((MOUTH, 600, 2400), (ROD, 3000, 4000), (MOUTH, 4600, 5400))
-    recording = taken(*visits, frames=6000, kept=0.0)
+    recording = recording_with(*visits, frames=6000, memory_share=0.0)
     recording.recorded[:] *= 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
     first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
     known = known_of(Prepared(dataclasses.replace(recording, **first)))
@@ -148,17 +151,17 @@ def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
     for value, sigma, time in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
         sizes += [len(pickle.dumps(watch.window))] if time % 500 == 0 else []
-    seen = [(one.since_s, one.until_s, one.sucks > 0.5) for one in watch.attachments]
-    assert len(seen) == 3 and [sucks for *_, sucks in seen] == [True, False, True]
-    for (since, until, _), (_, begin, end) in zip(seen, visits, strict=True):
+    reported = [(attachment.since_s, attachment.until_s, attachment.sucks > 0.5) for attachment in watch.attachments]
+    assert len(reported) == 3 and [sucks for *_, sucks in reported] == [True, False, True]
+    for (since, until, _), (_, begin, end) in zip(reported, visits, strict=True):
         assert until is not None and abs(since - begin) <= 2 and abs(until - end) <= 2
     during_visits = [size for size in sizes if size > len(pickle.dumps(None))]
     assert len(during_visits) > 2 and max(during_visits) <= 1.5 * min(during_visits)
 
 
 @pytest.mark.slow
-def test_live_takes_a_new_zero_where_the_first_was_touched() -> None:
-    recording = taken((ROD, 3, 8))
+def test_live_takes_a_new_zero_if_the_first_was_touched() -> None:
+    recording = recording_with((ROD, 3, 8))
     live = Watched("watched").after(unloaded(recording))
     assert live.detected.answer == CANNOT_SAY and "unloaded frames" in live.detected.why
     live = live.after(UNLOADED)

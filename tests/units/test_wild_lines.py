@@ -30,13 +30,24 @@ from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
-OWN = scene_of(IDLE, None)
-ABSURD = {"rows": (0, 255), "columns": (0, 17), "readings": (0, 65), "most_rows": (0,), "most_readings": (0,)}
-ABSURD |= {"shortest_period_us": (0,), "supply_millivolt": (0,), "reference_milliohm": (0,), "adc_bits": (0, 33, 255)}
+BOARD_SCENE = scene_of(IDLE, None)
+IMPOSSIBLE_FIELDS = {
+    "rows": (0, 255),
+    "columns": (0, 17),
+    "readings": (0, 65),
+    "most_rows": (0,),
+    "most_readings": (0,),
+}
+IMPOSSIBLE_FIELDS |= {
+    "shortest_period_us": (0,),
+    "supply_millivolt": (0,),
+    "reference_milliohm": (0,),
+    "adc_bits": (0, 33, 255),
+}
 PERIOD = 0.05
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
 SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
-AT = replace(IDLE, period_us=round(1e6 * PERIOD))
+HELLO_AT_PERIOD = replace(IDLE, period_us=round(1e6 * PERIOD))
 # Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
 # many samples come in each batch; and how many answers came since the last of them.
 RUNNING = replace(IDLE, running=True, period_us=0)
@@ -49,7 +60,7 @@ ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], in
     ([()], [None], [False], [0], 0),
 )
 # Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
-ENDS = (
+LIMITS = (
     (None, None, [2, 0, 3, 2]),
     (4, None, [2, 0, 2]),
     (5, None, [2, 0, 3]),
@@ -59,6 +70,7 @@ ENDS = (
     (3, 0.35, [2, 0, 1]),
     (4, 0.25, [2, 0, 1]),
 )
+MAX_SECONDS = 15.0  # until a line is given up that is allowed one second without a valid frame
 
 
 def larger(hello: Hello) -> Sent:
@@ -108,7 +120,7 @@ USELESS: tuple[tuple[Script, str, int], ...] = (
 
 
 @pytest.mark.slow
-def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_stay(
+def test_a_line_without_valid_frames_ends_with_a_sentence_and_keeps_earlier_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module, seconds in (("stream", 0.5), ("record", 1.0)):
@@ -117,7 +129,7 @@ def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_st
         began = time.monotonic()
         with pytest.raises(InputError, match=sentence):
             recorded(script, tmp_path, frames=30)
-        assert time.monotonic() - began < 15
+        assert time.monotonic() - began < MAX_SECONDS
         assert len(list(tmp_path.iterdir())) == (count > 0)
         if count:
             recording = Recording.load(tmp_path / "r.h5")
@@ -126,9 +138,9 @@ def test_a_line_without_frames_that_fit_ends_in_a_sentence_and_earlier_frames_st
             (tmp_path / "r.h5").unlink()
 
 
-def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
-    done = recorded(flooded, tmp_path, frames=50)
-    assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
+def test_frames_are_decoded_in_a_flood(tmp_path: Path) -> None:
+    summary = recorded(flooded, tmp_path, frames=50)
+    assert (summary.frames, summary.lost, summary.restarts) == (50, 0, 0)
 
 
 def frame(number: int, device_ms: int) -> Frame:
@@ -137,18 +149,18 @@ def frame(number: int, device_ms: int) -> Frame:
 
 def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
     """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
-    run = Scanning(replace(IDLE, period_us=10_000), OWN, 0, None)
-    found = list[Sample]()
+    run = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 0, None)
+    samples = list[Sample]()
     for number, device_ms in frames:
-        found += run.take(frame(number, device_ms))
-    return run, found
+        samples += run.take(frame(number, device_ms))
+    return run, samples
 
 
-def places(found: list[Sample]) -> list[tuple[int, int, int]]:
-    return [(sample.frame.sequence, sample.lost, sample.session) for sample in found]
+def places(samples: list[Sample]) -> list[tuple[int, int, int]]:
+    return [(sample.frame.sequence, sample.lost, sample.session) for sample in samples]
 
 
-def whole(count: int, session: int = 0) -> list[tuple[int, int, int]]:
+def complete_frames(count: int, session: int = 0) -> list[tuple[int, int, int]]:
     return [(number, 0, session) for number in range(count)]
 
 
@@ -158,8 +170,10 @@ def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tu
     return [(number, ms) for number, ms in enumerate(clock) if number not in gone]
 
 
-SENT = ticked(20, {})
-LATE = [(n, int(1000 + 10 * (n + late))) for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))]
+TICKS = ticked(20, {})
+LATE_TICKS = [
+    (n, int(1000 + 10 * (n + late))) for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))
+]
 # Frames (number, ms), what is made of them (number, frames lost before it, session), and where the clock jumped.
 RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[int]]] = {
     "numbers and clock wrap": (
@@ -167,35 +181,38 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
         [((2**32 - 5 + step) % 2**32, 0, 0) for step in range(9)],
         [],
     ),
-    "frames are sent again": ([*SENT, *SENT[:15], *SENT[3:9]], whole(20), []),
-    "frames are sent again, then new ones": ([*SENT, *SENT[:15], (20, 100_200)], whole(21), []),
+    "frames are sent again": ([*TICKS, *TICKS[:15], *TICKS[3:9]], complete_frames(20), []),
+    "frames are sent again, then new ones": ([*TICKS, *TICKS[:15], (20, 100_200)], complete_frames(21), []),
     "numbers begin anew": (
         [(0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550)],
-        [*whole(3), *whole(3, session=1)],
+        [*complete_frames(3), *complete_frames(3, session=1)],
         [],
     ),
     "numbers begin anew after a pause": (
         [(0, 500), (1, 510), (2, 520), (0, 560), (1, 570)],
-        [*whole(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
+        [*complete_frames(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
         [],
     ),
-    "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], whole(4), []),
+    "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], complete_frames(4), []),
     "a clock is wild once": (
         [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
-        whole(5),
+        complete_frames(5),
         [2],
     ),
     "a clock is wild once, and the frame before is gone": (
         [(0, 500), (1, 510), (3, 5530), (4, 540), (5, 550)],
-        [*whole(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
+        [*complete_frames(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
         [2],
     ),
-    "scans are late": (LATE, whole(500), []),
-    **{f"a jump by {ms} ms": (ticked(30, {10: ms}), whole(30), [10]) for ms in (5_000, -5_000, 2**31, -(2**31))},
+    "scans are late": (LATE_TICKS, complete_frames(500), []),
+    **{
+        f"a jump by {ms} ms": (ticked(30, {10: ms}), complete_frames(30), [10])
+        for ms in (5_000, -5_000, 2**31, -(2**31))
+    },
     **{
         f"a jump by {ms} ms where {gone} are gone": (
             ticked(30, {10: ms}, range(10, 10 + gone)),
-            [*whole(10), (10 + gone, gone, 0), *whole(30)[11 + gone :]],
+            [*complete_frames(10), (10 + gone, gone, 0), *complete_frames(30)[11 + gone :]],
             [10],
         )
         for ms in (10_000, 300, -5_000)
@@ -205,74 +222,78 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
 ADJACENT = ({10: 10_000, 11: -9_000}, {10: 5_000, 11: 5_000, 12: -3_000}, {10: -20, 11: 9_000})
 
 
-def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
+def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
     for name, (sent, expected, jumps) in RUNS.items():
         _, samples = run_of(*sent)
         assert places(samples)[1:] == expected[1:], name
         assert [number for number, sample in enumerate(samples) if CLOCK_JUMPED in sample.events] == jumps, name
         period = [0.01 * (1 + lost) for _, lost, _ in expected[1:]]
         elapsed = [sample.time for sample in samples]
-        np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE else 1e-9, err_msg=name)
+        np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE_TICKS else 1e-9, err_msg=name)
     for jumps in ADJACENT:
         _, samples = run_of(*ticked(30, jumps))
-        assert places(samples) == whole(30)
+        assert places(samples) == complete_frames(30)
         np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
 
 
-def test_a_clock_that_is_wild_in_the_last_frame_costs_no_frame() -> None:
+def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
     for last_ms in (5_520, 100, 2**31):
         run, samples = run_of((0, 500), (1, 510), (2, last_ms))
         samples += run.rest()
-        assert places(samples) == whole(3) and samples[-1].events == (CLOCK_JUMPED,)
+        assert places(samples) == complete_frames(3) and samples[-1].events == (CLOCK_JUMPED,)
         assert samples[-1].time == pytest.approx(0.02) and not run.rest()
     for last in ((1, 510), (0, 500), (900, 515)):
         run, samples = run_of((0, 500), (1, 510), last)
-        assert not run.rest() and places(samples) == whole(2), "repeated and foreign frames are none"
+        assert not run.rest() and places(samples) == complete_frames(2), "repeated and foreign frames are none"
 
 
-def test_a_number_is_believed_as_far_as_its_clock_allows() -> None:
+def test_the_clock_limits_the_accepted_frame_number() -> None:
     """The first one; and none that its clock puts days ahead."""
     assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]
-    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == whole(3)
-    _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
-    assert found[2].session == 1 and found[2].lost < 10_000 and found[2].time < 100
+    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == complete_frames(3)
+    _, samples = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
+    assert samples[2].session == 1 and samples[2].lost < 10_000 and samples[2].time < 100
 
 
-def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once() -> None:
-    _, found = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
-    assert places(found) == whole(101) and np.all(np.diff([sample.time for sample in found]) >= 0.01 - 1e-9)
-    assert [(number, sample.events) for number, sample in enumerate(found) if sample.events] == [(6, (CLOCK_STOPPED,))]
+def test_a_stopped_clock_costs_no_frame_and_is_named_once() -> None:
+    _, samples = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
+    assert places(samples) == complete_frames(101) and np.all(
+        np.diff([sample.time for sample in samples]) >= 0.01 - 1e-9
+    )
+    assert [(number, sample.events) for number, sample in enumerate(samples) if sample.events] == [
+        (6, (CLOCK_STOPPED,))
+    ]
 
 
 def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
     random = np.random.default_rng(4343)
     sent = []
     ahead = 100_000
-    came = []
+    delivered = []
     for number in range(3000):
         if random.random() < 0.05:
             ahead += int(random.integers(-10_000, 10_000))
         if number in (0, 1, 2, 2998, 2999) or random.random() > 0.1:
             sent.append((number, ahead + int(10 * (number + random.uniform(0, 0.9)))))
-            came.append(number)
-    _, found = run_of(*sent)
-    numbers = [sample.frame.sequence for sample in found]
-    assert len(found) > 0.99 * len(came), "whole frames are kept"
-    assert sum(sample.lost for sample in found) == numbers[-1] + 1 - len(found)
-    assert not any(sample.session for sample in found)
-    assert found[-1].time == pytest.approx(29.99, rel=0.01)
+            delivered.append(number)
+    _, samples = run_of(*sent)
+    numbers = [sample.frame.sequence for sample in samples]
+    assert len(samples) > 0.99 * len(delivered), "whole frames are kept"
+    assert sum(sample.lost for sample in samples) == numbers[-1] + 1 - len(samples)
+    assert not any(sample.session for sample in samples)
+    assert samples[-1].time == pytest.approx(29.99, rel=0.01)
 
 
-def test_a_plug_that_is_out_loses_no_frames_and_missed_ticks_are_no_jump() -> None:
+def test_an_unplugged_board_loses_no_counted_frames_and_missed_ticks_are_no_jump() -> None:
     run, (*_, last) = run_of((0, 500), (1, 510))
-    again = Scanning(replace(IDLE, period_us=10_000), OWN, 1, replace(last, host_time=last.host_time - 60))
-    (sample,) = again.take(frame(3, 540))
+    resumed = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 1, replace(last, host_time=last.host_time - 60))
+    (sample,) = resumed.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
     (sample,) = run.take(replace(frame(2, 5520), missed=500))
     assert sample.time == pytest.approx(5.02) and not sample.events
 
 
-def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
+def test_a_wrongly_accepted_frame_is_doubted_after_a_silence() -> None:
     run, _ = run_of((0, 500), (1, 510), (149, 2000))
     assert not run.take(frame(2, 520))
     run.doubt()
@@ -282,14 +303,14 @@ def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
     assert run.take(frame(5, 550))
 
 
-def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_path: Path) -> None:
-    wrong = [(field, value) for field, values in ABSURD.items() for value in values]
-    said = [replace(IDLE, **{field: value}) for field, value in wrong]
-    for hello, (field, value) in zip(said, wrong, strict=True):
+def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    wrong = [(field, value) for field, values in IMPOSSIBLE_FIELDS.items() for value in values]
+    greetings = [replace(IDLE, **{field: value}) for field, value in wrong]
+    for hello, (field, value) in zip(greetings, wrong, strict=True):
         assert re.fullmatch(rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault)
     assert IDLE.fault == ""
     with (
-        wild_board(hundred_a_second, said[0]) as board,
+        wild_board(hundred_a_second, greetings[0]) as board,
         pytest.raises(InputError, match=r"rows is 0; .* possible \(firmware pins\.h\)"),
     ):
         record(board.port, tmp_path / "r.h5", frames=3)
@@ -297,19 +318,19 @@ def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(tmp_pat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_recording_is_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_recording_leaves_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
     def interrupt(progress: Progress) -> None:
         if progress.frames == 6:
             os.kill(os.getpid(), number)
 
     with wild_board(hundred_a_second) as board:
-        done = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
-    assert done.ended_by == number.name and done.frames >= 6
-    assert len(Recording.load(tmp_path / "r.h5").time) == done.frames
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
+    assert summary.ended_by == number.name and summary.frames >= 6
+    assert len(Recording.load(tmp_path / "r.h5").time) == summary.frames
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
 
 
-def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(KeyboardInterrupt), process.ending_signals():  # nothing is worth finishing
         signal.raise_signal(signal.SIGTERM)
     monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
@@ -321,9 +342,9 @@ def test_signals_of_a_second_are_one_request_and_a_later_one_ends_at_once(monkey
             signal.raise_signal(signal.SIGTERM)
 
 
-def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a_program() -> None:
+def test_an_ignored_signal_stays_ignored_unless_it_ends_programs() -> None:
     """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
+    handlers = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
     try:
         with process.ending_signals(lambda: True) as ended_by:
             signal.raise_signal(signal.SIGHUP)
@@ -331,11 +352,11 @@ def test_a_signal_that_was_ignored_stays_so_unless_it_is_one_of_those_that_end_a
             signal.raise_signal(signal.SIGINT)
             assert ended_by() == "SIGINT"
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
-def test_a_scene_beyond_the_board_or_against_it_is_refused() -> None:
+def test_a_scene_that_contradicts_the_board_is_refused() -> None:
     for panel, changes, words in (
         (Panel(17, 10), {}, r"panel\.rows is 17, but the board can do at most 16"),
         (Panel(3, 4), {"readings": 65}, r"readout\.readings is 65, but the board can do at most 64"),
@@ -345,13 +366,13 @@ def test_a_scene_beyond_the_board_or_against_it_is_refused() -> None:
             scene_of(IDLE, Scene(panel, TwoPointReadout(**changes)))
 
 
-def test_a_port_without_a_board_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_names_a_port_without_a_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
         record("loop://", tmp_path / "r.h5", frames=1)
 
 
-def test_ports_and_modules_must_be_as_many() -> None:
+def test_ports_and_modules_must_have_equal_numbers() -> None:
     dead = replace(SCENE, faults=Faults(dead_modules=((0, 1),)))
     larger = Scene(Panel(modules=Modules(2, 3, EachModule(3, 4))), TwoPointReadout(readings=2))
     for ports, scene, words in (
@@ -367,85 +388,85 @@ def sent(number: int, at: float, arrived: float | None = None) -> Sample:
     """Frame `number` of a board whose clock began at −100 s of the host's."""
     sums = np.full((3, 4), number, np.uint16)
     frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
-    return Sample(frame, AT, OWN, at + 100, at if arrived is None else arrived, 0, 0)
+    return Sample(frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, at if arrived is None else arrived, 0, 0)
 
 
-def shown(here: Alignment, now: float) -> list[tuple[int | None, ...]]:
+def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
     frames = []
-    while (parts := here.frame(now)) is not None:
-        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(here.boards)))
+    while (parts := alignment.frame(moment)) is not None:
+        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(alignment.boards)))
     return frames
 
 
 def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
     """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board −1 sends none."""
     image = Alignment(2)
-    seen = list[tuple[int | None, ...]]()
+    complete = list[tuple[int | None, ...]]()
     for board, number, at, arrival in arrivals:
         if board >= 0:
             image.take(board, sent(number, at, arrival))
-        seen += shown(image, arrival)
-    return seen
+        complete += shown(image, arrival)
+    return complete
 
 
-def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -> None:
+def test_the_next_board_leads_during_the_absence_of_the_first() -> None:
     arrivals = [
         (board, number, number * PERIOD, number * PERIOD + 0.01)
         for number in range(20)
         for board in (range(2) if not 5 <= number < 12 else (1,))
     ]
     late = 9 * PERIOD + 2.5 * PERIOD + LATE_SECONDS
-    seen = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
-    whole = [(number, number) for number in (*range(5), *range(12, 20))]
-    assert [image for image in seen if None not in image] == whole
-    assert [image for image in seen if None in image] == [(None, number) for number in range(5, 12)]
+    delivered = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
+    complete = [(number, number) for number in (*range(5), *range(12, 20))]
+    assert [image for image in delivered if None not in image] == complete
+    assert [image for image in delivered if None in image] == [(None, number) for number in range(5, 12)]
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
     """A part that began 0.4 periods before belongs to the frame; the second board leads once the first is late."""
-    here = Alignment(2)
+    alignment = Alignment(2)
     late = 1.5 * PERIOD + LATE_SECONDS
     for board, at in enumerate((0.0, -0.4 * PERIOD)):
-        here.take(board, sent(0, at))
-    assert shown(here, 0.0) == [(0, 0)] and here.moment == 0.0 and LATE_SECONDS == 0.3
-    alone = copy.deepcopy(here)
-    other = here
+        alignment.take(board, sent(0, at))
+    assert shown(alignment, 0.0) == [(0, 0)] and alignment.moment == 0.0 and LATE_SECONDS == 0.3
+    alone = copy.deepcopy(alignment)
+    waiting = alignment
     alone.take(0, sent(1, PERIOD))
     assert alone.frame(PERIOD + late - 1e-3) is None
     assert shown(alone, PERIOD + late + 1e-3) == [(1, None)] and alone.missing == (1,)
-    other.take(1, sent(1, 0.9 * PERIOD))
-    assert other.frame(late + PERIOD - 1e-3) is None
-    assert shown(other, late + PERIOD + 1e-3) == [(None, 1)]
-    assert (other.moment, other.began) == (pytest.approx(0.9 * PERIOD), 0.0)
+    waiting.take(1, sent(1, 0.9 * PERIOD))
+    assert waiting.frame(late + PERIOD - 1e-3) is None
+    assert shown(waiting, late + PERIOD + 1e-3) == [(None, 1)]
+    assert (waiting.moment, waiting.began) == (pytest.approx(0.9 * PERIOD), 0.0)
 
 
-def test_a_board_that_returns_is_shown_whatever_its_phase() -> None:
-    """Its frames arrive after those of the leading board, which must wait for them again."""
+def test_a_returning_board_is_shown_at_any_phase() -> None:
+    """Frames of the returning board arrive after those of the leading one, which must wait for them again."""
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
-        seen = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
-        assert seen[6:26] == [(number, None) for number in range(6, 26)]
-        assert seen[26:] == [(number, number) for number in range(26, 40)]
+        delivered = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
+        assert delivered[6:26] == [(number, None) for number in range(6, 26)]
+        assert delivered[26:] == [(number, number) for number in range(26, 40)]
 
 
-def test_the_image_begins_where_every_board_has_come() -> None:
-    here = Alignment(2)
+def test_the_image_begins_when_every_board_has_sent() -> None:
+    alignment = Alignment(2)
     for number in range(-1, 3):
-        here.take(0, sent(number + 1, number * PERIOD))
-    assert here.frame(1e9) is None
-    here.take(1, sent(7, 0.4 * PERIOD))
-    assert shown(here, 0.1 * PERIOD) == [(1, 7)]
+        alignment.take(0, sent(number + 1, number * PERIOD))
+    assert alignment.frame(1e9) is None
+    alignment.take(1, sent(7, 0.4 * PERIOD))
+    assert shown(alignment, 0.1 * PERIOD) == [(1, 7)]
 
 
 def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
-    here = Alignment(1)
+    alignment = Alignment(1)
     for number in range(60):
-        here.take(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
-    assert len(here.delays[0]) == 50
-    late = [here.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)]
+        alignment.take(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
+    assert len(alignment.delays[0]) == 50
+    late = [alignment.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)]
     assert late == pytest.approx([0.02, 0.01, 0.01])
-    here.take(0, replace(sent(60, 9.0, 9.5), session=1))
-    assert [*here.delays[0]] == pytest.approx([-99.5])
+    alignment.take(0, replace(sent(60, 9.0, 9.5), session=1))
+    assert [*alignment.delays[0]] == pytest.approx([-99.5])
 
 
 def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
@@ -454,13 +475,13 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> t
     silent = set[str]()
     waiting = {port: iter(samples) for port, samples in boards.items()}
 
-    def samples(port: str, *rest: Any) -> Samples:
+    def samples(port: str, *arguments: Any) -> Samples:
         for sample in waiting[port]:
             if isinstance(sample, InputError):
                 raise sample
             yield (sample,)
         silent.add(port)
-        while not rest[-1]():
+        while not arguments[-1]():
             time.sleep(1e-3)
 
     monkeypatch.setattr(several, "board_samples", samples)
@@ -470,7 +491,7 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> t
     return [sample for batch in batches for sample in batch], states
 
 
-def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:
     """The second board lacks the frames 2 and 3, the third hangs, is opened anew and says that it lost two frames."""
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
@@ -496,7 +517,7 @@ def test_boards_are_one_image_that_names_who_is_gone(monkeypatch: pytest.MonkeyP
     assert set(states) == {"module 0,1 at b: no frame came"}
 
 
-def test_frames_that_all_boards_lost_are_lost_and_a_board_that_never_answers_ends_all(
+def test_frames_lost_by_all_boards_count_as_lost_and_a_silent_board_ends_the_recording(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     boards: dict[str, list[Any]] = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
@@ -508,10 +529,10 @@ def test_frames_that_all_boards_lost_are_lost_and_a_board_that_never_answers_end
         image_of(monkeypatch, boards | {"d": [InputError("no board at d")]})
 
 
-def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
-    said: list[tuple[str, bool]] = []
+def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> None:
+    messages: list[tuple[str, bool]] = []
     path = tmp_path / "one.h5"
-    recorder = Recorder(tmp_path, 2, lambda sentence, runs: said.append((sentence, runs)))
+    recorder = Recorder(tmp_path, 2, lambda sentence, runs: messages.append((sentence, runs)))
     with pytest.raises(InputError, match="up to 64 letters"):
         recorder.ask("a/b")
     for name in ("earlier", "one"):  # the last request counts
@@ -524,33 +545,35 @@ def test_a_request_records_behind_the_unloaded_frames(tmp_path: Path) -> None:
     recorder.take(sent(8, 0.8))
     recorder.close()
     growing = [(f"recording {path}: {count} frames", True) for count in (2, 3, 4, 5, 6, 7, 8)]
-    assert said == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
-    found = Recording.load(path)
-    assert found.acquisition is not None and found.raw_sums is not None
-    assert found.acquisition.sequence.tolist() == [*range(8)]
-    assert found.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
-    assert found.acquisition.event_label == ("zero",) and found.acquisition.event_time[0] == pytest.approx(100.4)
-    del said[:]
+    assert messages == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
+    recording = Recording.load(path)
+    assert recording.acquisition is not None and recording.raw_sums is not None
+    assert recording.acquisition.sequence.tolist() == [*range(8)]
+    assert recording.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
+    assert recording.acquisition.event_label == ("zero",) and recording.acquisition.event_time[0] == pytest.approx(
+        100.4
+    )
+    del messages[:]
     for name in ("one", "two"):
         recorder.ask(name)
         for number in range(9, 11):
             recorder.take(sent(number, 0.1 * number))
     recorder.close()
-    again = Recording.load(tmp_path / "two.h5")
-    assert again.acquisition is not None and again.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
-    assert again.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
-    assert said[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
+    second = Recording.load(tmp_path / "two.h5")
+    assert second.acquisition is not None and second.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
+    assert second.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
+    assert messages[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
 
 
-def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_summary_counts_its_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = [sent(number, 0.1 * number - 100) for number in range(5)]
     changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"events": (CLOCK_JUMPED,)}, {"events": (CLOCK_STOPPED,)})
     for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
         samples[number] = replace(samples[number], **change)
-    asked: list[Any] = []
+    calls: list[Any] = []
 
     def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int) -> Samples:
-        asked.append((urls, scene, period, ending(), baseline))
+        calls.append((urls, scene, period, ending(), baseline))
         yield tuple(samples[:2])
         on_state("the board does not answer")
         on_state("the board is gone")
@@ -563,17 +586,17 @@ def test_a_recording_says_what_happened_to_it(tmp_path: Path, monkeypatch: pytes
     for name, ports, limits in (("a", "p", {"seconds": 2.0}), ("b", ["p", "q"], {"frames": 5}), ("c", None, {})):
         del steps[:]
         limits |= {"period": 0.1, "on_progress": lambda at: steps.append((at.frames, at.lost, at.state))}
-        done = record(ports, tmp_path / name, **limits)
+        summary = record(ports, tmp_path / name, **limits)
         counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
-        assert {key: getattr(done, key) for key in counts} == counts and done.clock_stopped
-        assert (done.path, done.ended_by, done.noise_lsb) == (tmp_path / name, "", None)
-        assert done.silent == (1.55 if name == "a" else 0.0)
+        assert {key: getattr(summary, key) for key in counts} == counts and summary.clock_stopped
+        assert (summary.path, summary.ended_by, summary.noise_lsb) == (tmp_path / name, "", None)
+        assert summary.silent == (1.55 if name == "a" else 0.0)
         assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
-        found = Recording.load(done.path)
-        assert found.role.tolist() == [MEASURED] * 5 and found.acquisition is not None
-        assert found.acquisition.event_label == ("clock jump", "clock stopped")
-        np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 3]])
-    assert asked == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
+        recording = Recording.load(summary.path)
+        assert recording.role.tolist() == [MEASURED] * 5 and recording.acquisition is not None
+        assert recording.acquisition.event_label == ("clock jump", "clock stopped")
+        np.testing.assert_allclose(recording.acquisition.event_time, recording.time[[2, 3]])
+    assert calls == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
 
 
 def batches_of(*sizes: int) -> Samples:
@@ -581,14 +604,14 @@ def batches_of(*sizes: int) -> Samples:
     yield from (tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size)) for size in sizes)
 
 
-def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
+def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
     line = stream._Line("url", None, None, lambda: False)
     idle = replace(IDLE, running=True)
-    fit, other = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
-    unfit = (Garbage(3), other, other, Garbage(1), Garbage(2), idle, idle, idle, idle)
+    fit, misshapen = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
+    unfit = (Garbage(3), misshapen, misshapen, Garbage(1), Garbage(2), idle, idle, idle, idle)
     for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
-        samples, ended = line._taken(Scanning(idle, OWN, 0, None), messages)
-        assert (samples, ended) == ((), over)
+        samples, finished = line._taken(Scanning(idle, BOARD_SCENE, 0, None), messages)
+        assert (samples, finished) == ((), over)
     counts = {"pieces that are no message": 6, "frames of another size": 4, "answers": 9}
     assert line._unfit == counts
     line._since -= stream.UNFIT_SECONDS + 3.1
@@ -596,16 +619,16 @@ def test_what_is_no_frame_is_counted_by_its_kind_until_one_fits() -> None:
     kinds = "9 answers, 6 pieces that are no message, 4 frames of another size"
     with pytest.raises(InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"):
         line.check(1.0)
-    run = Scanning(idle, OWN, 0, None)
-    samples, ended = line._taken(run, (fit, fit))
-    assert len(samples) == 1 and not ended and line._unfit == {"frames out of order": 1}
+    run = Scanning(idle, BOARD_SCENE, 0, None)
+    samples, finished = line._taken(run, (fit, fit))
+    assert len(samples) == 1 and not finished and line._unfit == {"frames out of order": 1}
     assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
 
 
-def test_a_frame_has_the_estimate_that_came_before_it_and_no_other() -> None:
+def test_a_frame_has_the_estimate_sent_before_it() -> None:
     """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a line up."""
     line = stream._Line("url", None, None, lambda: False)
-    run = Scanning(replace(IDLE, running=True), OWN, 0, None)
+    run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
     change = np.arange(12, dtype=np.float32).reshape(3, 4)
     frames = [Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)]
     messages = (
@@ -630,21 +653,21 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
     for arrived, answers, ending, sizes, since in ENDED_RUNS:
         messages = iter(arrived)
-        asked = iter(answers)
-        ended = iter(ending)
+        identities = iter(answers)
+        ends = iter(ending)
 
-        def identify(asked: Iterator[Hello | None] = asked) -> Hello:
-            if (answer := next(asked)) is None:
+        def identify(identities: Iterator[Hello | None] = identities) -> Hello:
+            if (answer := next(identities)) is None:
                 raise NoBoardError("silent")
             return answer
 
         board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
         board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
-        line = stream._Line("url", None, None, ended.__next__)
-        batches = line._run(board, RUNNING, OWN)
-        found = [*itertools.islice(batches, len(sizes))]
-        assert [len(batch) for batch in found] == sizes
-        assert all(sample.session == 0 for batch in found for sample in batch)
+        line = stream._Line("url", None, None, ends.__next__)
+        batches = line._run(board, RUNNING, BOARD_SCENE)
+        taken = [*itertools.islice(batches, len(sizes))]
+        assert [len(batch) for batch in taken] == sizes
+        assert all(sample.session == 0 for batch in taken for sample in batch)
         with pytest.raises(NoBoardError if None in answers else StopIteration):
             next(batches)
         assert line._unfit["answers"] == since
@@ -652,15 +675,15 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     board.messages = [(FIT,)].pop
     board.identify = lambda: IDLE
     line._ending = lambda: False
-    assert [sample.session for batch in line._run(board, RUNNING, OWN) for sample in batch] == [5]
+    assert [sample.session for batch in line._run(board, RUNNING, BOARD_SCENE) for sample in batch] == [5]
 
 
 def test_a_recording_ends_after_its_frames_or_seconds() -> None:
-    for frames, seconds, sizes in ENDS:
+    for frames, seconds, sizes in LIMITS:
         assert [len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)] == sizes
 
 
-def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> None:
+def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
     """Pairs over a restart, of loaded frames and at the ends of the converter count as nothing."""
     rng = np.random.default_rng(3)
     readings = 4
@@ -674,8 +697,8 @@ def test_noise_comes_from_pairs_of_unloaded_codes_that_follow_each_other() -> No
     differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
     numbers = np.arange(frames)
     session = (numbers >= 30).astype(np.uint16)
-    nothing = np.zeros(frames, np.uint16)
-    counters = numbers * 1.0, numbers, numbers, nothing, nothing, session
+    zeros = np.zeros(frames, np.uint16)
+    counters = numbers * 1.0, numbers, numbers, zeros, zeros, session
 
     def first(count: int) -> Recording:
         return Recording(

@@ -76,8 +76,8 @@ def panels_alike(
     upper : array, shape (rows, columns)
         Largest resistances, ohm.
     """
-    found = (matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts)
-    panels = _distinct([np.minimum(cells, upper) for cells in found])
+    matched = (matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts)
+    panels = _distinct([np.minimum(cells, upper) for cells in matched])
     networks = [network(cells) for cells in panels]
     misfits = [misfit(solved, measured) for solved in networks]
     alike = [number for number, missed in enumerate(misfits) if missed <= max(MAX_MISFIT, min(misfits))]
