@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from lampest.files.typed import ByKind
-from lampest.panel.readouts.driven import DrivenReadout as DrivenReadout
+from lampest.panel.readouts.driven_readout import DrivenReadout as DrivenReadout
 from lampest.panel.readouts.presets import GroundedReadout as GroundedReadout
 from lampest.panel.readouts.presets import LoadedColumnsReadout as LoadedColumnsReadout
 from lampest.panel.readouts.presets import VirtualGroundReadout as VirtualGroundReadout

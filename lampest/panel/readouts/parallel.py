@@ -12,7 +12,7 @@ from lampest.panel.addressed import AddressedNetwork
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.divider import Divider
-from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.lines import Groups, PerLine, parallel, per_line, with_channels
 from lampest.panel.readouts.readout import Address, FreeTest, Surroundings
 from lampest.panel.readouts.wiring import Wiring
