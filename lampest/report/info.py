@@ -182,9 +182,14 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
 
 
 def _in_words(part: Any) -> str:
-    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'; many numbers as their range."""
+    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'; many numbers as their range.
+
+    Entries of a list of mappings are separated by semicolons.
+    """
     if isinstance(part, dict):
         return ", ".join(f"{key} {words}" for key, value in part.items() if (words := _in_words(value)))
+    if isinstance(part, list) and any(isinstance(item, dict) for item in part):
+        return "; ".join(map(_in_words, part))
     if isinstance(part, list) and (numbers := [*_numbers(part)]):
         return f"{min(numbers):.3g} to {max(numbers):.3g}" if len(numbers) > 4 else str(part)
     return f"{part:g}" if isinstance(part, float) else str(part or "")

@@ -125,6 +125,19 @@ def test_numbers_that_a_recording_determines_are_information_and_no_warning(tmp_
         assert not re.search(r"^warning.*(gain|ripple)", ran.out + info, re.MULTILINE)
 
 
+def test_info_says_in_words_what_single_modules_have(tmp_path: Path, lampest: Command) -> None:
+    (tmp_path / "plan.yaml").write_text(
+        "schema: 1\nseed: 1\noutput: image.h5\nscene:\n"
+        "  panel: {modules: {rows: 1, columns: 2, each: {rows: 3, columns: 3, pitch_mm: 10}, seam_mm: 3}}\n"
+        "  readout: {kind: two_point, reference_ohm: 1000, adc_bits: 12, readings: 1, noise_lsb: 1}\n"
+        "  series_resistance_ohm: 140\n"
+        "  modules: [{at: [0, 0], series_resistance_ohm: 150}, {at: [0, 1], faults: {dead_rows: [2]}}]\n"
+    )
+    assert lampest("simulate", tmp_path / "plan.yaml").code == 0
+    info = lampest("info", tmp_path / "image.h5").out
+    assert "\nmodules    at [0, 0], series_resistance_ohm 150; at [0, 1], faults dead_rows [2]\n" in info
+
+
 @pytest.mark.parametrize(
     ("added", "sentence"),
     [
@@ -261,7 +274,7 @@ def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_error
     """
     assert lampest("init", tmp_path / "mine", "--readout", circuit, "--rows", 24, "--columns", 8, "--purpose", "mat")
     path = tmp_path / "mine" / "example.h5"
-    shown = re.search(r"reading_error: (\S+) ± (\S+), estimated", lampest("info", path).out)
+    shown = re.search(r"reading_error: (\S+) ± (\S+) \(relative\)", lampest("info", path).out)
     assert shown is not None
     size, deviation = map(float, shown.groups())
     assert size < (0.002 if circuit != "amplifiers" else deviation)
