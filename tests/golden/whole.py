@@ -165,7 +165,7 @@ def parts_row() -> dict[str, Any]:
         simulated(frames=19, baseline_frames=3).save("long.h5")
         Path("run.yaml").write_text(RUN_OF_PARTS)
         with limits(
-            recording__recording__MAX_READINGS=200, recording__recording__PART_READINGS=20,
+            recording__stored__MAX_READINGS=200, recording__stored__PART_READINGS=20,
             report__info__PART_READINGS=300,
         ):  # fmt: skip
             tasks = [batch.Task(case, Path("out").absolute()) for case in lp.read_run(Path("run.yaml")).cases]
