@@ -74,8 +74,6 @@ class Known:
         Probability from which an attachment is called a lamprey, or a suction cup.
     start_time : str or None
         Date and time at 0 s.
-    sigma_factor : float
-        Measured noise of a frame's readings over the one that the scene specifies.
     """
 
     name: str
@@ -92,7 +90,6 @@ class Known:
     explained: bool = True
     threshold: float = MIN_PROBABILITY
     start_time: str | None = None
-    sigma_factor: float = 1.0
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
@@ -172,8 +169,7 @@ class Known:
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns); σ is infinite where a reading is no value."""
         sigma = readings.sigma_of_values
-        known = self.sigma if sigma is None else self.sigma_factor * sigma
-        return readings.value, np.where(readings.plain, known, np.inf)
+        return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
 
 
 def frame_rate(times: Sequence[float]) -> float:
@@ -309,7 +305,6 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     error = 0.0
     scene = head.scene
     besides = None
-    factor = 1.0
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
@@ -320,13 +315,12 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         besides = seen.corrected_effects
         scene = with_saturated_stage(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
-        factor = seen.sigma_factor / seen.model_factor
-        sigma = factor * specified
+        sigma = seen.sigma_factor / seen.model_factor * specified
         readings = seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
     explained = prepared.check.explains is not False
-    return Known(head.name, scene, *before, besides, explained, sigma_factor=factor)
+    return Known(head.name, scene, *before, besides, explained)
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:
