@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, wraps
+from functools import cached_property, partial, wraps
 from threading import RLock
 from traceback import clear_frames
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 _LOCK = RLock()
-_DROPPED: deque[dict[str, Any]] = deque()  # contents of deleted owners
+_DROPPED: deque[Any] = deque()  # owners that nothing refers to any more
 
 
 def _unlock_child() -> None:
@@ -66,11 +66,11 @@ class CasadiOwner:
     """Base of objects with CasADi attributes: any thread may drop them, and the next guarded call frees them.
 
     Waiting for the lock in the destructor could deadlock, because the garbage collector may run while the thread holds
-    another lock.
+    another lock. The destructor keeps the object itself. None of its steps is Python code, in which an interrupt could
+    land and be lost.
     """
 
-    def __del__(self, drop: Callable[[dict[str, Any]], None] = _DROPPED.append) -> None:
-        drop(vars(self).copy())
+    __del__ = property(partial(partial, _DROPPED.append))  # self.__del__() is _DROPPED.append(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 from threading import Barrier, Thread
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import lampest
 from lampest.cost.problem import Data
 from lampest.estimate.modules import begin_stream
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import EachModule, Modules
 
 SCENE = """
@@ -130,6 +132,19 @@ def test_a_failing_or_cancelled_thread_harms_no_other() -> None:
             np.testing.assert_allclose(estimates[number], estimate(number, "squares"), rtol=1e-12)
         """
     )
+
+
+def test_a_dropped_owner_waits_for_a_guarded_call_without_python_code_that_an_interrupt_could_break() -> None:
+    owner = CasadiOwner()
+    reference = ref(owner)
+    events: list[str] = []
+    sys.setprofile(lambda frame, event, argument: events.append(event))
+    del owner
+    sys.setprofile(None)
+    assert events == ["c_call"], "besides the last call of setprofile, code of Python ran"
+    assert reference() is not None, "freed without the lock"
+    guarded(int)()
+    assert reference() is None, "never freed"
 
 
 @pytest.mark.slow
