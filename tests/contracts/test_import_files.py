@@ -202,6 +202,19 @@ def shown(path: Path) -> None:
     (path / "Thumbs.db").write_bytes(GARBAGE)
 
 
+def in_two_encodings(path: Path) -> None:
+    folder(csv_of, ".csv")(path)
+    other = path / "frame7.csv"
+    other.write_bytes(other.read_text().encode("utf-16"))
+
+
+def each_with_a_cut_block(path: Path) -> None:
+    path.mkdir()
+    for number in range(25):
+        whole = "\n".join(lines(FRAMES[0]))
+        (path / f"frame{number}.csv").write_text("\n" * number + f"{whole}\n\n{whole[:20]}")
+
+
 def csv_of(path: Path, frame: np.ndarray) -> None:
     path.write_text("\n".join(lines(frame)))
 
@@ -251,6 +264,9 @@ FILES |= {
     "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
     "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=TRIPLED),
     "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=TRIPLED),
+    "a folder in two encodings": given(
+        in_two_encodings, "frame7.csv: fields separated by comma, UTF-16", name="m", expected=TRIPLED
+    ),
     "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=TRIPLED),
 }  # fmt: skip
 for axes, values in (("last", FRAMES_LAST), ("first", FRAMES)):
@@ -402,6 +418,15 @@ def test_a_fault_in_a_file_gives_one_sentence(file: SimpleNamespace, tmp_path: P
 
 
 # Scenes beside a file.
+
+
+def test_a_folder_has_at_most_20_notes_on_single_files_and_the_number_of_the_others(tmp_path: Path) -> None:
+    each_with_a_cut_block(tmp_path / "m")
+    _, notes = import_file(tmp_path / "m", rows=ROWS, columns=COLUMNS, unit="ohm")
+    single = [note for note in notes if note.startswith("frame")]
+    assert len(single) == 19, "one of the 20 is on all files"
+    assert single[2] == "frame2.csv: fields separated by comma, the last number of line 7 is cut off and missing"
+    assert "6 more notes on single files" in notes
 
 
 def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:

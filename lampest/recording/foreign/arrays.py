@@ -17,11 +17,12 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted, first_and_more
 from lampest.files.typed import Validated, real_array
 from lampest.panel.panel import Array
 from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
+MAX_NOTES = 20  # of a folder (tests/contracts/test_import_files.py)
 MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
@@ -79,9 +80,10 @@ class Frames:
         return replace(self, number=number, notes=(*self.notes, note))
 
 
-def joined_frames(parts: Sequence[Frames], source: str, note: str) -> Frames:
-    """Return the frames of several files, one after the other, with the notes of the first file.
+def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, note: str) -> Frames:
+    """Return the frames of several files, one after the other. A note that some files lack names those that have it.
 
+    files : names of the files.
     source : name of all of them, which have no times.
     """
     ends = np.cumsum([len(part.numbers) for part in parts])
@@ -94,7 +96,20 @@ def joined_frames(parts: Sequence[Frames], source: str, note: str) -> Frames:
 
     words = tuple(dict.fromkeys(word for part in parts for word in part.words))
     numbers = np.concatenate([part.numbers for part in parts])
-    return Frames(numbers, np.concatenate(shifted), named, None, (note, *parts[0].notes), words)
+    return Frames(numbers, np.concatenate(shifted), named, None, (note, *_joined_notes(parts, files)), words)
+
+
+def _joined_notes(parts: Sequence[Frames], files: Sequence[str]) -> Iterator[str]:
+    """Yield each note of files once, at most MAX_NOTES: those of all files, then those of some behind their names."""
+    named: dict[str, list[str]] = {}
+    for part, file in zip(parts, files, strict=True):
+        for note in dict.fromkeys(part.notes):
+            named.setdefault(note, []).append(file)
+    for note in sorted(named, key=lambda note: len(named[note]) < len(parts))[:MAX_NOTES]:
+        names = named[note]
+        yield note if len(names) == len(parts) else f"{first_and_more(names, 3)}: {note}"
+    if len(named) > MAX_NOTES:
+        yield f"{counted(len(named) - MAX_NOTES, 'more note')} on single files"
 
 
 @dataclass(frozen=True)

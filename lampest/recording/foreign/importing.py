@@ -305,7 +305,7 @@ def _of_folder(path: Path, shape: Shape, variable: str | None, layout: str | Lay
     unused = "; times within them are not used" if any(part.timing for part in parts) else ""
     order = f"in the order of their names, from {files[0].name} to {files[-1].name}"
     note = f"{counted(total, 'frame')} of {counted(len(files), 'file')}, {order}{unused}"
-    return joined_frames(parts, str(path), note)
+    return joined_frames(parts, [file.name for file in files], str(path), note)
 
 
 def _of_desktop(name: str) -> bool:
