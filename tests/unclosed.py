@@ -27,7 +27,8 @@ def unclosed_recording(
         for number in range(frames):
             sums = rng.integers(8000, 8010, scene.panel.shape, dtype=np.uint16)
             frame: Any = SimpleNamespace(readings=READINGS, device_ms=100 * number, sequence=number, missed=0)
-            frame.sums, frame.log_change = sums, np.full(scene.panel.shape, number) if number % 2 else None
+            frame.sums = sums
+            frame.log_change = np.full(scene.panel.shape, number) if number % 2 else None
             sample: Any = Sample(frame, hello, scene, 0.1 * number, 1.7e9 + 0.1 * number, 0, 0)
             journal.append((sample,), int(number < unloaded))
         journal.mark(0.3, "touch")

@@ -10,7 +10,8 @@ import matplotlib.pyplot as plt
 import lampest
 
 recording = lampest.datasets.load("lamprey_35mm")
-scene, frames = recording.scene, recording.resistance
+scene = recording.scene
+frames = recording.resistance
 unloaded = recording.role == lampest.UNLOADED
 resting = lampest.Readings.of(scene, frames[unloaded]).mean()
 stream = lampest.Stream.begin(lampest.Estimator((lampest.Misfit(),), formulation="reduced"), scene, 1.0, resting)

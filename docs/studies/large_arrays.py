@@ -40,7 +40,8 @@ def recording_of(seed: int, static: float) -> tuple[lampest.Recording, Array]:
     """A recording, and its true cells (frames, rows, columns) ohm."""
     rng = np.random.default_rng(seed)
     scene, ohm = scene_of(rng, seed % 4)
-    (rows, columns), readout = scene.panel.shape, scene.readout
+    rows, columns = scene.panel.shape
+    readout = scene.readout
     assert readout is not None
     unloaded = int(rng.choice([0, 3]))
     frames = int(rng.choice([3, 8]))

@@ -64,7 +64,8 @@ def _edge(distance: Array, width: float) -> Array:
 
 
 def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float, float]:
-    (across, down), pitch = panel.centres_mm(), panel.pitch_mm
+    across, down = panel.centres_mm()
+    pitch = panel.pitch_mm
     low = -pitch / 2 + margin
     high = pitch / 2 - margin
     x = rng.uniform(min(low, across[-1] / 2), max(across[-1] + high, across[-1] / 2))
@@ -181,7 +182,8 @@ def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
 
 def with_body(rng: np.random.Generator, made: Scene) -> Scene:
     """A load with a body of 60 to 140 mm behind it that lies on the panel, from the edge of the load on."""
-    (cx, cy), turn = made.centres_mm[0], rng.uniform(0, 2 * np.pi)
+    cx, cy = made.centres_mm[0]
+    turn = rng.uniform(0, 2 * np.pi)
     begin = made.diameters_mm[0] / 2 + 2
     length = rng.uniform(60, 140)
     half = rng.uniform(7, 14)
@@ -250,7 +252,9 @@ def blobs(
 
 def hand(rng: np.random.Generator, panel: Panel) -> Scene:
     """A palm and up to five fingers about it, each a capsule."""
-    (cx, cy), turn, scale = _place(rng, panel, 25.0), rng.uniform(0, 2 * np.pi), rng.uniform(0.5, 1.0)
+    cx, cy = _place(rng, panel, 25.0)
+    turn = rng.uniform(0, 2 * np.pi)
+    scale = rng.uniform(0.5, 1.0)
     fingers = [
         (turn + step, scale * rng.uniform(22, 30), scale * rng.uniform(50, 75), rng.uniform(3, 25))
         for step in np.linspace(-0.9, 0.9, rng.integers(2, 6))
@@ -271,7 +275,9 @@ def hand(rng: np.random.Generator, panel: Panel) -> Scene:
 
 def fin(rng: np.random.Generator, panel: Panel) -> Scene:
     """A thin straight or bent line that presses."""
-    (cx, cy), turn, bend = _place(rng, panel, 10.0), rng.uniform(0, np.pi), rng.uniform(-0.012, 0.012)
+    cx, cy = _place(rng, panel, 10.0)
+    turn = rng.uniform(0, np.pi)
+    bend = rng.uniform(-0.012, 0.012)
     half = rng.uniform(15, 45)
     thick = rng.uniform(2, 8)
     kpa = np.exp(rng.uniform(np.log(2), np.log(30)))
@@ -286,7 +292,8 @@ def fin(rng: np.random.Generator, panel: Panel) -> Scene:
 
 def fish(rng: np.random.Generator, panel: Panel) -> Scene:
     """A large soft body, pressing weakly, with a faint wake of suction beside it."""
-    (cx, cy), turn = _place(rng, panel, 10.0), rng.uniform(0, np.pi)
+    cx, cy = _place(rng, panel, 10.0)
+    turn = rng.uniform(0, np.pi)
     a = rng.uniform(35, 70)
     b = rng.uniform(12, 25)
     kpa = rng.uniform(0.5, 8)

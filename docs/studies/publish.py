@@ -149,7 +149,8 @@ def main() -> None:
     for kind, where in addresses(given.broker).items():
         if given.kind in (None, kind):
             late, solves = measured(kind, where, given.frames, given.estimator).T
-            (median, most), solve = np.percentile(late, [50, 99]), np.percentile(solves, [50, 99])
+            median, most = np.percentile(late, [50, 99])
+            solve = np.percentile(solves, [50, 99])
             print(
                 f"{kind:10} {len(late)}/{given.frames} frames: median {median:.1f} ms, p99 {most:.1f} ms, largest "
                 f"{late.max():.1f} ms; the solve alone {solve[0]:.1f} and {solve[1]:.1f} ms",

@@ -50,7 +50,8 @@ def recording_of(modules: int, frames: int) -> lampest.Recording:
     layout = Modules(rows, max(modules, 1) // rows, EachModule(10, 10))
     panel = lampest.Panel(modules=layout) if modules else lampest.Panel(100, 100)
     readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
-    random, ((_, wide), (_, high)) = np.random.default_rng(3), panel.extents_mm
+    random = np.random.default_rng(3)
+    (_, wide), (_, high) = panel.extents_mm
     mouths = tuple(
         lampest.OralDisc(
             centre_mm=(random.uniform(20, wide - 20), random.uniform(20, high - 20)),

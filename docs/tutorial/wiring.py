@@ -9,7 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
 STYLE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "lampest", "font.family": "sans-serif", "font.size": 9}
-POWER, GROUND, SIGNAL, LINE = "#c0392b", "#222222", "#1f6fb2", "#888888"
+POWER = "#c0392b"
+GROUND = "#222222"
+SIGNAL = "#1f6fb2"
+LINE = "#888888"
 LINES = 8
 
 
@@ -34,7 +37,8 @@ def panel(axes: Axes) -> None:
     """Rows to the left, columns to the bottom, a cell on every crossing."""
     box(axes, (8.1, 3.0), (3.8, 3.6), "panel")
     for line in range(LINES):
-        y, x = 6.3 - 0.43 * line, 8.4 + 0.43 * line
+        y = 6.3 - 0.43 * line
+        x = 8.4 + 0.43 * line
         wire(axes, LINE, (7.2, y), (11.7, y))
         wire(axes, LINE, (x, 2.2), (x, 6.4))
         for other in range(LINES):

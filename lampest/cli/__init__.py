@@ -59,7 +59,8 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
             refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 
-    called.__doc__, called.__signature__ = about, signature  # type: ignore[attr-defined]
+    called.__doc__ = about
+    called.__signature__ = signature  # type: ignore[attr-defined]
     return called
 
 

@@ -122,7 +122,8 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
         pairs = "" if state.panel.cells is None else ", and gradients of listed cells have a row for each pair"
         shape = f"fields of state are columns of {state.panel.crossings} cells{pairs}{hint}"
         raise InputError(f"{name} raises {type(error).__name__} ({str(error).splitlines()[-1]}): {shape}") from error
-    (rows, columns), unknown = residual.shape, casadi.vertcat(state.cell_resistance, state.reading)
+    rows, columns = residual.shape
+    unknown = casadi.vertcat(state.cell_resistance, state.reading)
     if columns != 1 or (rows == 0 and len(state.panel.neighbours[2])):
         raise InputError(
             f"{name} is {rows} × {columns}, not a column of one or more rows; fields of state are columns, "

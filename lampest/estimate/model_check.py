@@ -208,7 +208,10 @@ class Question:
 
     def check(self, besides: CircuitEffects) -> ModelCheck:
         """Return the check of the circuit against its rivals and against these effects."""
-        (bounded, missing), noise, fault, explanation = self._shares, self.widening, self.fault, self.explanation
+        bounded, missing = self._shares
+        noise = self.widening
+        fault = self.fault
+        explanation = self.explanation
         few_bounds = bounded <= MAX_MISSING
         # No fit and no contradiction: too many bounds, or the solver failed.
         if explanation is None and not fault:

@@ -113,7 +113,8 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
         if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:
             where = list(layout.place(number))
             raise InputError(f"panel.modules.coupled: module {where} is wired, or its readout is not two_point")
-    places, (x, y) = None, scene.panel.places_mm
+    places = None
+    x, y = scene.panel.places_mm
     if layout.seam_mm:
         places = tuple((j, k, float(x[j, k]), float(y[j, k])) for j, k in np.ndindex(scene.panel.shape))
     known = scene.open_cells, scene.shorted_cells & ~scene.open_cells  # a dead module is both

@@ -306,7 +306,8 @@ class FittedPair:
             replace(effect, size=max(effect.size + effect.prior * float(more), 0.0 if effect.positive else -np.inf))
             for effect, more in zip(effects, step, strict=True)
         )
-        constant, (resting, frame) = tuple(effect for effect in stepped if not effect.since), self.frames
+        constant = tuple(effect for effect in stepped if not effect.since)
+        resting, frame = self.frames
         early = resting.refitted(resting.measured, constant) if constant else resting
         late = frame.refitted(frame.measured, stepped)
         return None if early is None or late is None else replace(self, frames=(early, late))

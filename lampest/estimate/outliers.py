@@ -73,7 +73,8 @@ def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple
         outlying &= scale > 0
     outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (len(value) >= MIN_FRAMES)
     # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
-    (middle, spread, _), (line, line_spread, _) = expected[0], expected[-1]
+    middle, spread, _ = expected[0]
+    line, line_spread, _ = expected[-1]
     nearer = line_spread < spread
     deviation = np.nan_to_num(np.abs(line - middle))
     return outlying, np.where(nearer, line, middle), np.hypot(np.where(nearer, line_spread, spread), deviation)

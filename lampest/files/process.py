@@ -43,7 +43,9 @@ class OneBlasThread(ContextDecorator):
     """
 
     def __init__(self) -> None:
-        self._lock, self._entered, self._limit = threading.Lock(), 0, ExitStack()
+        self._lock = threading.Lock()
+        self._entered = 0
+        self._limit = ExitStack()
         released = self._lock.release
         os.register_at_fork(before=self._lock.acquire, after_in_parent=released, after_in_child=released)
 

@@ -299,7 +299,8 @@ class FilmKnown:
     @property
     def sentence(self) -> str:
         """Strengths that the scene leaves open and their sources, in words."""
-        parts, (mean, sd) = list[str](), (100 * number for number in self.creep)
+        parts = list[str]()
+        mean, sd = (100 * number for number in self.creep)
         if self.film.hysteresis == "auto":
             parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")
         if self.film.creep_per_decade == "auto":

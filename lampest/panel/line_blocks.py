@@ -45,7 +45,8 @@ class LineBlocks:
         between = self.between if rows <= columns else self.between.swapaxes(-1, -2)
         # E = A P⁻¹ with the pivots P of the eliminated lines, and the Schur complement S = D − E Aᵀ of the others
         pivots = np.linalg.inv(np.asarray_chkfinite(self.diagonal[..., long].transpose(2, 0, 1)))
-        eliminated, kept = max(rows, columns), count * min(rows, columns)
+        eliminated = max(rows, columns)
+        kept = count * min(rows, columns)
         ties = between.transpose(0, 2, 3, 1).reshape(kept, eliminated, count)
         shares = np.einsum("tlb,lbc->tlc", ties, pivots).reshape(kept, eliminated * count)
         flat = ties.reshape(kept, eliminated * count)

@@ -126,7 +126,8 @@ class Panel(Configuration):
 
     def __post_init__(self) -> None:
         if self.modules is not None:
-            (rows, columns), pitch = self.modules.shape, self.modules.each.pitch_mm
+            rows, columns = self.modules.shape
+            pitch = self.modules.each.pitch_mm
             if (self.rows or rows, self.columns or columns) != (rows, columns):
                 raise ValueError(f"the modules make {rows} × {columns} cells, not {self.rows} × {self.columns}")
             for name, value in (("rows", rows), ("columns", columns), ("pitch_mm", pitch)):

@@ -310,7 +310,8 @@ class Scene(Configuration):
     @property
     def common_change(self) -> tuple[float, float]:
         """Change of log r of all cells since the unloaded frames, by temperature and creep, and its deviation."""
-        warmth, (creep, creep_sd) = self.temperature, (self.estimated or {}).get("creep", (0.0, 0.0))
+        warmth = self.temperature
+        creep, creep_sd = (self.estimated or {}).get("creep", (0.0, 0.0))
         creep = creep if (known := plain_size(self.creep)) is None else known
         if warmth is None:
             return creep, creep_sd

@@ -63,7 +63,8 @@ class Certainty:
         released : callable
             Variance of log r of cells (numbers) at a bound, each released alone.
         """
-        at, (lower, upper) = model.at, model.at.data.log_bounds
+        at = model.at
+        lower, upper = model.at.data.log_bounds
         maps = np.zeros((4, at.cell_resistance.size))
         maps[:, model.free] = *variances, *shares
         variance, shared, resolution, data_share = maps.reshape(4, *at.cell_resistance.shape)

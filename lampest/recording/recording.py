@@ -118,7 +118,8 @@ class Recording(Validated):
 
     def __repr__(self) -> str:
         """Return a description in one line: '24 frames (3 unloaded) of 10 × 10 cells'."""
-        unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
+        unloaded = int(np.sum(self.role == UNLOADED))
+        rows, columns = self.scene.panel.shape
         frames = f"{len(self.role)} frames ({unloaded} unloaded)"
         span = f"{self.time.min():g} to {self.time.max():g} s"
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"

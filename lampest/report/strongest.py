@@ -60,7 +60,8 @@ def likely_change(value: Array, resting: Array) -> Array:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = np.log(value / resting)
-    moved, (rows, columns) = np.ma.masked_invalid(moved), value.shape[1:]
+    moved = np.ma.masked_invalid(moved)
+    rows, columns = value.shape[1:]
     mean = moved.mean(axis=(1, 2), keepdims=True)
     # x = x̄ + a (rows) + b (columns) + w; eigenvalues of ∂ln R/∂ln r: 1, M/K, N/K and 2/K
     across, down = (moved.mean(axis=axis, keepdims=True) - mean for axis in (2, 1))

@@ -20,7 +20,8 @@ def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
 
     `gradient` is in u = log r, (…, cells).
     """
-    (lower, upper), slope = at.data.log_bounds, gradient.reshape(at.position.shape)
+    lower, upper = at.data.log_bounds
+    slope = gradient.reshape(at.position.shape)
     held = ((at.position <= lower) & (slope > 0)) | ((at.position >= upper) & (slope < 0))
     free: NDArray[np.bool_] = (lower < upper) & ~held
     return free.reshape(gradient.shape)

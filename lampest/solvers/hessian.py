@@ -244,7 +244,8 @@ class Hessian:
         matrix = block_diagonal([second.matrix() for second in self._second_orders])
         jacobian = self.jacobian
         cells = self._flat(self.at.cell_resistance)
-        count, (entries, values) = cells.shape[-1], self._entries
+        count = cells.shape[-1]
+        entries, values = self._entries
         # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
         matrix[..., row, column] += values[..., entries.cells] * cells[..., row] * cells[..., column]

@@ -155,7 +155,8 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
     settings : Settings
     """
     begun = points = Hessian(start, Smoothing(1.0, NO_DUAL))
-    ends, (count,) = begun.position.copy(), start.data.panels
+    ends = begun.position.copy()
+    (count,) = start.data.panels
     solved = np.zeros(count, dtype=bool)
     iterations = np.zeros(count, dtype=np.int64)
     panels = np.arange(count)

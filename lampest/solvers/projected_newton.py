@@ -180,7 +180,8 @@ def stalled(history: Sequence[tuple[float, float]]) -> bool:
     """
     if len(history) <= STEPS.window:
         return False
-    (first, steep), (last, residual) = history[-STEPS.window - 1], history[-1]
+    first, steep = history[-STEPS.window - 1]
+    last, residual = history[-1]
     return first - last < STEPS.min_decrease * abs(last) and residual > STEPS.min_reduction * steep
 
 

@@ -105,7 +105,10 @@ def called(*arguments: str | Path, folder: Path | None = None) -> CompletedComma
     """Call the command within this process, in a folder, without measuring its memory."""
     from lampest import cli
 
-    out, err, begin, code = io.StringIO(), io.StringIO(), time.monotonic(), 0
+    out = io.StringIO()
+    err = io.StringIO()
+    begin = time.monotonic()
+    code = 0
     with (
         mock.patch.object(sys, "argv", ["lampest", *map(str, arguments)]),
         mock.patch.dict(os.environ),
@@ -154,14 +157,16 @@ def command(
 
     variables = environment(**({} if memory is None else {"LAMPEST_MEMORY": memory}))
     options = {"stdin": subprocess.DEVNULL, "cwd": folder, "env": variables, "start_new_session": True}
-    begin, peak = time.monotonic(), 0
+    begin = time.monotonic()
+    peak = 0
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
         words = [sys.executable, "-c", script, *map(str, arguments)]
         process = subprocess.Popen(words, stdout=out, stderr=err, **options)
         while process.returncode is None:
             number, status, used = os.wait4(process.pid, os.WNOHANG)
             if number:
-                process.returncode, peak = os.waitstatus_to_exitcode(status), used.ru_maxrss * 1024
+                process.returncode = os.waitstatus_to_exitcode(status)
+                peak = used.ru_maxrss * 1024
             elif time.monotonic() > begin + seconds:
                 os.killpg(process.pid, signal.SIGKILL)
             time.sleep(0.01)

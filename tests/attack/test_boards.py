@@ -27,7 +27,9 @@ from lampest.report.live.publish import publish_at
 from tests.bodies import hello_body
 
 pytestmark = pytest.mark.slow
-LIMIT_S, SLACK_S = 0.5, 15.0  # without a fitting message; of everything else on a loaded machine
+# without a fitting message; of everything else on a loaded machine
+LIMIT_S = 0.5
+SLACK_S = 15.0
 RECORDER = (
     "import sys; from pathlib import Path; from lampest.recording.board.record import record\n"
     "tell = lambda now: print(now.frames, flush=True)\n"
@@ -37,12 +39,14 @@ RECORDER = (
 
 def _script(rng: Rng) -> Script:
     """Frames, and messages that flood or lie, in any mixture, at any rate up to the line's."""
-    weights, pause = rng.dirichlet(np.full(9, 0.3)), float(rng.choice([0.0, 0.001, 0.01]))
+    weights = rng.dirichlet(np.full(9, 0.3))
+    pause = float(rng.choice([0.0, 0.001, 0.01]))
 
     def script(hello: Hello) -> Iterator[tuple[float, bytes]]:
         for number in from_zero():
             shape = (int(rng.integers(1, 17)), int(rng.integers(1, 17)))
-            length, clock = int(rng.integers(1, 600)), int(rng.integers(2**32))
+            length = int(rng.integers(1, 600))
+            clock = int(rng.integers(2**32))
             messages = (
                 wire(hello, number),
                 wire(hello, number, shape=shape),
@@ -63,7 +67,9 @@ def _script(rng: Rng) -> Script:
 def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(rng: Rng, folder: Path, count: int) -> Outcomes:
     """Recording ends in time, with a sentence or with frames whose losses are counted."""
     for number in range(count):
-        out, begin, lost = folder / f"{number}.h5", time.monotonic(), False
+        out = folder / f"{number}.h5"
+        begin = time.monotonic()
+        lost = False
         limits = {"frames": 30} if rng.random() < 0.5 else {"seconds": 0.5}
         with mock.patch.object(stream, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
             try:
@@ -106,7 +112,9 @@ def test_a_killed_recorder_leaves_every_counted_frame(rng: Rng, folder: Path, co
 @attack(1, 10)
 def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A broker pauses for one to three seconds: messages of that time are lost, but for the first 0.2 s."""
-    port, ages, ear = free_port(), list[float](), Client(CallbackAPIVersion.VERSION2)
+    port = free_port()
+    ages = list[float]()
+    ear = Client(CallbackAPIVersion.VERSION2)
     ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])
     if MOSQUITTO is None:
         return
@@ -117,7 +125,8 @@ def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count
         with publish_at(f"mqtt://127.0.0.1:{port}/panel").opened(print) as (_, send):
             for _ in range(count):
                 ages.clear()
-                paused, begin = float(rng.uniform(1, 3)), time.monotonic()
+                paused = float(rng.uniform(1, 3))
+                begin = time.monotonic()
                 running.send_signal(signal.SIGSTOP)
                 while time.monotonic() < begin + paused + 1:
                     if time.monotonic() > begin + paused:

@@ -24,7 +24,9 @@ HARMS = ("bits", "bits", "end", "gap", "twice", "zeros")
 
 def _harmed(rng: Rng, content: bytes) -> bytes:
     """Some bits are turned, the end is cut off, or pages are lost, doubled or zero."""
-    harm, begin, length = str(rng.choice(HARMS)), int(rng.integers(len(content))), int(rng.choice((1, 17, 512, 4096)))
+    harm = str(rng.choice(HARMS))
+    begin = int(rng.integers(len(content)))
+    length = int(rng.choice((1, 17, 512, 4096)))
     if harm != "bits":
         following = content[begin + length :]
         parts = {
@@ -42,7 +44,8 @@ def _harmed(rng: Rng, content: bytes) -> bytes:
 
 def _damaged(reader: Callable[[Path], Any], make: Callable[[Path], bytes]) -> Tries:
     def tries(rng: Rng, folder: Path, count: int) -> Outcomes:
-        content, path = make(folder), folder / "a.h5"
+        content = make(folder)
+        path = folder / "a.h5"
         path.write_bytes(content)
         meant = _content(reader(path))
         for _ in range(count):
@@ -93,12 +96,14 @@ test_damage_of_results_is_noticed = attack(70, 2900)(_damaged(read_results, good
 
 @attack()
 def test_check_names_the_dataset_with_a_flipped_bit(rng: Rng, folder: Path, count: int) -> Outcomes:
-    work_folder, places = small_folder(folder / "work"), dict[str, int]()
+    work_folder = small_folder(folder / "work")
+    places = dict[str, int]()
     with h5py.File(work_folder / "small.h5") as file:
         file.visititems(
             lambda name, node: places.update({name: _place(node)}) if isinstance(node, h5py.Dataset) else None
         )
-    content, meant = (work_folder / "small.h5").read_bytes(), called("info", "small.h5", folder=work_folder)
+    content = (work_folder / "small.h5").read_bytes()
+    meant = called("info", "small.h5", folder=work_folder)
     for name, place in places.items():
         damaged = bytearray(content)
         damaged[place] ^= 16
@@ -140,7 +145,8 @@ def test_check_names_zeroed_exchanged_and_foreign_chunks(rng: Rng, folder: Path,
         make, load = ((_long_recording, Recording.load), (_results, read_results))[number % 2]
         rows, columns = rng.integers(2, 11, 2).tolist()
         shape = (int(rng.uniform(2, 3) * hdf5.CHUNK / (rows * columns)), rows, columns)
-        path, foreign_path = make(folder / "a.h5", rng, shape), make(folder / "b.h5", rng, shape)
+        path = make(folder / "a.h5", rng, shape)
+        foreign_path = make(folder / "b.h5", rng, shape)
         meant = _content(load(path))
         with h5py.File(path, "r+") as file, h5py.File(foreign_path) as foreign:
             name = _harmed_chunk(rng, file, foreign)
@@ -154,9 +160,11 @@ def _harmed_chunk(rng: Rng, file: h5py.File, foreign: h5py.File) -> str:
     harms = [(name, harm) for name in long for harm in ("zeroed", "exchanged", "foreign")]
     while True:
         name, harm = harms[rng.integers(len(harms))]
-        node, original = nodes[name], nodes[name][()]
+        node = nodes[name]
+        original = nodes[name][()]
         places = [node.id.get_chunk_info(index).chunk_offset for index in range(node.id.get_num_chunks())]
-        first, last = places[int(rng.integers(len(places)))], places[-1]
+        first = places[int(rng.integers(len(places)))]
+        last = places[-1]
         if harm == "zeroed":  # with the sum alone, because zeros cannot be unpacked
             packing = node.id.get_create_plist()
             filters = [packing.get_filter(index)[0] for index in range(packing.get_nfilters())]
@@ -215,7 +223,8 @@ def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> No
 def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, folder: Path, count: int) -> Outcomes:
     """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
     path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
-    content, meant = path.read_bytes(), Recording.load(path)
+    content = path.read_bytes()
+    meant = Recording.load(path)
     for _ in range(count):
         path.write_bytes(_harmed(rng, content))
         outcome = _outcome(path, Recording.load, _content(meant))
@@ -236,7 +245,8 @@ def test_repair_takes_no_frames_of_another_recording(rng: Rng, folder: Path, cou
             for seed, place in enumerate(places)
         )
         meant = Recording.load(path)
-        content, tail = path.read_bytes(), foreign_path.read_bytes()
+        content = path.read_bytes()
+        tail = foreign_path.read_bytes()
         cut = int(rng.integers(len(content) // 4, len(content)))
         path.write_bytes(content[:cut] + tail[cut:])
         outcome = _outcome(path, Recording.load, _content(meant))

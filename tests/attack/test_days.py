@@ -8,7 +8,9 @@ from attack.attack import command
 
 from lampest import Panel, Recording, Scene, TwoPointReadout
 
-SHORT, LONG = 200, 2000  # frames; a whole day of 86,400 frames of 6 × 6 cells took 253 MB and four minutes
+# frames; a whole day of 86,400 frames of 6 × 6 cells took 253 MB and four minutes
+SHORT = 200
+LONG = 2000
 MAX_GROWTH = 25e6  # bytes
 
 

@@ -33,7 +33,8 @@ pytestmark = pytest.mark.slow
 
 @attack(2, len(NEEDING_COMMANDS))
 def test_commands_name_a_missing_library_and_work_without_unneeded_ones(rng: Rng, folder: Path, count: int) -> Outcomes:
-    work_folder, book = small_folder(folder / "work"), Workbook()
+    work_folder = small_folder(folder / "work")
+    book = Workbook()
     for values in np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2).tolist():
         book.active.append(values)
     book.save(work_folder / "sheet.xlsx")

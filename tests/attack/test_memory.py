@@ -18,7 +18,9 @@ pytestmark = pytest.mark.slow
 ULIMITS = 450_000, 500_000, 512_000, 600_000  # KiB of addresses
 TOO_FEW_ADDRESSES = "not enough memory", "of addresses are needed", "ulimit -v"
 JOBS = "run", "run.yaml", "--jobs", "2", "--out", "out"
-MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do
+# of a command; with its libraries it has 150, and machines have other things to do
+MEGABYTES = 900
+SECONDS = 60
 WIDE_SCENE = "panel: {rows: 1, columns: 60001}\nreadout: {kind: two_point, noise_lsb: 0.7}\n"
 TABLE = ("--rows", "3", "--columns", "4", "--out", "out.h5")
 

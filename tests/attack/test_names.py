@@ -17,7 +17,8 @@ def test_control_characters_in_names_and_contents_of_files_are_never_printed(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
     for number, sign in drawn(rng, SIGNS, count):
-        work_folder, text = small_folder(folder / f"work{number}"), sign.encode("utf-8", "replace").decode()
+        work_folder = small_folder(folder / f"work{number}")
+        text = sign.encode("utf-8", "replace").decode()
         shutil.copy(work_folder / "small.h5", work_folder / f"a{sign}b.h5")
         shutil.copy(work_folder / "table.csv", work_folder / f"a{sign}b.csv")
         shutil.copy(work_folder / "results.h5", work_folder / f"r{sign}s.h5")

@@ -49,7 +49,8 @@ def test_empty_and_root_paths_are_refused_as_outputs(rng: Rng, folder: Path, cou
 
 @attack(12, 30)
 def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
-    work_folder, kinds = _beside_precious(folder, "work"), ["pipe", "folder", "link", "socket"]
+    work_folder = _beside_precious(folder, "work")
+    kinds = ["pipe", "folder", "link", "socket"]
     os.mkfifo(work_folder / "pipe.h5")
     (work_folder / "folder.h5").mkdir()
     (work_folder / "link.h5").symlink_to(folder / "precious")
@@ -69,7 +70,8 @@ def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder:
         (words, read, prefix) for words in INPUTS for read in words if "." in read for prefix in ("", "./", "hard")
     ]
     for index, (words, read, prefix) in drawn(rng, cases, count):
-        work_folder, place = _inputs(folder / f"work{index}"), prefix + read
+        work_folder = _inputs(folder / f"work{index}")
+        place = prefix + read
         if prefix == "hard":
             (work_folder / place).hardlink_to(work_folder / read)
         yield _untouched(work_folder, (*words, place), read)
@@ -117,7 +119,8 @@ def test_outputs_replaced_by_links_or_pipes_are_refused_and_foreign_files_surviv
         (work_folder / place).symlink_to(folder / "precious")
         for words in commands:
             yield called(*words, folder=work_folder).refused(Path(place).name) or _precious(folder)
-    work_folder, foreign = small_folder(folder / "work"), folder / "foreign"
+    work_folder = small_folder(folder / "work")
+    foreign = folder / "foreign"
     foreign.mkdir()
     for place in (work_folder / "out", foreign):
         place.mkdir(exist_ok=True)
@@ -156,7 +159,8 @@ def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
 
 def test_the_folder_of_a_new_file_is_synced_after_renaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files and journals: what a power failure leaves of a folder is what was synced."""
-    synced, sync = list[bool](), os.fsync
+    synced = list[bool]()
+    sync = os.fsync
 
     def noted(descriptor: int) -> None:
         if os.path.samestat(os.fstat(descriptor), tmp_path.stat()):

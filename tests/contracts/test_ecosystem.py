@@ -132,7 +132,8 @@ def installed_megabytes(*extras: str) -> float:
 def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
     text = re.search(r"Without `\[plots\]`, (\d+) MB in place of (\d+)", (ROOT / "README.md").read_text())
     assert text is not None
-    without, with_plots = installed_megabytes(), installed_megabytes("plots")
+    without = installed_megabytes()
+    with_plots = installed_megabytes("plots")
     assert without < 600, "with the files that are compiled at the first start"
     assert without == pytest.approx(float(text[1]), rel=0.08)
     assert with_plots - without == pytest.approx(float(text[2]) - float(text[1]), rel=0.2)

@@ -71,7 +71,8 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
 
 
 def test_the_package_page_has_no_dead_links_and_the_sdist_holds_tests_and_pages(dist: Path) -> None:
-    (wheel,), (archive,) = dist.glob("*.whl"), dist.glob("*.tar.gz")
+    (wheel,) = dist.glob("*.whl")
+    (archive,) = dist.glob("*.tar.gz")
     with ZipFile(wheel) as held:
         (name,) = (name for name in held.namelist() if name.endswith(".dist-info/METADATA"))
         text = held.read(name).decode()

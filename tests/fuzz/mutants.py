@@ -280,7 +280,8 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
     elif kind == 2:
         lines[at], lines[second] = lines[second], lines[at]
     elif kind in (3, 4) and words:
-        (start, end), (first, last) = choose(words, rng), choose(words, rng)
+        start, end = choose(words, rng)
+        first, last = choose(words, rng)
         return content[:start] + (nasty if kind == 3 else content[first:last]) + content[end:]
     elif kind == 5:
         place = int(rng.integers(len(content) + 1))
@@ -294,7 +295,8 @@ def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
     """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML too."""
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
-        (node, place), (second_node, second_place) = _somewhere(tree, rng), _somewhere(tree, rng)
+        node, place = _somewhere(tree, rng)
+        second_node, second_place = _somewhere(tree, rng)
         value = copy.deepcopy(choose(NASTY_VALUES, rng))
         kind = rng.integers(5)
         if kind == 0:

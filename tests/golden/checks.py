@@ -246,7 +246,8 @@ def scatter_row() -> dict[str, Any]:
     measured = recording.measured_frames()
     readings = recording.readings()
     resting = baseline_readings(recording, readings)
-    lonely, (frame, *neighbours) = recording.time == 4, deciding_frames(recording, readings, resting)
+    lonely = recording.time == 4
+    frame, *neighbours = deciding_frames(recording, readings, resting)
     return {
         "scatter": [scatter(part - part.mean(axis=0), loud, 8) for part in parts.values()],
         "few frames": [scatter(part[:4] - part[:4].mean(axis=0), loud, 3) for part in parts.values()],
@@ -524,7 +525,8 @@ def breathing_row() -> dict[str, Any]:
 
 def patterns_row() -> list[Any]:
     """Swings of a mouth beside a rod in air and under water, in readings, and changes that the water explains."""
-    (verdict, frame), rng = verdict_of("two"), np.random.default_rng(3)
+    verdict, frame = verdict_of("two")
+    rng = np.random.default_rng(3)
     value = frame.measured.ravel()
     sigma = frame.sigma.ravel()
     whitening = np.diag(value / sigma) + 5 * rng.standard_normal((42, 42))
@@ -548,7 +550,8 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
 
 def recognised_row() -> list[Any]:
     """A watch that recognises a rod, a faint one or nothing, at once or again, and a rod that has left before."""
-    (verdict, _), rows = verdict_of("rod"), list[Any]()
+    verdict, _ = verdict_of("rod")
+    rows = list[Any]()
     initial, readings = watch_begun()
     resting = initial.rest.mean
     initial = replace(initial, present=True, level=replace(initial.level, since_s=3.0))
@@ -575,7 +578,9 @@ def recognised_row() -> list[Any]:
 
 def steps_row() -> list[Any]:
     """A watch that follows noise, a rod, a harder press that ends, and the end of the rod; and frames against it."""
-    (verdict, _), rng, rows = verdict_of("rod"), np.random.default_rng(6), list[Any]()
+    verdict, _ = verdict_of("rod")
+    rng = np.random.default_rng(6)
+    rows = list[Any]()
     initial, readings = watch_begun()
     watch = initial
     states = list[Watch]()
@@ -616,7 +621,9 @@ def steps_row() -> list[Any]:
 
 def swings_row() -> list[Any]:
     """Windows of a mouth beside a rod that are too short, partial and full, and samples of its suction."""
-    (verdict, frame), rng, rows = verdict_of("two"), np.random.default_rng(3), list[Any]()
+    verdict, frame = verdict_of("two")
+    rng = np.random.default_rng(3)
+    rows = list[Any]()
     initial, _ = watch_begun()
     patterns = patterns_of(frame, verdict.best, initial.test.whitening, initial.panelled.detector)
     pattern = next(filter(None, patterns))

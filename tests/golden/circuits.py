@@ -322,7 +322,8 @@ def film_row() -> dict[str, Any]:
 
 def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int, ...] = ()) -> Any:
     """Pressures of frames with load, without, and out of range, with errors, and their force."""
-    frames, (rows, columns) = 12, scene.panel.shape
+    frames = 12
+    rows, columns = scene.panel.shape
     kpa = np.linspace(0, 1, rows * columns).reshape(rows, columns) * np.r_[0, 0, 5, 30, 70, -6, 12, np.zeros(5)][
         :, None, None,
     ]  # fmt: skip

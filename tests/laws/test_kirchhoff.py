@@ -53,7 +53,8 @@ def test_an_unconnected_line_is_an_error() -> None:
 @QUICK
 def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
     """Equal potentials carry none."""
-    conductance, (rows, columns) = 1 / cells, cells.shape
+    conductance = 1 / cells
+    rows, columns = cells.shape
     potentials = np.random.default_rng(2).standard_normal((rows + columns, 3))
     potentials[:, 0] = 1.0
     incidence = np.asarray(Circuit.of((rows, columns), None).incidence)

@@ -119,7 +119,8 @@ def test_verified_estimates_meet_the_readings_of_shorts(kind: str, short: str, o
 
     `auto` gives what IPOPT leaves open to the reduced solver.
     """
-    cells, (readout, circuit) = USUAL_CELLS.copy(), KINDS[kind]
+    cells = USUAL_CELLS.copy()
+    readout, circuit = KINDS[kind]
     place = SHORTS[short]
     cells[place] = ohm * np.exp(0.2 * np.random.default_rng(4).standard_normal(cells[place].shape))
     volt, _ = circuit.reading(cells)

@@ -53,7 +53,8 @@ def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
     """Edge cells that follow the load in the order of the scan have changed by a share of what the load has."""
     generator = np.random.default_rng(100)
     cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))
-    cells, (row, column) = np.repeat(cells[None], 2 * FRAMES, axis=0), np.indices((8, 8))
+    cells = np.repeat(cells[None], 2 * FRAMES, axis=0)
+    row, column = np.indices((8, 8))
     for _ in range(generator.integers(1, 4)):
         distance = np.hypot(row - generator.uniform(0, 8), column - generator.uniform(0, 8))
         cells[FRAMES:] *= np.exp(-generator.uniform(0.3, 2) * np.exp(-((distance / generator.uniform(1, 3)) ** 4)))

@@ -184,7 +184,8 @@ def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
 @pytest.mark.slow
 def test_cells_near_a_breathing_soft_load_do_not_determine_channels() -> None:
     """Such cells move by little and were taken for still: 64 % of the cells were covered."""
-    rng, (down, across) = np.random.default_rng(1), np.indices((8, 8))
+    rng = np.random.default_rng(1)
+    down, across = np.indices((8, 8))
     load = 3 * np.exp(-((down - 2.5) ** 2 / 4 + (across - 3.5) ** 2 / 6))
     course = np.append(np.zeros(5), 1 + 0.1 * np.sin(2 * np.arange(9)))
     cells = 3000 * np.exp(0.2 * rng.standard_normal((8, 8)) - course[:, None, None] * load)

@@ -65,7 +65,8 @@ def test_live_and_detect_give_the_same_answer(tmp_path: Path) -> None:
     live = functools.reduce(Watched.after, news(recording), Watched(recording.name)).detected
     assert live.answer == batch.answer == "lamprey" and live.content().keys() == batch.content().keys()
     assert live.frames_per_second == batch.frames_per_second == 4.0
-    (live_load,), (batch_load,) = live.attachments, batch.attachments
+    (live_load,) = live.attachments
+    (batch_load,) = batch.attachments
     assert live_load.since_s == batch_load.since_s and live_load.place == pytest.approx(batch_load.place, abs=0.3)
 
 

@@ -84,7 +84,8 @@ def recording_of(case: Case) -> Recording:
 
 def samples_of(recording: Recording) -> list[Sample]:
     """The same frames as a board sends them."""
-    readout, (rows, columns) = recording.scene.readout, recording.scene.panel.shape
+    readout = recording.scene.readout
+    rows, columns = recording.scene.panel.shape
     times = {"period_us": 1_000_000, "shortest_period_us": 1000, "settle_us": 2}
     circuit = {"supply_millivolt": 5000, "reference_milliohm": round(readout.reference_ohm * 1000)}
     converter = {"adc_bits": readout.adc_bits, "measured_across": readout.measured_across}

@@ -173,7 +173,9 @@ class ObedientPort:
     """What pyserial opens: a board behind it sends `answers(kind, tag, value)` to every command."""
 
     def __init__(self, answers: Callable[[Kind, int, int], bytes]) -> None:
-        self.answers, self.commands, self.data = answers, list[tuple[str, int]](), b""
+        self.answers = answers
+        self.commands = list[tuple[str, int]]()
+        self.data = b""
 
     @property
     def in_waiting(self) -> int:

@@ -105,7 +105,8 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
     resting = Readings.of(scene, recording.recorded[recording.role == 0]).mean()
     stream = lampest.Stream.begin(estimator, scene, 0.2, resting)
     for frame in recording.recorded[recording.role == 1]:
-        previous, (stream, step) = stream, stream.push(Readings.of(scene, frame))
+        previous = stream
+        stream, step = stream.push(Readings.of(scene, frame))
     data, _ = previous.given(Readings.of(scene, recording.recorded[-1]))
     assert step.solution.status is Status.OPTIMUM
     return estimator.problem(scene, 1, 0.2).cost, data, step.cell_resistance[None]

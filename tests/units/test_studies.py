@@ -108,7 +108,8 @@ def test_peak_memory_covers_two_frames_and_is_unknown_after_a_crash(
             raise MemoryError
         solved.append(len(recording.measured_frames()))
 
-    (recording,), estimator = tiny.recordings, tiny.settings.estimators["LSM"].estimator("naive", Settings())
+    (recording,) = tiny.recordings
+    estimator = tiny.settings.estimators["LSM"].estimator("naive", Settings())
     longer = replace(recording, role=np.array([1, 1, 1], dtype=np.uint8))
     (tmp_path / "status").write_text("Name: x\nVmHWM:\t 2500 kB\nVmRSS: 1 kB\n")
     for name, value in (("reconstruct", reconstructed), ("Processes", lambda count: Serial())):

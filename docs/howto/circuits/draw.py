@@ -10,10 +10,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 STYLE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "lampest", "font.family": "sans-serif", "font.size": 9}
-LIVE, IDLE = "#c0392b", "#444444"
+LIVE = "#c0392b"
+IDLE = "#444444"
 LINES = 3
-TOP, RIGHT = 2.0, 2.0  # of the panel; row j lies at y = TOP - j, column k at x = k
-BOX, REACH = 0.11, 0.26  # half a resistor's width, and half its length
+# of the panel; row j lies at y = TOP - j, column k at x = k
+TOP = 2.0
+RIGHT = 2.0
+# half a resistor's width, and half its length
+BOX = 0.11
+REACH = 0.26
 
 
 class Drawing:
@@ -41,7 +46,8 @@ class Drawing:
     def cell(self, x: float, y: float) -> None:
         """A cell joins its lines where they cross, beside the crossing."""
         self.wire([(x, y - 0.42), (x + 0.42, y)], IDLE)
-        along, across = np.array([1, 1]) / np.sqrt(2), np.array([1, -1]) / np.sqrt(2)
+        along = np.array([1, 1]) / np.sqrt(2)
+        across = np.array([1, -1]) / np.sqrt(2)
         centre = np.array([x + 0.21, y - 0.21])
         corners = [centre + a * 0.15 * along + b * 0.065 * across for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
         self.axes.add_patch(Polygon(corners, fc="white", ec=IDLE, lw=1, zorder=2))
@@ -81,7 +87,8 @@ class Drawing:
 
     def drive(self, line: int, to: str, name: str = "drive", diode: bool = False) -> None:
         """A driven line's way to its source: 'Vcc', 'ground' or 'nothing'."""
-        y, colour = TOP - line, LIVE if line == 0 else IDLE
+        y = TOP - line
+        colour = LIVE if line == 0 else IDLE
         if to == "nothing":
             self.open_end(-0.96, y)
             self.text(-1.1, y, "floating", ha="right", color=IDLE)

@@ -196,7 +196,8 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
 
 def _units(scene: Scene, prior: Systematic, count: int) -> Array:
     """Return the matrix (1 + lines, count) that maps z to the relative error of the reference and to ohm of lines."""
-    (rows, columns), lines = scene.panel.shape, sum(scene.panel.shape)
+    rows, columns = scene.panel.shape
+    lines = sum(scene.panel.shape)
     first = 0 if scene.contact_prior is None else lines
     units = np.zeros((1 + lines, count))
     sizes = [prior.reference_tolerance / np.sqrt(3), *lines * [prior.channel_spread_ohm]]

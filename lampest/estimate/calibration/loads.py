@@ -207,7 +207,8 @@ def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
 
     The residuals of each cell, without its own gain, are N(0, V + spread² x xᵀ) with a diagonal V.
     """
-    (response, known), cell = loaded.expected(fitted), loaded.felt[1]
+    response, known = loaded.expected(fitted)
+    cell = loaded.felt[1]
     residual = loaded.change[loaded.felt] - response + response * fitted.gains[cell]
 
     def cost(logarithms: Array) -> float:
@@ -233,7 +234,8 @@ def deviations_from_others(loaded: Loaded, fitted: FittedResponse) -> Array:
     position. The fit without a load is one Newton step from the fit with all loads, δ = C Jᵀ (I − J C Jᵀ)⁻¹ f, with the
     Jacobian J and the residuals f of this load, and the covariance C of the state.
     """
-    deviations, (load, cell) = np.full(len(loaded.change), np.nan), loaded.felt
+    deviations = np.full(len(loaded.change), np.nan)
+    load, cell = loaded.felt
     residual, slopes = loaded.rows(fitted, loaded.weight(fitted))
     for number, change in enumerate(loaded.change):
         of_load = load == number
@@ -494,7 +496,8 @@ def _responses(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Arr
             f"{recording.name}: its estimates have no error bars, without which loads calibrate nothing; the "
             "scene must name the readout, and the panel have at most 600 cells"
         )
-    (logarithm, sd), parts = known, []
+    logarithm, sd = known
+    parts = []
     if estimates.film is not None and estimates.film.film.creep_per_decade:
         logarithm, open_sd = estimates.film.at_once(logarithm, estimates.time)
         sd = np.hypot(sd, open_sd)

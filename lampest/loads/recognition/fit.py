@@ -301,7 +301,8 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other parameters are fitted.
     spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5)):
-        (position, squares), number = points[0], 0
+        position, squares = points[0]
+        number = 0
         while squares.cost < points[0][1].cost + NEGLIGIBLE and number < MAX_PROFILE:
             begin = position + FARTHER**number * step * np.eye(len(names))[place]
             position, squares = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
@@ -370,7 +371,8 @@ def prior(frame: Observation, sd: Array) -> Array:
 
 def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     """Return the state of each cell, 0 to 3 for quiet to strongly changed, by its own and its neighbours' changes."""
-    square, (first, second, _) = change.ravel() ** 2, panel.neighbours
+    square = change.ravel() ** 2
+    first, second, _ = panel.neighbours
     cell = np.concatenate([first, second])
     neighbour = np.concatenate([second, first])
     near = np.bincount(cell, square[neighbour], square.size).astype(float)

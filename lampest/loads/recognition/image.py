@@ -142,7 +142,8 @@ class Window:
             spans.append(np.flatnonzero((distance <= reach) | (distance == distance.min())))
         columns, rows = spans
         numbers = tuple(int(j * layout.columns + k) for j in rows for k in columns)
-        (top, left), (bottom, right) = layout.cells(numbers[0]), layout.cells(numbers[-1])
+        top, left = layout.cells(numbers[0])
+        bottom, right = layout.cells(numbers[-1])
         cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
         part = replace(layout, rows=len(rows), columns=len(columns))
         response = scene.response

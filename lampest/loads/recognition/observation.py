@@ -106,7 +106,8 @@ class ModelErrors:
             Readings without the resistance in series, in the readout's unit.
         scene : Scene
         """
-        layout, (rows, columns) = scene.panel.modules, measured.shape
+        layout = scene.panel.modules
+        rows, columns = measured.shape
         row, column = np.indices(measured.shape)
         if layout is not None:
             # every module has channels of its own: number its lines separately
@@ -289,7 +290,8 @@ class Baseline:
         scatter : float
             s, the film's relative deviation.
         """
-        errors, (change, edges, patches) = self.model_errors, (part.ravel() for part in explained)
+        errors = self.model_errors
+        change, edges, patches = (part.ravel() for part in explained)
         similar = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
         shared = np.stack([errors.bent * change, errors.patch * patches])
         uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)

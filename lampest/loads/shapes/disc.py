@@ -100,7 +100,9 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     soft : float
         Half the width of soft edges, mm.
     """
-    outer, press, (tilt_x, tilt_y) = disc.diameter_mm / 2, disc.rim_kpa, disc[-2:]
+    outer = disc.diameter_mm / 2
+    press = disc.rim_kpa
+    tilt_x, tilt_y = disc[-2:]
     along, stretched, lobe_along, lobe_across = form
     # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
     u = (1 - along) * x - stretched * y

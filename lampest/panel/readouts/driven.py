@@ -220,7 +220,8 @@ class DrivenCircuit(Readout):
             # Nothing but the read lines conducts to ground: one loop of Rd, R and Rs
             loop = (own + other - 2 * mutual) + (equation.drive + equation.load)
             return self._supply(loop) * (equation.load * equation.gain) / loop
-        (drive, by_drive), (load, by_load) = equation.drive_terms, equation.load_terms
+        drive, by_drive = equation.drive_terms
+        load, by_load = equation.load_terms
         over = other * by_load + load
         determinant = (own * by_drive + drive) * over - mutual * mutual * (by_drive * by_load)
         if self.diode is None:

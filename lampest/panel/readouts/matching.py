@@ -87,7 +87,8 @@ def _by_products(
         else:
             break
         change = np.abs(trial - current).max()
-        current, (solved, reading, misfit) = trial, state
+        current = trial
+        solved, reading, misfit = state
         if change < CONVERGED:
             break
     return current

@@ -325,7 +325,8 @@ class Recorder:
     def __init__(self, folder: Path, baseline: int, say: Callable[[str, bool], None]) -> None:
         self._folder = folder.absolute()
         self._say = say
-        self._baseline, self._unloaded = baseline, deque[Sample](maxlen=baseline)
+        self._baseline = baseline
+        self._unloaded = deque[Sample](maxlen=baseline)
         self._asked: deque[str] = deque(maxlen=1)
         self._zeroed = Event()
         self._journal: Journal | None = None  # that grows

@@ -214,7 +214,8 @@ def _image(
     layout = scene.panel.modules
     first = next(iter(parts.values()))
     assert layout is not None
-    (rows, columns), module = layout.shape, layout.each
+    rows, columns = layout.shape
+    module = layout.each
     sums = np.full((layout.count, module.rows, module.columns), NO_SUM, dtype=np.uint16)
     for board, sample in parts.items():
         sums[numbers[board]] = sample.frame.sums

@@ -178,7 +178,8 @@ class Scanning:
         stray = self.stray
         if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
             return (self._accept(first), *self.take(frame))
-        self.stray, self.stray_host_time = frame, time.time()
+        self.stray = frame
+        self.stray_host_time = time.time()
         return ()
 
     def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
@@ -235,7 +236,8 @@ class Scanning:
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         """Return whether number and clock of a frame can follow those of an earlier one, received at host_time."""
-        (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
+        steps, elapsed_ms = _since(before, frame)
+        most_ms = self._most_ms(host_time)
         # The board counts its missed scans; either scan may begin up to a period late.
         most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
         return 0 < steps < COUNTER // 2 and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
@@ -337,7 +339,8 @@ class _Line:
 
     def renew(self) -> None:
         """Restart the time of invalid messages: a frame was valid, or no board is present."""
-        self._since, self._unfit = time.monotonic(), Counter[str]()
+        self._since = time.monotonic()
+        self._unfit = Counter[str]()
 
     def check(self, period: float = 0.0) -> None:
         """Raise InputError if the line delivered only invalid messages for UNFIT_SECONDS and three periods."""

@@ -207,7 +207,8 @@ def _of_npz(path: Path) -> Arrays:
             with archive.open(name) as stream:
                 first = npy.read_magic(stream) == (1, 0)
                 header = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(stream)
-                (shape, _, dtype), member = header, name.removesuffix(".npy")
+                shape, _, dtype = header
+                member = name.removesuffix(".npy")
                 stream.seek(0)
                 if dtype.kind in "iufM":
                     check_count(f"{path}: {member}", prod(shape))

@@ -101,7 +101,8 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
         if series.dtype is not str and series.axes != CELLS:
             known = {"name": series.name, "unit": series.units, "description": series.meaning}
             yield TimeSeries(data=series.stored, timestamps=case.time, **known)
-    (rows, lines), (x, y) = np.indices(case.scene.panel.shape), case.scene.panel.places_mm
+    rows, lines = np.indices(case.scene.panel.shape)
+    x, y = case.scene.panel.places_mm
     places = [("row", "row line", rows), ("column", "column line", lines)]
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     time = [("time", "time of the frame, s", case.time)]

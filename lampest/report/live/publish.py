@@ -106,7 +106,8 @@ class LslPublish(Publish):
             return pylsl.StreamInfo(name, kind, channels, pylsl.IRREGULAR_RATE, form, name)
 
         def send(message: Message) -> None:
-            row, (frame, *before) = message.row().astype(np.float32), sent.pop()
+            row = message.row().astype(np.float32)
+            frame, *before = sent.pop()
             if not outlets:
                 numbers = stream(self.path, "Pressure", len(row), "float32")
                 _describe(numbers.desc(), _description(message))

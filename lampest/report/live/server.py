@@ -144,7 +144,8 @@ class PageServer(ThreadingHTTPServer):
         self.shown = shown
         self.actions = actions
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
-        self.seats, self.refused = BoundedSemaphore(MAX_STREAMS), Event()
+        self.seats = BoundedSemaphore(MAX_STREAMS)
+        self.refused = Event()
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
         self.local = ip_address(str(self.server_address[0])).is_loopback

@@ -236,7 +236,8 @@ class MapPainter:
         axes.set_ylim(bottom + beyond, top - beyond)
         axes.tick_params(labelsize=style.SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
-        broad, tall = right - left + 2 * beyond, bottom - top + 2 * beyond
+        broad = right - left + 2 * beyond
+        tall = bottom - top + 2 * beyond
         if broad < tall / 2:
             axes.locator_params(axis="x", nbins=2 if broad < tall / 3 else 3)
 
