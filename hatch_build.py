@@ -1,4 +1,7 @@
-"""README of the wheel and the sdist: on a package index relative links and pictures lead nowhere."""
+"""README of the wheel and the sdist, as a package index shows it.
+
+Relative links and pictures lead nowhere there.
+"""
 
 import re
 from pathlib import Path
@@ -8,7 +11,7 @@ from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 
 def for_an_index(readme: str) -> str:
-    """Return Markdown with relative links as plain text, and relative pictures as their descriptions."""
+    """Return Markdown with relative links as plain text, and pictures as their descriptions."""
     pictures = re.sub(r"!\[([^\]]*)\]\((?!https?:)[^)]*\)", r"*\1*", readme)
     return re.sub(r"(?<!!)\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", pictures)
 

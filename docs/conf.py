@@ -15,7 +15,14 @@ project = "lampest"
 author = "The lampest developers"
 project_copyright = f"2026, {author}"
 release = version_of("lampest")
-extensions = ["myst_nb", "sphinx_gallery.gen_gallery", "sphinx_copybutton", "sphinx_design", "mathml", "generated"]
+extensions = [
+    "myst_nb",
+    "sphinx_gallery.gen_gallery",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "mathml",
+    "generated",
+]
 exclude_patterns = ["_build", "examples", "gallery/*.ipynb"]
 nitpicky = True
 
@@ -36,7 +43,8 @@ sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
     "image_scrapers": ("figures.scraper",),
-    "ignore_repr_types": r"ShownFigure",  # a notebook shows the figure; the gallery has its own picture of it
+    # a notebook shows the figure; the gallery has its own picture of it
+    "ignore_repr_types": r"ShownFigure",
     "download_all_examples": False,
     "show_memory": False,
     "write_computation_times": False,

@@ -70,18 +70,22 @@ def reconstruct(
     verify: Verify | None = None,
     progress: bool | Callable[[int, int], None] = False,
 ) -> Reconstruction:
-    """Estimate the cells of every measured frame, r̂ = argmin Σ weight·loss(residual) within the bounds.
+    """Estimate the cells of every measured frame.
+
+    They are r̂ = argmin Σ weight·loss(residual) within the bounds.
 
     Parameters
     ----------
     recording : Recording
         Frames and scene, as `Recording.load`, `simulate` and `import_file` return them.
     terms : sequence of Term, or None
-        Cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None stands for
-        [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
+        Cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has
+        'auto'. None stands for [Misfit(weighting="noise"), LogGradient()], with a plain misfit
+        where the noise is unknown.
     formulation : str or Method
-        Computation of the estimate: a word, or a method with its options such as TruncatedMethod(steps=4). 'auto':
-        nodal or reduced, by the panel's size and the time between frames.
+        Computation of the estimate: a word, or a method with its options such as
+        TruncatedMethod(steps=4). 'auto': nodal or reduced, by the panel's size and the time between
+        frames.
     solver : Settings, or None
         None stands for Settings().
     bounds : Bounds, or None
@@ -93,15 +97,17 @@ def reconstruct(
     tare : Tare, or None
         When the zero of pressures is taken anew; None: never.
     verify : Verify, or None
-        Frames that IPOPT solves again on the nodal program, from another start. None stands for Verify(): none.
+        Frames that IPOPT solves again on the nodal program, from another start. None stands for
+        Verify(): none.
     progress : bool or callable
-        True draws a bar with the numbers of finished and of all frames and the remaining time. A function is called
-        after every frame with both numbers.
+        True draws a bar with the numbers of finished and of all frames and the remaining time. A
+        function is called after every frame with both numbers.
 
     Returns
     -------
     Reconstruction
-        With arrays such as `cell_resistance`, (frames, rows, columns) ohm, and `relative_change`, percent.
+        With arrays such as `cell_resistance`, (frames, rows, columns) ohm, and `relative_change`,
+        percent.
 
     Raises
     ------
@@ -119,7 +125,12 @@ def reconstruct(
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
 
-    options: dict[str, Any] = {"solver": solver, "bounds": bounds, "auto_weight": auto_weight, "tare": tare}
+    options: dict[str, Any] = {
+        "solver": solver,
+        "bounds": bounds,
+        "auto_weight": auto_weight,
+        "tare": tare,
+    }
     options["verify"] = verify
     estimator = Estimator(
         default_terms(recording) if terms is None else checked_terms(terms),

@@ -1,4 +1,7 @@
-"""The public names, once: for editors, type checkers, and `lazy_loader`, which reads them from here."""
+"""The public names, once.
+
+Editors, type checkers and `lazy_loader` read them from here.
+"""
 
 import collections.abc
 import typing

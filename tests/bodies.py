@@ -17,19 +17,29 @@ from lampest.recording.board.protocol import (
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
     *fields, wiring, drive, _ = vars(hello).values()
-    fields[6], fields[13] = hello.firmware[0] << 8 | hello.firmware[1], ACROSS.index(hello.measured_across)
-    wiring_fields = b"" if wiring == "two_point" else protocol._HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
+    fields[6], fields[13] = (
+        hello.firmware[0] << 8 | hello.firmware[1],
+        ACROSS.index(hello.measured_across),
+    )
+    wiring_fields = (
+        b"" if wiring == "two_point" else protocol._HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
+    )
     return protocol._HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields) + wiring_fields
 
 
 def frame_body(frame: Frame) -> bytes:
     fields = (*frame.sums.shape, frame.readings, frame.sequence, frame.device_ms, frame.missed)
-    return protocol._FRAME.pack(PROTOCOL_VERSION, Kind.FRAME, *fields) + frame.sums.astype("<u2").tobytes()
+    return (
+        protocol._FRAME.pack(PROTOCOL_VERSION, Kind.FRAME, *fields)
+        + frame.sums.astype("<u2").tobytes()
+    )
 
 
 def answer_body(answer: Answer) -> bytes:
     code = RESULT_CODES.index(answer.result)
-    return protocol._ANSWER.pack(PROTOCOL_VERSION, Kind.ANSWER, answer.command, answer.tag, code, answer.value)
+    return protocol._ANSWER.pack(
+        PROTOCOL_VERSION, Kind.ANSWER, answer.command, answer.tag, code, answer.value
+    )
 
 
 def estimate_body(estimate: Estimate) -> bytes:

@@ -1,4 +1,6 @@
-"""The set-up of all tests: one thread, `support` for import; a small folder on the disk, and the command."""
+"""The set-up of all tests: one thread, `support` for import; a small folder on the disk, and the
+command.
+"""
 
 import os
 import sys
@@ -11,7 +13,8 @@ import pytest
 
 from lampest.files.process import ONE_THREAD
 
-# Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and faster.
+# Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and
+# faster.
 os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -23,17 +26,27 @@ UNTHINNED = "test_table.py"  # the golden table keeps all of its rows with `--va
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option with which `make quick` thins all tests."""
-    parser.addoption("--variants", type=int, help="run this many variants of every test, spread over them")
+    parser.addoption(
+        "--variants", type=int, help="run this many variants of every test, spread over them"
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow; leave `soak` out unless requested."""
+    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow; leave `soak` out
+    unless requested.
+    """
     if "soak" not in config.getoption("-m"):
-        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("soak")])
+        config.hook.pytest_deselected(
+            items=[item for item in items if item.get_closest_marker("soak")]
+        )
         items[:] = [item for item in items if not item.get_closest_marker("soak")]
     chosen = config.getoption("--variants")
-    thinned = [item for item in items if item.path.name != UNTHINNED and (chosen or item.path.parent.name in THINNED)]
+    thinned = [
+        item
+        for item in items
+        if item.path.name != UNTHINNED and (chosen or item.path.parent.name in THINNED)
+    ]
     for item in surplus(thinned, chosen or FAST_VARIANTS):
         item.add_marker(pytest.mark.slow)
 
@@ -46,7 +59,11 @@ def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
     beyond = []
     for several in variants.values():
         chosen = {round(number * (len(several) - 1) / (count - 1)) for number in range(count)}
-        beyond += [item for number, item in enumerate(several) if len(several) > count and number not in chosen]
+        beyond += [
+            item
+            for number, item in enumerate(several)
+            if len(several) > count and number not in chosen
+        ]
     return beyond
 
 
@@ -68,7 +85,9 @@ def lampest() -> Callable[..., Any]:
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs a package of one module, `addon`, which names something in each given group of entry points."""
+    """Installs a package of one module, `addon`, which names something in each given group of entry
+    points.
+    """
 
     def install(module: str, **named: str) -> None:
         about = tmp_path / "site" / "addon-1.dist-info"

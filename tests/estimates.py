@@ -1,4 +1,6 @@
-"""Recordings of given readings, and how far their estimates are from the truth. No test stands here."""
+"""Recordings of given readings, and how far their estimates are from the truth. No test stands
+here.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,9 @@ def recording_of(scene: Scene, recorded: Array, unloaded: int = 0, **fields: obj
 
 def log_errors(estimate: Estimates) -> Array:
     """log r − log truth, (frames, rows, columns)."""
-    return np.asarray(np.log(estimate.cell_resistance / estimate.recording.truth_cell_resistance[estimate.frame]))
+    return np.asarray(
+        np.log(estimate.cell_resistance / estimate.recording.truth_cell_resistance[estimate.frame])
+    )
 
 
 def in_intervals(estimate: Estimates) -> NDArray[np.bool_]:

@@ -1,4 +1,6 @@
-"""Recordings of a panel on which known loads lay one after the other, or several at once; no test stands here."""
+"""Recordings of a panel on which known loads lay one after the other, or several at once; no test
+stands here.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,9 +19,11 @@ RESTING = 4
 
 @dataclass(frozen=True)
 class Bench:
-    """A panel on a bench. spread : of the cells' answers. response : what the film truly does. frames : of each load.
+    """A panel on a bench. spread : of the cells' answers. response : what the film truly does.
+    frames : of each load.
 
-    repeat : standard deviation of the logarithm of a factor on each cell's answer, drawn anew for each load.
+    repeat : standard deviation of the logarithm of a factor on each cell's answer, drawn anew for
+        each load.
     """
 
     seed: int
@@ -34,13 +38,17 @@ class Bench:
         """What the estimator is told."""
         return Scene(self.panel, TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
 
-    def recorded(self, loads: Sequence[Sequence[Shape]], name: str, scene: Scene | None = None) -> Recording:
+    def recorded(
+        self, loads: Sequence[Sequence[Shape]], name: str, scene: Scene | None = None
+    ) -> Recording:
         """Each group of loads for some frames, after unloaded ones, with the true pressure."""
         rng = np.random.default_rng([self.seed, len(loads), len(name)])
         still = np.arange(RESTING + self.frames, dtype=float)
         spread = Unmodelled(response_spread=self.spread)
         plain = Simulation(1, self.seed, self.scene, baseline_frames=RESTING, frames=self.frames)
-        plain = replace(plain, course=Course(approach_s=0.0), response=self.response, unmodelled=spread)
+        plain = replace(
+            plain, course=Course(approach_s=0.0), response=self.response, unmodelled=spread
+        )
         cells = []
         pressure = []
         for group in loads:
@@ -70,7 +78,9 @@ def rod(x: float, y: float, diameter: float, kpa: float) -> Rod:
 def moved_over(
     bench: Bench, kpa: Sequence[float], diameter: float, step: float
 ) -> tuple[list[list[Shape]], list[KnownLoad]]:
-    """Rods of some pressures moved over the panel in steps: where they stood, to half a mm, and what is said of it."""
+    """Rods of some pressures moved over the panel in steps: where they stood, to half a mm, and
+    what is said of it.
+    """
     rng = np.random.default_rng([bench.seed, 5])
     xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])
     places = [(pressure, float(x), float(y)) for pressure in kpa for x in xs for y in ys]
@@ -79,5 +89,9 @@ def moved_over(
     for number, (pressure, x, y) in enumerate(places):
         groups.append([rod(*map(float, rng.normal((x, y), 0.5)), diameter, pressure)])
         mass = rod(x, y, diameter, pressure).mass_g
-        known.append(KnownLoad(frames=bench.frames_of(number), mass_g=mass, x_mm=x, y_mm=y, diameter_mm=diameter))
+        known.append(
+            KnownLoad(
+                frames=bench.frames_of(number), mass_g=mass, x_mm=x, y_mm=y, diameter_mm=diameter
+            )
+        )
     return groups, known

@@ -1,7 +1,8 @@
-"""The cost of an estimate and its minimum, stated a second time in plain numpy and SciPy. No test stands here.
+"""The cost of an estimate and its minimum, stated a second time in plain numpy and SciPy. No test
+stands here.
 
-It shares no code with the package: potentials by one dense inverse, all derivatives as matrices, SciPy's trust region.
-Cells are u = log r, flat, one frame after the other.
+It shares no code with the package: potentials by one dense inverse, all derivatives as matrices,
+SciPy's trust region. Cells are u = log r, flat, one frame after the other.
 """
 
 from collections.abc import Iterator
@@ -17,9 +18,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Circuit:
-    """kind : two_point, loaded, grounded, grounded_one or virtual; rows are driven. joined : groups of lines.
+    """kind : two_point, loaded, grounded, grounded_one or virtual; rows are driven. joined : groups
+    of lines.
 
-    drive, sense, load : ohm, of which a kind takes what it has; load is the feedback's of virtual. supply : volt.
+    drive, sense, load : ohm, of which a kind takes what it has; load is the feedback's of virtual.
+        supply : volt.
     """
 
     kind: str
@@ -88,7 +91,9 @@ class Circuit:
         drop = impedance[:, row] - impedance[:, column]
         by_cell = sum(
             slope[:, None] * pair
-            for slope, pair in zip(slopes, (drop[row] ** 2, drop[column] ** 2, drop[row] * drop[column]), strict=True)
+            for slope, pair in zip(
+                slopes, (drop[row] ** 2, drop[column] ** 2, drop[row] * drop[column]), strict=True
+            )
         )
         return value.reshape(cells.shape), by_cell / cells.ravel()
 
@@ -99,7 +104,9 @@ TWO_POINT = Circuit("two_point")
 def nabla(rows: int, columns: int) -> Array:
     """MATLAB's gradient as a matrix (2·cells, cells), down the rows and then along the columns."""
     units = np.eye(rows * columns).reshape(-1, rows, columns)
-    parts = [np.gradient(units, axis=axis) if units.shape[axis] > 1 else 0 * units for axis in (1, 2)]
+    parts = [
+        np.gradient(units, axis=axis) if units.shape[axis] > 1 else 0 * units for axis in (1, 2)
+    ]
     return np.concatenate([part.reshape(len(units), -1) for part in parts], axis=1).T
 
 
@@ -113,9 +120,11 @@ def edges(rows: int, columns: int) -> Array:
 
 @dataclass(frozen=True)
 class Penalty:
-    """weight·Σ ρ(residual) of a term by its kind; loss: squared, huber (with its corner) or absolute.
+    """weight·Σ ρ(residual) of a term by its kind; loss: squared, huber (with its corner) or
+    absolute.
 
-    against : 'baseline' or 'previous', of those that compare. scaled : a misfit in σ. walk : of arrival, of log r.
+    against : 'baseline' or 'previous', of those that compare. scaled : a misfit in σ. walk : of
+        arrival, of log r.
     """
 
     kind: str
@@ -129,10 +138,12 @@ class Penalty:
 
 @dataclass(frozen=True, eq=False)
 class LeastCost:
-    """φ(u) of frames (frames, rows, columns); with two frames the first is the baseline and the second's previous one.
+    """φ(u) of frames (frames, rows, columns); with two frames the first is the baseline and the
+    second's previous one.
 
-    measured, sigma, side, seen, lower, upper : (frames, rows, columns); previous, baseline, deviation : (rows, columns)
-    of one frame, of terms that compare. faulty : (rows, columns), cells that no penalty may read.
+    measured, sigma, side, seen, lower, upper : (frames, rows, columns); previous, baseline,
+    deviation : (rows, columns) of one frame, of terms that compare. faulty : (rows, columns), cells
+    that no penalty may read.
     """
 
     circuit: Circuit
@@ -150,7 +161,11 @@ class LeastCost:
 
     @classmethod
     def of(
-        cls, data: Any, *terms: Penalty, circuit: Circuit = TWO_POINT, faulty: NDArray[np.bool_] | None = None
+        cls,
+        data: Any,
+        *terms: Penalty,
+        circuit: Circuit = TWO_POINT,
+        faulty: NDArray[np.bool_] | None = None,
     ) -> "LeastCost":
         """The cost of a problem that the package's data pose."""
         given = data.given
@@ -160,7 +175,9 @@ class LeastCost:
         faulty = np.zeros(shape[1:], dtype=bool) if faulty is None else faulty
         baseline = given.previous if given.baseline is None else given.baseline
         readings = (given.measured, given.sigma, side, observed, data.lower, data.upper)
-        return cls(circuit, terms, *readings, faulty, given.previous, baseline, given.previous_deviation)
+        return cls(
+            circuit, terms, *readings, faulty, given.previous, baseline, given.previous_deviation
+        )
 
     def blocks(self, position: Array) -> Iterator[tuple[Penalty, Array, Array]]:
         """(term, residuals x, ∂x/∂u) of every term in every frame."""
@@ -179,13 +196,22 @@ class LeastCost:
                 if compares and shape[0] == 2 and frame == 0:
                     continue
                 if compares:
-                    reference = places[0] if shape[0] == 2 else np.log(self._reference(term)).ravel()
+                    reference = (
+                        places[0] if shape[0] == 2 else np.log(self._reference(term)).ravel()
+                    )
                     ratio = np.exp(place - reference)
                 else:
                     reference = np.zeros(count)
                     ratio = cells
-                log = term.kind in ("log_ratio", "total_variation", "total_variation_of_change", "arrival")
-                value, inner = (place - reference, np.ones(count)) if log else (ratio - compares, ratio)
+                log = term.kind in (
+                    "log_ratio",
+                    "total_variation",
+                    "total_variation_of_change",
+                    "arrival",
+                )
+                value, inner = (
+                    (place - reference, np.ones(count)) if log else (ratio - compares, ratio)
+                )
                 factor, operator = self._operator(term)
                 sound = ~np.any((operator != 0) & self.faulty.ravel(), axis=1)
                 operator = factor * operator[sound]
@@ -215,7 +241,9 @@ class LeastCost:
             return 1.0, np.diag(1 / np.sqrt(self.deviation.ravel() ** 2 + term.walk**2))
         return (1.0 if term.kind == "cell_resistance" else 100.0), np.eye(rows * columns)
 
-    def _misfit(self, term: Penalty, frame: int, reading: Array, response: Array) -> tuple[Array, Array]:
+    def _misfit(
+        self, term: Penalty, frame: int, reading: Array, response: Array
+    ) -> tuple[Array, Array]:
         parts = (self.measured, self.sigma, self.side, self.seen)
         measured, sigma, side, observed = (part[frame].ravel() for part in parts)
         difference = reading - measured
@@ -225,10 +253,14 @@ class LeastCost:
 
     def value(self, position: Array) -> float:
         """φ."""
-        return float(sum(term.weight * np.sum(loss(term, x, 0.0)[0]) for term, x, _ in self.blocks(position)))
+        return float(
+            sum(term.weight * np.sum(loss(term, x, 0.0)[0]) for term, x, _ in self.blocks(position))
+        )
 
     def blank(self) -> float:
-        """The data terms' cost where all readings are zero: what a rounded misfit is small against."""
+        """The data terms' cost where all readings are zero: what a rounded misfit is small
+        against.
+        """
         total = 0.0
         for term in self.terms:
             if term.kind == "misfit":
@@ -243,15 +275,25 @@ class LeastCost:
         for term, x, rows in self.blocks(position):
             value, slope = loss(term, x, smooth)
             root = np.sqrt(np.maximum(value, 0))
-            half = np.where(root > 0, slope / np.where(root > 0, 2 * root, 1), 1.0 if term.loss != "absolute" else 0.0)
+            half = np.where(
+                root > 0,
+                slope / np.where(root > 0, 2 * root, 1),
+                1.0 if term.loss != "absolute" else 0.0,
+            )
             residuals.append(np.sqrt(term.weight) * np.sign(x) * root)
-            slopes.append(np.sqrt(term.weight) * (np.sign(x) * np.sign(slope) * np.abs(half))[:, None] * rows)
+            slopes.append(
+                np.sqrt(term.weight) * (np.sign(x) * np.sign(slope) * np.abs(half))[:, None] * rows
+            )
         return np.concatenate(residuals), np.concatenate(slopes)
 
     def minimised(self, start: Array, max_steps: int = 100) -> Array:
         """u from SciPy's trust-region reflective method; absolute losses less and less rounded."""
         place = np.clip(start, np.log(self.lower).ravel(), np.log(self.upper).ravel())
-        rough = [float(np.abs(x).max(initial=0)) for term, x, _ in self.blocks(place) if term.loss == "absolute"]
+        rough = [
+            float(np.abs(x).max(initial=0))
+            for term, x, _ in self.blocks(place)
+            if term.loss == "absolute"
+        ]
         if not rough:
             return self._nearer(place, 0.0, max_steps)
         for smooth in max(rough) * 10.0 ** -np.arange(1, 9):
@@ -259,9 +301,15 @@ class LeastCost:
         return place
 
     def descended(self, start: Array, max_iterations: int = 300) -> Array:
-        """u from SciPy's L-BFGS-B, which asks for gradients alone; absolute losses hardly rounded."""
+        """u from SciPy's L-BFGS-B, which asks for gradients alone; absolute losses hardly
+        rounded.
+        """
         bounds = list(zip(np.log(self.lower).ravel(), np.log(self.upper).ravel(), strict=True))
-        rough = [float(np.abs(x).max(initial=0)) for term, x, _ in self.blocks(start) if term.loss == "absolute"]
+        rough = [
+            float(np.abs(x).max(initial=0))
+            for term, x, _ in self.blocks(start)
+            if term.loss == "absolute"
+        ]
         smooth = 1e-6 * max(rough, default=0.0)
 
         def both(place: Array) -> tuple[float, Array]:
@@ -269,7 +317,9 @@ class LeastCost:
             return float(residuals @ residuals), 2 * residuals @ slopes
 
         options = {"maxiter": max_iterations, "maxcor": 30, "ftol": 1e-15, "gtol": 0.0}
-        return np.asarray(minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
+        return np.asarray(
+            minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+        )
 
     def _nearer(self, place: Array, smooth: float, max_evaluations: int) -> Array:
         """One run of it; cells that bounds leave no room stay."""
@@ -290,8 +340,16 @@ class LeastCost:
             return pair
 
         start = np.clip(place[free], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-        options = {"bounds": (low, high), "ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14, "max_nfev": max_evaluations}
-        fit = least_squares(lambda part: both(part)[0], start, lambda part: both(part)[1], **options)
+        options = {
+            "bounds": (low, high),
+            "ftol": 1e-14,
+            "xtol": 1e-14,
+            "gtol": 1e-14,
+            "max_nfev": max_evaluations,
+        }
+        fit = least_squares(
+            lambda part: both(part)[0], start, lambda part: both(part)[1], **options
+        )
         position[free] = fit.x
         return position
 

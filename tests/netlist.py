@@ -1,4 +1,6 @@
-"""Panels as lists of resistors, solved as such: oracles that share nothing with the house. No test stands here."""
+"""Panels as lists of resistors, solved as such: oracles that share nothing with the house. No test
+stands here.
+"""
 
 from collections.abc import Hashable, Iterable
 from itertools import pairwise
@@ -7,19 +9,31 @@ from typing import Any
 import mpmath
 import numpy as np
 
-from lampest import Array, DrivenReadout, LoadedColumnsReadout, Scene, TwoPointReadout, VirtualGroundReadout
+from lampest import (
+    Array,
+    DrivenReadout,
+    LoadedColumnsReadout,
+    Scene,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
 
 Node = Hashable
 Resistor = tuple[Node, Node, float]
 
 
 def laplacian(resistors: Iterable[Resistor]) -> tuple[dict[Node, int], Array]:
-    """Node → line of the matrix of conductances, and this matrix; resistors of 0 ohm join their nodes."""
+    """Node → line of the matrix of conductances, and this matrix; resistors of 0 ohm join their
+    nodes.
+    """
     resistors = list(resistors)
     name = {node: node for first, second, _ in resistors for node in (first, second)}
     for first, second, ohm in resistors:
         if ohm == 0:
-            name = {node: name[first] if label == name[second] else label for node, label in name.items()}
+            name = {
+                node: name[first] if label == name[second] else label
+                for node, label in name.items()
+            }
     index = {label: number for number, label in enumerate(dict.fromkeys(name.values()))}
     matrix = np.zeros((len(index),) * 2)
     for first, second, ohm in resistors:
@@ -41,33 +55,49 @@ def potentials(resistors: Iterable[Resistor], held: dict[Node, float]) -> dict[N
 
 
 def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
-    """(node, node, ohm) of cells (rows, columns) ohm and all wire; nodes 0 … M + N − 1 are the terminals, rows first.
+    """(node, node, ohm) of cells (rows, columns) ohm and all wire; nodes 0 … M + N − 1 are the
+    terminals, rows first.
 
-    Of every crossing the row's node is M + N + 2·number, the column's the next one; behind the contacts, the lines' own
-    nodes come last.
+    Of every crossing the row's node is M + N + 2·number, the column's the next one; behind the
+    contacts, the lines' own nodes come last.
     """
     rows, columns = cells.shape
     lines = scene.lines
     faults = scene.faults
-    row_ohm, column_ohm = (0.0, 0.0) if lines is None else (lines.row_ohm_per_cell, lines.column_ohm_per_cell)
+    row_ohm, column_ohm = (
+        (0.0, 0.0) if lines is None else (lines.row_ohm_per_cell, lines.column_ohm_per_cell)
+    )
     crossing = rows + columns + 2 * np.arange(rows * columns).reshape(cells.shape)
     behind = rows + columns + 2 * rows * columns
-    contacts = np.zeros(rows + columns) if scene.contacts is None else scene.contacts.mean((rows, columns))
+    contacts = (
+        np.zeros(rows + columns) if scene.contacts is None else scene.contacts.mean((rows, columns))
+    )
     yield from ((line, behind + line, float(ohm)) for line, ohm in enumerate(contacts))
     along = -1 if lines is not None and lines.rows_enter == "right" else 1
     down = -1 if lines is None or lines.columns_leave == "bottom" else 1
     chains = [((behind + row, *crossing[row, ::along].tolist()), row_ohm) for row in range(rows)]
     ends = behind + rows
-    chains += [((ends + place, *(crossing[::down, place] + 1).tolist()), column_ohm) for place in range(columns)]
+    chains += [
+        ((ends + place, *(crossing[::down, place] + 1).tolist()), column_ohm)
+        for place in range(columns)
+    ]
     yield from ((first, second, ohm) for chain, ohm in chains for first, second in pairwise(chain))
-    yield from ((node, node + 1, float(ohm)) for node, ohm in zip(crossing.flat, cells.flat, strict=True))
+    yield from (
+        (node, node + 1, float(ohm)) for node, ohm in zip(crossing.flat, cells.flat, strict=True)
+    )
     if faults is not None:
         yield from ((group[0], line, 0.0) for group in faults.joined_rows for line in group[1:])
-        yield from ((rows + group[0], rows + line, 0.0) for group in faults.joined_columns for line in group[1:])
+        yield from (
+            (rows + group[0], rows + line, 0.0)
+            for group in faults.joined_columns
+            for line in group[1:]
+        )
 
 
 def impedance_of(cells: Array, scene: Scene, ties: Array) -> Array:
-    """Z (lines, lines) ohm between the terminals, ties (lines) siemens to ground; nodes joined by 0 ohm are one."""
+    """Z (lines, lines) ohm between the terminals, ties (lines) siemens to ground; nodes joined by 0
+    ohm are one.
+    """
     number, matrix = laplacian(resistors(cells, scene))
     lines = [number[line] for line in range(sum(cells.shape))]
     np.add.at(matrix, (lines, lines), ties)
@@ -75,7 +105,9 @@ def impedance_of(cells: Array, scene: Scene, ties: Array) -> Array:
 
 
 def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
-    """R between rows and columns of cells, by the pseudoinverse; a leak joins every line with the next of its kind."""
+    """R between rows and columns of cells, by the pseudoinverse; a leak joins every line with the
+    next of its kind.
+    """
     rows, columns = cells.shape
     matrix = np.zeros((rows + columns,) * 2)
     matrix[:rows, rows:] = -1 / cells
@@ -88,19 +120,28 @@ def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
 
 
 def in_digits(cells: Array, digits: int = 50) -> Array:
-    """R between rows and columns of cells by mpmath, with the first row grounded; inf where current has no way."""
+    """R between rows and columns of cells by mpmath, with the first row grounded; inf where current
+    has no way.
+    """
     rows, columns = cells.shape
     with mpmath.workdps(digits):
         matrix = mpmath.zeros(rows + columns)
         for (row, column), ohm in np.ndenumerate(cells):
             conductance = 1 / mpmath.mpf(float(ohm))
             line = rows + column
-            for first, second, sign in ((row, row, 1), (line, line, 1), (row, line, -1), (line, row, -1)):
+            for first, second, sign in (
+                (row, row, 1),
+                (line, line, 1),
+                (row, line, -1),
+                (line, row, -1),
+            ):
                 matrix[first, second] += sign * conductance
         inverse = mpmath.zeros(rows + columns)
         inverse[1:, 1:] = mpmath.inverse(matrix[1:, 1:])
         between = [
-            inverse[j, j] + inverse[k, k] - 2 * inverse[j, k] for j in range(rows) for k in range(rows, matrix.rows)
+            inverse[j, j] + inverse[k, k] - 2 * inverse[j, k]
+            for j in range(rows)
+            for k in range(rows, matrix.rows)
         ]
     return np.array([float(resistance) for resistance in between]).reshape(cells.shape)
 
@@ -110,7 +151,9 @@ def per_line(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
 
 
 def volts(cells: Array, readout: Any) -> Array:
-    """Return the voltage at the converter, (rows, columns): a netlist of its own for every reading."""
+    """Return the voltage at the converter, (rows, columns): a netlist of its own for every
+    reading.
+    """
     turned = getattr(readout, "driven", "rows") == "columns"
     matrix = cells.T if turned else cells
     volt = np.empty(matrix.shape)
@@ -124,22 +167,36 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     if isinstance(readout, TwoPointReadout):
         return divider(matrix, readout, driven, sensed)
     network = network_of(matrix, readout, driven, sensed)
-    high, low = (0.0, readout.supply_volt)[:: 1 if getattr(readout, "polarity", "up") == "down" else -1]
+    high, low = (0.0, readout.supply_volt)[
+        :: 1 if getattr(readout, "polarity", "up") == "down" else -1
+    ]
     volt = potentials(network, {"high": high, "low": low})
     if isinstance(readout, VirtualGroundReadout):
-        through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
+        through = [
+            (volt["d", line] - volt["s", sensed]) / ohm
+            for line, ohm in enumerate(matrix[:, sensed])
+        ]
         return per_line(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
     return volt[("load", sensed) if ("load", sensed) in volt else ("s", sensed)]
 
 
 def cells_between(matrix: Array) -> list[Resistor]:
-    return [(("d", line), ("s", sense_line), ohm) for (line, sense_line), ohm in np.ndenumerate(matrix)]
+    return [
+        (("d", line), ("s", sense_line), ohm) for (line, sense_line), ohm in np.ndenumerate(matrix)
+    ]
 
 
 def divider(
-    matrix: Array, readout: TwoPointReadout, row: int, column: int, row_ohm: float = 0.0, column_ohm: float = 0.0
+    matrix: Array,
+    readout: TwoPointReadout,
+    row: int,
+    column: int,
+    row_ohm: float = 0.0,
+    column_ohm: float = 0.0,
 ) -> float:
-    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground in a row."""
+    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground
+    in a row.
+    """
     across_sensor = readout.measured_across == "sensor"
     above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
     tap: Node = "row end" if across_sensor else "column end"
@@ -150,7 +207,9 @@ def divider(
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
+    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is
+    sensed.
+    """
     lines, sense_lines = (range(count) for count in matrix.shape)
     if isinstance(readout, DrivenReadout) or getattr(readout, "groups", None) is not None:
         return network_of_states(matrix, readout, driven, sensed)
@@ -162,24 +221,40 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
         for line in lines
         if line == driven or not floating
     ]
-    channels = (0.0,) * len(sense_lines) if floating else per_line(readout.sense_ohm, len(sense_lines))
+    channels = (
+        (0.0,) * len(sense_lines) if floating else per_line(readout.sense_ohm, len(sense_lines))
+    )
     if isinstance(readout, VirtualGroundReadout):
         return [*network, *((("s", line), "low", channels[line]) for line in sense_lines)]
     loads = per_line(readout.load_ohm, len(sense_lines))
     for line in [sensed] if getattr(readout, "sense", "all") == "one" else sense_lines:
-        network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
+        network += [
+            (("s", line), ("load", line), channels[line]),
+            (("load", line), "low", loads[line]),
+        ]
         network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
     return network
 
 
 def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """The same of a circuit that names what idle lines have, or whose sensed lines are behind multiplexers."""
+    """The same of a circuit that names what idle lines have, or whose sensed lines are behind
+    multiplexers.
+    """
     count, sense_count = matrix.shape
     drive = per_line(readout.drive_ohm, count)
-    idle = per_line(getattr(readout, "idle_ohm", np.inf if isinstance(readout, LoadedColumnsReadout) else drive), count)
+    idle = per_line(
+        getattr(
+            readout, "idle_ohm", np.inf if isinstance(readout, LoadedColumnsReadout) else drive
+        ),
+        count,
+    )
     network = cells_between(matrix)
     network += [
-        (("d", line), "high" if line == driven else "low", (drive if line == driven else idle)[line])
+        (
+            ("d", line),
+            "high" if line == driven else "low",
+            (drive if line == driven else idle)[line],
+        )
         for line in range(count)
     ]
     groups = readout.groups or [range(sense_count)]
@@ -190,8 +265,13 @@ def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> 
     stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
     for line in range(sense_count):
         if line in read or stays:
-            network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
-            network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
+            network += [
+                (("s", line), ("load", line), channels[line]),
+                (("load", line), "low", loads[line]),
+            ]
+            network += (
+                [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
+            )
         elif getattr(readout, "idle_load_ohm", None) is not None:
             network.append((("s", line), "low", per_line(readout.idle_load_ohm, sense_count)[line]))
     return [(first, second, ohm) for first, second, ohm in network if ohm < np.inf]

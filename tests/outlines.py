@@ -12,14 +12,21 @@ def foot(rng: np.random.Generator) -> Panel:
     cells = []
     half = PITCH / 2**0.5
     for row, column in (divmod(int(cell), 6) for cell in np.sort(rng.permutation(48)[:24])):
-        cells.append((row, column, round((row + column) * half, 1), round((row - column) * half, 1)))  # as tables do
+        # As tables do.
+        cells.append(
+            (row, column, round((row + column) * half, 1), round((row - column) * half, 1))
+        )
     return Panel(8, 6, PITCH, tuple(cells))
 
 
 def glove(rng: np.random.Generator) -> Panel:
-    """Five strips of four cells, each with two rows and two columns of its own: parts that nothing joins."""
+    """Five strips of four cells, each with two rows and two columns of its own: parts that nothing
+    joins.
+    """
     cells = [
-        (2 * strip + at // 2, 2 * strip + at % 2, 20.0 * strip, PITCH * at) for strip in range(5) for at in range(4)
+        (2 * strip + at // 2, 2 * strip + at % 2, 20.0 * strip, PITCH * at)
+        for strip in range(5)
+        for at in range(4)
     ]
     return Panel(10, 10, PITCH, tuple(cells))
 
@@ -29,12 +36,16 @@ def ring(rng: np.random.Generator) -> Panel:
     cells = []
     for at in range(16):
         angle = 2 * np.pi * at / 16
-        cells.append((at // 2, (at + 1) // 2 % 8, 40 * float(np.cos(angle)), 40 * float(np.sin(angle))))
+        cells.append(
+            (at // 2, (at + 1) // 2 % 8, 40 * float(np.cos(angle)), 40 * float(np.sin(angle)))
+        )
     return Panel(8, 8, PITCH, tuple(cells))
 
 
 def lonely(rng: np.random.Generator) -> Panel:
-    """A block of 3 × 3, a cell on a row and a column of its own, a row and a column without any cell."""
+    """A block of 3 × 3, a cell on a row and a column of its own, a row and a column without any
+    cell.
+    """
     block = [(row, column, PITCH * column, PITCH * row) for row in range(3) for column in range(3)]
     return Panel(5, 5, PITCH, (*block, (4, 4, 60.0, 60.0)))
 

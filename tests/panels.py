@@ -1,7 +1,8 @@
-"""Recordings of panels with films, loads and electronics of many kinds, made by the readouts' own equations.
+"""Recordings of panels with films, loads and electronics of many kinds, made by the readouts' own
+equations.
 
-They judge what recordings say about scenes, the health of a panel above all; how right these equations are is tested
-elsewhere, against netlists.
+They judge what recordings say about scenes, the health of a panel above all; how right these
+equations are is tested elsewhere, against netlists.
 """
 
 from dataclasses import dataclass, replace
@@ -13,16 +14,33 @@ from numpy.typing import NDArray
 import lampest
 from lampest import Panel, Recording, Scene
 from lampest.panel.panel import Array
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
 
 BITS = {"adc_bits": 12, "readings": 1, "noise_lsb": 1.0}
 READOUTS: dict[str, Any] = {
-    "two_point": TwoPointReadout(supply_volt=3.3, reference_ohm=1000.0, measured_across="reference", **BITS),
-    "across the sensor": TwoPointReadout(supply_volt=5.0, reference_ohm=1000.0, measured_across="sensor", **BITS),
-    "pull_ups": LoadedColumnsReadout(supply_volt=5.0, load_ohm=10000.0, drive_ohm=30.0, polarity="down", **BITS),
-    "grounded, one": GroundedReadout(sense="one", supply_volt=5.0, drive_ohm=50.0, load_ohm=1000.0, **BITS),
-    "grounded, all": GroundedReadout(sense="all", supply_volt=5.0, drive_ohm=50.0, load_ohm=1000.0, **BITS),
-    "amplifiers": VirtualGroundReadout(supply_volt=5.0, drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1000.0, **BITS),
+    "two_point": TwoPointReadout(
+        supply_volt=3.3, reference_ohm=1000.0, measured_across="reference", **BITS
+    ),
+    "across the sensor": TwoPointReadout(
+        supply_volt=5.0, reference_ohm=1000.0, measured_across="sensor", **BITS
+    ),
+    "pull_ups": LoadedColumnsReadout(
+        supply_volt=5.0, load_ohm=10000.0, drive_ohm=30.0, polarity="down", **BITS
+    ),
+    "grounded, one": GroundedReadout(
+        sense="one", supply_volt=5.0, drive_ohm=50.0, load_ohm=1000.0, **BITS
+    ),
+    "grounded, all": GroundedReadout(
+        sense="all", supply_volt=5.0, drive_ohm=50.0, load_ohm=1000.0, **BITS
+    ),
+    "amplifiers": VirtualGroundReadout(
+        supply_volt=5.0, drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1000.0, **BITS
+    ),
 }
 LOADS = ("none", "stands", "sways", "moves", "taps", "jumps", "arrives")
 
@@ -46,7 +64,11 @@ class Plan:
         rows, columns = rng.integers(6, 17, size=2).tolist()
         readout = READOUTS[name]
         ohm = 3000.0 * float(np.exp(rng.uniform(-0.5, 0.8)))
-        readout = replace(readout, adc_bits=int(rng.choice([10, 12])), noise_lsb=float(rng.choice([0.5, 1.0, 2.0])))
+        readout = replace(
+            readout,
+            adc_bits=int(rng.choice([10, 12])),
+            noise_lsb=float(rng.choice([0.5, 1.0, 2.0])),
+        )
         spread = float(rng.choice([0.0, 0.05, 0.15, 0.3]))
         scene = Scene(Panel(rows, columns), readout)
         cells = ohm * np.exp(spread * rng.standard_normal((rows, columns)))
@@ -92,10 +114,14 @@ class Plan:
             elif self.load == "jumps":
                 place = places[int(rng.integers(4))]
             frames.append(self.cells * np.exp(amount * pressed(place)))
-        return np.concatenate([np.repeat(self.cells[None], self.unloaded, axis=0), np.array(frames)])
+        return np.concatenate(
+            [np.repeat(self.cells[None], self.unloaded, axis=0), np.array(frames)]
+        )
 
     def volts(self, scene: Scene | None = None) -> Array:
-        """Exact voltages at the converter, (frames, rows, columns); by a scene with other faults, if given."""
+        """Exact voltages at the converter, (frames, rows, columns); by a scene with other faults,
+        if given.
+        """
         actual = scene or self.scene
         cells = self.loaded()
         circuit = actual.circuit
@@ -116,6 +142,10 @@ class Plan:
         return readout.code_from_volt(noisy)
 
 
-def recorded(scene: Scene, codes: NDArray[np.int64], unloaded: int, time: Array | None = None) -> Recording:
+def recorded(
+    scene: Scene, codes: NDArray[np.int64], unloaded: int, time: Array | None = None
+) -> Recording:
     """A recording of codes (frames, rows, columns)."""
-    return lampest.Recording.from_array(codes, unit="code", baseline=unloaded, scene=scene, time=time)
+    return lampest.Recording.from_array(
+        codes, unit="code", baseline=unloaded, scene=scene, time=time
+    )

@@ -1,8 +1,9 @@
-"""Random problems of estimation, and the least cost that anything finds of each. No test stands here.
+"""Random problems of estimation, and the least cost that anything finds of each. No test stands
+here.
 
-A problem is drawn from two numbers, a seed and its own: 1 × N and N × 1 to 24 × 24 cells, every readout, noise of 0 to
-10 %, weights of 1e-9 to 1e9, all terms and losses, known faults, wild readings, rails and holes; a frame alone, a joint
-first pair, or a frame after others.
+A problem is drawn from two numbers, a seed and its own: 1 × N and N × 1 to 24 × 24 cells, every
+readout, noise of 0 to 10 %, weights of 1e-9 to 1e9, all terms and losses, known faults, wild
+readings, rails and holes; a frame alone, a joint first pair, or a frame after others.
 """
 
 import warnings
@@ -13,13 +14,31 @@ from typing import Any
 
 import numpy as np
 
-from lampest import Absolute, Data, Faults, Huber, Misfit, OptimalMethod, Panel, Readings, Squared, Step, term_types
+from lampest import (
+    Absolute,
+    Data,
+    Faults,
+    Huber,
+    Misfit,
+    OptimalMethod,
+    Panel,
+    Readings,
+    Squared,
+    Step,
+    term_types,
+)
 from lampest.cost.cost import Cost
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.stream import Stream
 from lampest.files.errors import BROKEN
 from lampest.formulation.patterns import EXCITATIONS
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Readout,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
 from lampest.panel.scene import Scene
 from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.convex import convex_cells
@@ -57,7 +76,9 @@ def chosen(random: np.random.Generator, shares: dict[str, float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class RandomProblem:
-    """What was drawn: circuit and penalties, each twice; frames (3, rows, columns) ohm of which the first rests."""
+    """What was drawn: circuit and penalties, each twice; frames (3, rows, columns) ohm of which the
+    first rests.
+    """
 
     seed: int
     number: int
@@ -79,7 +100,9 @@ class RandomProblem:
         cells = _cells(random, shape)
         kind = chosen(random, CIRCUITS)
         faults = _faults(random, shape) if random.random() < 0.15 else None
-        circuit, readout = _circuit(random, kind, float(np.exp(np.mean(np.log(cells)))), faults, shape[0])
+        circuit, readout = _circuit(
+            random, kind, float(np.exp(np.mean(np.log(cells)))), faults, shape[0]
+        )
         actual = _with_faults(cells, faults)
         exact = np.stack([circuit.reading(frame)[0] for frame in actual])
         noise = 0.0 if random.random() < 0.15 else float(10 ** random.uniform(-4, -1))
@@ -90,21 +113,42 @@ class RandomProblem:
         penalties = _penalties(random, known, exact, sigma)
         pushed = int(random.integers(0, 3))
         scene = Scene(Panel(*shape), readout, faults=faults)
-        words = [f"{shape[0]}×{shape[1]}", kind, f"noise {noise:.1e}" + ("" if known else " untold")]
+        words = [
+            f"{shape[0]}×{shape[1]}",
+            kind,
+            f"noise {noise:.1e}" + ("" if known else " untold"),
+        ]
         words += [
             f"{penalty.kind}({penalty.weight:.1e}, {penalty.loss}{', σ' if penalty.scaled else ''})"
             for penalty in penalties
         ]
-        words += [("resting", "first frame", "second frame")[pushed], *troubles, "" if faults is None else "faults"]
+        words += [
+            ("resting", "first frame", "second frame")[pushed],
+            *troubles,
+            "" if faults is None else "faults",
+        ]
         about = ", ".join(filter(None, words))
-        return cls(seed, number, circuit, scene, penalties, cells, recorded, sigma if known else None, pushed, about)
+        return cls(
+            seed,
+            number,
+            circuit,
+            scene,
+            penalties,
+            cells,
+            recorded,
+            sigma if known else None,
+            pushed,
+            about,
+        )
 
     @cached_property
     def estimator(self) -> Estimator:
         """The reduced one."""
         terms = []
         for penalty in self.penalties:
-            loss = Huber(corner=penalty.corner) if penalty.loss == "huber" else LOSSES[penalty.loss]()
+            loss = (
+                Huber(corner=penalty.corner) if penalty.loss == "huber" else LOSSES[penalty.loss]()
+            )
             options: dict[str, Any] = {"weight": penalty.weight, "loss": loss}
             if penalty.kind == "misfit":
                 terms.append(Misfit(weighting="noise" if penalty.scaled else "plain", loss=loss))
@@ -114,7 +158,9 @@ class RandomProblem:
             terms.append(term_types()[penalty.kind](**options))
         bars = any(penalty.kind == "arrival" for penalty in self.penalties)
         bounds = Bounds() if self.sigma is not None else Bounds(upper="none")
-        return Estimator(tuple(terms), OptimalMethod("reduced", joint=self.joint), bounds=bounds, error_bars=bars)
+        return Estimator(
+            tuple(terms), OptimalMethod("reduced", joint=self.joint), bounds=bounds, error_bars=bars
+        )
 
     @property
     def alone(self) -> Estimator:
@@ -128,7 +174,9 @@ class RandomProblem:
 
     @cached_property
     def requested(self) -> tuple[Stream, Readings] | None:
-        """The stream before the frame that is asked for, and that frame; None where it is the baseline."""
+        """The stream before the frame that is asked for, and that frame; None where it is the
+        baseline.
+        """
         stream = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0])
         if self.pushed == 0 and stream.baseline is not None:
             return None
@@ -170,30 +218,38 @@ class RandomProblem:
         return LeastCost.of(self.data, *terms, circuit=self.circuit, faulty=broken)
 
     def excess(self, solution: Any) -> float:
-        """Share of the cost of an estimate that another solver saves; negative where each of them costs more.
+        """Share of the cost of an estimate that another solver saves; negative where each of them
+        costs more.
 
-        Misfits of exact readings are rounding, which is small against the cost of readings of zero. Cells that are
-        equal but for their last bits are the same estimate, however heavy the absolute loss of these bits.
+        Misfits of exact readings are rounding, which is small against the cost of readings of zero.
+        Cells that are equal but for their last bits are the same estimate, however heavy the
+        absolute loss of these bits.
         """
         warnings.simplefilter("ignore")
         estimate = solution.cell_resistance
         position = np.log(estimate).ravel()
         own = self.oracle.value(position)
         with np.errstate(all="ignore"):
-            ends = [place for place in self._ends(estimate) if np.abs(place - position).max() > MIN_STEP]
+            ends = [
+                place for place in self._ends(estimate) if np.abs(place - position).max() > MIN_STEP
+            ]
             costs = [self.oracle.value(place) for place in ends if np.all(np.isfinite(place))]
         least = min((cost for cost in costs if np.isfinite(cost)), default=np.inf)
         return (own - least - ROUNDING_ERROR * self.oracle.blank()) / own
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
-        """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and random starts."""
+        """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and
+        random starts.
+        """
         data = self.data
         random = np.random.default_rng([self.seed, self.number, 1])
         truth = self.cells[:2] if len(data.measured) == 2 else self.cells[self.pushed][None]
         low = np.log(data.lower).ravel()
         high = np.log(data.upper).ravel()
         size = truth.size
-        scattered = [np.log(data.apparent_resistance).ravel() + random.uniform(0, 3, size) for _ in range(2)]
+        scattered = [
+            np.log(data.apparent_resistance).ravel() + random.uniform(0, 3, size) for _ in range(2)
+        ]
         starts = [np.log(cells).ravel() for cells in (estimate, truth, data.uniform_start)]
         for start in [*starts, *scattered[: 1 if size <= SEVERAL_CELLS else 0]]:
             try:
@@ -203,9 +259,17 @@ class RandomProblem:
                     yield self.oracle.descended(start)
             except (ValueError, ArithmeticError):
                 continue
-        solvers: list[tuple[Any, list[Array]]] = [(ProjectedNewton(self.cost, self.estimator.solver), scattered)]
+        solvers: list[tuple[Any, list[Array]]] = [
+            (ProjectedNewton(self.cost, self.estimator.solver), scattered)
+        ]
         if size <= NODAL_CELLS:
-            nodal = Ipopt(self.cost, self.estimator.solver, self.scene.circuit, self.scene.wiring, EXCITATIONS["nodal"])
+            nodal = Ipopt(
+                self.cost,
+                self.estimator.solver,
+                self.scene.circuit,
+                self.scene.wiring,
+                EXCITATIONS["nodal"],
+            )
             solvers.append((nodal, [starts[1], np.log(convex_cells(data, None)).ravel()]))
         for solver, places in solvers:
             for place in places:
@@ -228,7 +292,9 @@ def _shape(random: np.random.Generator) -> tuple[int, int]:
 
 
 def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
-    """Three frames ohm: scattered cells, and patches that are pressed or sucked more and more, or not at all."""
+    """Three frames ohm: scattered cells, and patches that are pressed or sucked more and more, or
+    not at all.
+    """
     level = 10 ** random.uniform(2.5, 4.5)
     spread = random.choice([0.05, 0.3, 1.0], p=[0.3, 0.5, 0.2])
     resting = level * np.exp(spread * random.standard_normal(shape))
@@ -236,9 +302,13 @@ def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
     change = np.zeros(shape)
     for _ in range(int(random.integers(0, 4))):
         centre = random.uniform(0, 1, 2) * shape
-        near = np.hypot(down - centre[0], along - centre[1]) < random.uniform(0.6, 0.4 * max(shape) + 0.7)
+        near = np.hypot(down - centre[0], along - centre[1]) < random.uniform(
+            0.6, 0.4 * max(shape) + 0.7
+        )
         change = np.where(near, random.uniform(-3, 3), change)
-    return np.stack([resting * np.exp(share * change) for share in (0.0, random.uniform(0.3, 1.0), 1.0)])
+    return np.stack(
+        [resting * np.exp(share * change) for share in (0.0, random.uniform(0.3, 1.0), 1.0)]
+    )
 
 
 def _faults(random: np.random.Generator, shape: tuple[int, int]) -> Faults | None:
@@ -252,7 +322,10 @@ def _faults(random: np.random.Generator, shape: tuple[int, int]) -> Faults | Non
     if fault == "joined":
         return Faults(joined_rows=(tuple(int(row) for row in sorted(first)),))
     if fault == "dead":
-        return Faults(dead_rows=(int(first[0]),), dead_columns=(int(second[0]),) if random.random() < 0.5 else ())
+        return Faults(
+            dead_rows=(int(first[0]),),
+            dead_columns=(int(second[0]),) if random.random() < 0.5 else (),
+        )
     return Faults(open=pairs) if fault == "open" else Faults(shorted=pairs[:1])
 
 
@@ -275,13 +348,19 @@ def _circuit(
     converter = {"adc_bits": 16, "readings": 20, "noise_lsb": 0.5, "supply_volt": 5.0}
     circuit = Circuit(kind, joined, drive, sense, load, 5.0)
     if kind == "two_point":
-        return circuit, TwoPointReadout(reference_ohm=level, **converter) if random.random() < 0.5 else None
+        return circuit, TwoPointReadout(
+            reference_ohm=level, **converter
+        ) if random.random() < 0.5 else None
     if kind == "loaded":
         return circuit, LoadedColumnsReadout(drive_ohm=drive, load_ohm=load, **converter)
     if kind == "virtual":
-        return circuit, VirtualGroundReadout(drive_ohm=drive, sense_ohm=sense, feedback_ohm=load, **converter)
+        return circuit, VirtualGroundReadout(
+            drive_ohm=drive, sense_ohm=sense, feedback_ohm=load, **converter
+        )
     sensed = "one" if kind == "grounded_one" else "all"
-    return circuit, GroundedReadout(drive_ohm=drive, sense_ohm=sense, load_ohm=load, sense=sensed, **converter)
+    return circuit, GroundedReadout(
+        drive_ohm=drive, sense_ohm=sense, load_ohm=load, sense=sensed, **converter
+    )
 
 
 def _troubled(random: np.random.Generator, recorded: Array, circuit: Circuit) -> list[str]:
@@ -294,7 +373,9 @@ def _troubled(random: np.random.Generator, recorded: Array, circuit: Circuit) ->
         struck = random.random(recorded.shape) < 10 ** random.uniform(-2, -0.7)
         if name == "wild":
             struck &= random.random(recorded.shape) < 0.3
-            recorded[struck] *= np.exp(random.choice([-1, 1], struck.sum()) * random.uniform(0.2, 2, struck.sum()))
+            recorded[struck] *= np.exp(
+                random.choice([-1, 1], struck.sum()) * random.uniform(0.2, 2, struck.sum())
+            )
         elif name == "rails":
             high = np.inf if circuit.kind == "two_point" else circuit.supply
             recorded[struck] = np.where(random.random(struck.sum()) < 0.7, high, 0.0)
@@ -303,7 +384,9 @@ def _troubled(random: np.random.Generator, recorded: Array, circuit: Circuit) ->
     return names
 
 
-def _penalties(random: np.random.Generator, known: bool, exact: Array, sigma: Array) -> tuple[Penalty, ...]:
+def _penalties(
+    random: np.random.Generator, known: bool, exact: Array, sigma: Array
+) -> tuple[Penalty, ...]:
     scaled = known and random.random() < 0.4
     shares = {"squared": 0.8, "huber": 0.12, "absolute": 0.08}
     corner = float(random.uniform(1, 4) * (1.0 if scaled else np.median(sigma)))
@@ -311,7 +394,11 @@ def _penalties(random: np.random.Generator, known: bool, exact: Array, sigma: Ar
     kind = chosen(random, TERMS)
     if kind == "misfit" or (kind == "arrival" and not known):
         return (data,)
-    own = {"total_variation": "absolute", "log_ratio": "absolute", "total_variation_of_change": "absolute"}
+    own = {
+        "total_variation": "absolute",
+        "log_ratio": "absolute",
+        "total_variation_of_change": "absolute",
+    }
     loss = own.get(kind, "huber" if kind == "arrival" else "squared")
     if random.random() < 0.2:
         loss = chosen(random, {"squared": 1, "huber": 1, "absolute": 1})

@@ -1,4 +1,6 @@
-"""Small recordings and runs on the disk, written after the format's description and not by the package."""
+"""Small recordings and runs on the disk, written after the format's description and not by the
+package.
+"""
 
 import subprocess
 import sys
@@ -12,7 +14,10 @@ import numpy as np
 from tests.netlist import two_point_resistances
 
 COMMAND = Path(sys.executable).with_name("lampest")
-SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
+SCENE = (
+    "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: "
+    "two_point}\nseries_resistance_ohm: 140\n"
+)
 RUN = """\
 schema: 1
 recordings: [small.h5]
@@ -57,7 +62,9 @@ def exact(cells: Any) -> Any:
     return np.stack([two_point_resistances(panel) for panel in cells])
 
 
-def write_recording(path: Path, scene: str = SCENE, shape: tuple[int, int, int] = (3, 3, 4), **changes: Any) -> Path:
+def write_recording(
+    path: Path, scene: str = SCENE, shape: tuple[int, int, int] = (3, 3, 4), **changes: Any
+) -> Path:
     """One unloaded frame, the others measured; `changes` replace datasets, None leaves them out."""
     rng = np.random.default_rng(1)
     cells = 3000 * np.exp(0.2 * rng.standard_normal(shape))
@@ -78,7 +85,9 @@ def write_recording(path: Path, scene: str = SCENE, shape: tuple[int, int, int] 
 
 def run_command(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """The installed command in its own process."""
-    return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **options)
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120, **options
+    )
 
 
 def on_disk(folder: Path) -> SimpleNamespace:
@@ -91,5 +100,11 @@ def on_disk(folder: Path) -> SimpleNamespace:
         return folder / name
 
     return SimpleNamespace(
-        folder=folder, run=run, text=RUN, scene=SCENE, recording=write_recording, exact=exact, command=run_command
+        folder=folder,
+        run=run,
+        text=RUN,
+        scene=SCENE,
+        recording=write_recording,
+        exact=exact,
+        command=run_command,
     )

@@ -1,8 +1,8 @@
-"""What lampest is built from: locks with hashes, licences, and known vulnerabilities. No test stands here.
+"""What lampest is built from: locks with hashes, licences, vulnerabilities. No test stands here.
 
-python -m tests.supply lock           # write requirements.lock and requirements-dev.lock from pyproject.toml
-python -m tests.supply licences       # write docs/reference/licences.md from what is installed
-python -m tests.supply audit          # ask the database of known vulnerabilities for everything in the locks
+python -m tests.supply lock       # write the locks, requirements*.lock, from pyproject.toml
+python -m tests.supply licences   # write docs/reference/licences.md from what is installed
+python -m tests.supply audit      # ask the database of vulnerabilities for everything in the locks
 """
 
 import json
@@ -20,17 +20,20 @@ LOCKS = {
     "requirements.lock": ["--extra", "plots"],
     "requirements-dev.lock": ["--extra", "dev", "--extra", "docs", "--extra", "cluster"],
 }
-BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]
+BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"][
+    "requires"
+]
 EDITABLE = "editables>=0.5"  # what hatchling asks for besides where the package stays in its folder
-ALONE = "badcrossbar"  # an oracle for wire; it draws with cairo, which has to be compiled and is not needed
+# An oracle for wire; it draws with cairo, which has to be compiled and is not needed.
+ALONE = "badcrossbar"
 OLDEST = "3.11"
 LICENCES = ROOT / "docs" / "reference" / "licences.md"
 HEAD = """# Licences
 
-What `pip install lampest` brings and what builds it, with the licence that each package states. `make licences` writes
-it of the packages that `requirements.lock` names. lampest itself is under the MIT licence and contains none of their
-code; the simulated board in `firmware/`, whose host program links simavr (GPL-3), is source, is built where it is used
-and is in no wheel.
+What `pip install lampest` brings and what builds it, with the licence that each package states.
+`make licences` writes it of the packages that `requirements.lock` names. lampest itself is under
+the MIT licence and contains none of their code; the simulated board in `firmware/`, whose host
+program links simavr (GPL-3), is source, is built where it is used and is in no wheel.
 
 """
 
@@ -47,9 +50,27 @@ def plain(name: str) -> str:
 
 
 def lock() -> int:
-    """Resolve for every Python from 3.11 on and every platform, with the versions of constraints.txt."""
-    command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate"]
-    command += ["--universal", "--python-version", OLDEST, "--generate-hashes", "--constraint", "constraints.txt"]
+    """Resolve for every Python from 3.11 on and every platform, with the versions of
+    constraints.txt.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "uv",
+        "pip",
+        "compile",
+        "--quiet",
+        "--no-header",
+        "--no-annotate",
+    ]
+    command += [
+        "--universal",
+        "--python-version",
+        OLDEST,
+        "--generate-hashes",
+        "--constraint",
+        "constraints.txt",
+    ]
     for name, extras in LOCKS.items():
         text = compiled([*command, "pyproject.toml", *extras, "-"], "\n".join([*BUILD, EDITABLE]))
         text += compiled([*command, "--no-deps", "-"], ALONE) if extras else ""
@@ -59,7 +80,9 @@ def lock() -> int:
 
 def compiled(command: list[str], requirements: str) -> str:
     """What uv resolves; its own sentence where it cannot."""
-    completed = subprocess.run(command, cwd=ROOT, input=requirements + "\n", capture_output=True, text=True)
+    completed = subprocess.run(
+        command, cwd=ROOT, input=requirements + "\n", capture_output=True, text=True
+    )
     if completed.returncode:
         sys.exit(f"lock: {completed.stderr.strip()}")
     return completed.stdout
@@ -69,7 +92,15 @@ def licences() -> int:
     """Write the list of licences of everything that lampest needs at run time."""
     installed = {plain(distribution.name) for distribution in metadata.distributions()}
     licensed = sorted(set(locked(ROOT / "requirements.lock")) & installed)
-    command = [sys.executable, "-m", "piplicenses", "--from=mixed", "--format=markdown", "--with-urls", "--order=name"]
+    command = [
+        sys.executable,
+        "-m",
+        "piplicenses",
+        "--from=mixed",
+        "--format=markdown",
+        "--with-urls",
+        "--order=name",
+    ]
     completed = subprocess.run([*command, "--packages", *licensed], capture_output=True, text=True)
     if completed.returncode:
         sys.exit(f"licences: {completed.stderr.strip()}")
@@ -78,26 +109,45 @@ def licences() -> int:
 
 
 def audit() -> int:
-    """0 where every package was looked up and none has a known vulnerability; else 1 and what is wrong."""
+    """0 where every package was looked up and none has a known vulnerability; else 1 and what is
+    wrong.
+    """
     with tempfile.TemporaryDirectory() as folder:
         requirements = Path(folder) / "wanted.txt"
         report = Path(folder) / "found.json"
         pins = {**locked(ROOT / "requirements.lock"), **locked(ROOT / "requirements-dev.lock")}
-        requirements.write_text("".join(f"{name}=={version}\n" for name, version in sorted(pins.items())))
-        command = [sys.executable, "-m", "pip_audit", "--requirement", str(requirements), "--no-deps", "--disable-pip"]
+        requirements.write_text(
+            "".join(f"{name}=={version}\n" for name, version in sorted(pins.items()))
+        )
+        command = [
+            sys.executable,
+            "-m",
+            "pip_audit",
+            "--requirement",
+            str(requirements),
+            "--no-deps",
+            "--disable-pip",
+        ]
         command += ["--progress-spinner", "off", "--format", "json", "--output", str(report)]
         completed = subprocess.run(command, capture_output=True, text=True)
-        answer: Any = json.loads(report.read_text()) if report.is_file() and report.read_text() else None
+        answer: Any = (
+            json.loads(report.read_text()) if report.is_file() and report.read_text() else None
+        )
     reason = completed.stderr.strip().splitlines()[-1:] or ["no answer"]
     return audit_verdict(answer, reason[0].partition(":")[0])
 
 
 def audit_verdict(answer: Any, reason: str) -> int:
-    """Print what the database answered and return an exit code; None: not reached. Unknown packages are not checked."""
+    """Print what the database answered and return an exit code; None: not reached. Unknown packages
+    are not checked.
+    """
     packages = [] if answer is None else answer["dependencies"]
     known = [package for package in packages if "skip_reason" not in package]
     if not known:
-        print(f"audit: the database of vulnerabilities could not be reached; nothing was checked ({reason})")
+        print(
+            "audit: the database of vulnerabilities could not be reached; nothing was checked "
+            f"({reason})"
+        )
         return 1
     unknown = sorted(package["name"] for package in packages if package not in known)
     faults = [(package, fault) for package in known for fault in package["vulns"]]

@@ -1,4 +1,6 @@
-"""What several tests need: invented but consistent results, and live without haste. No test stands here."""
+"""What several tests need: invented but consistent results, and live without haste. No test stands
+here.
+"""
 
 import dataclasses
 import time
@@ -16,7 +18,9 @@ METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 
 
 def mouth(rows: int, columns: int, frames: int, pitch_mm: float = 10.0) -> Array:
-    """Relative change in percent under a sucking mouth of 35 mm that grips harder from frame to frame."""
+    """Relative change in percent under a sucking mouth of 35 mm that grips harder from frame to
+    frame.
+    """
     y, x = np.meshgrid(np.arange(rows) * pitch_mm, np.arange(columns) * pitch_mm, indexing="ij")
     distance = np.hypot(x - 0.45 * (columns - 1) * pitch_mm, y - 0.55 * (rows - 1) * pitch_mm)
     pattern = -92 * np.exp(-(((distance - 17) / 6) ** 2)) + 320 * np.exp(-((distance / 8) ** 2))
@@ -63,7 +67,9 @@ def invented_case(
         open_cell=((estimate > 3.6 * baseline) & solved[:, None, None]).astype(np.uint8),
         at_lower_bound=np.zeros(shape, dtype=np.uint8),
         baseline_resistance=baseline,
-        status=tuple("solved to the tolerance" if good else "stopped: too many iterations" for good in solved),
+        status=tuple(
+            "solved to the tolerance" if good else "stopped: too many iterations" for good in solved
+        ),
         iterations=own.integers(5, 30, frames),
         solve_time=own.uniform(0.1, 0.3, frames),
         objective=own.uniform(1, 2, frames),
@@ -81,7 +87,9 @@ def invented_case(
 
 
 class Patient(Engine):
-    """An engine in which every frame waits until the one before was solved; it keeps all pictures."""
+    """An engine in which every frame waits until the one before was solved; it keeps all
+    pictures.
+    """
 
     def __init__(self, estimator: Estimator, baseline: int) -> None:
         super().__init__("test", "test", estimator, baseline)
@@ -98,8 +106,12 @@ class Patient(Engine):
             time.sleep(1e-3)
 
 
-def live_pictures(estimator: Estimator, baseline: int, feed: Callable[[Engine], None]) -> list[Picture]:
-    """Every picture of what is fed to an engine; `baseline` frames are unloaded where the feed says of none."""
+def live_pictures(
+    estimator: Estimator, baseline: int, feed: Callable[[Engine], None]
+) -> list[Picture]:
+    """Every picture of what is fed to an engine; `baseline` frames are unloaded where the feed says
+    of none.
+    """
     with Patient(estimator, baseline) as engine:
         feed(engine)
         engine.finish()

@@ -1,4 +1,6 @@
-"""A board in a thread behind a pseudo-terminal that answers as the firmware does and sends what a script says."""
+"""A board in a thread behind a pseudo-terminal that answers as the firmware does and sends what a
+script says.
+"""
 
 import itertools
 import os
@@ -15,11 +17,14 @@ import numpy as np
 from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Result, message, unstuffed
 from tests.bodies import answer_body, frame_body, hello_body
 
-IDLE = Hello(3, 4, 2, 16, 16, 64, (1, 0), 1_000_000, 1_000, 40, 5000, 1_000_000, 10, "reference", False)
+IDLE = Hello(
+    3, 4, 2, 16, 16, 64, (1, 0), 1_000_000, 1_000, 40, 5000, 1_000_000, 10, "reference", False
+)
 SETTINGS = {Kind.SET_ROWS: "rows", Kind.SET_COLUMNS: "columns", Kind.SET_READINGS: "readings"}
 SETTINGS |= {Kind.SET_PERIOD: "period_us"}
 
-Script = Callable[[Hello], Iterator[tuple[float, bytes]]]  # (s to wait before, bytes to send) once the board is started
+# (s to wait before, bytes to send) once the board is started
+Script = Callable[[Hello], Iterator[tuple[float, bytes]]]
 
 
 @dataclass
@@ -35,7 +40,9 @@ class WildBoard:
     _ended: threading.Event = field(default_factory=threading.Event)
 
     def live(self, line: int, script: Script) -> None:
-        """Until it is ended: answer commands, and send what the script says when it is due; no message tears one."""
+        """Until it is ended: answer commands, and send what the script says when it is due; no
+        message tears one.
+        """
         commands = b""
         answers = b""
         current = b""
@@ -46,7 +53,11 @@ class WildBoard:
                 wait, current = next(self._plan, (60.0, b""))
                 due = max(due + wait, time.monotonic() - 1.0)
             if not self._spoken_to:
-                answers += message(hello_body(self.hello)) if time.monotonic() >= due and not answers else b""
+                answers += (
+                    message(hello_body(self.hello))
+                    if time.monotonic() >= due and not answers
+                    else b""
+                )
                 due = time.monotonic() + 0.1 if time.monotonic() >= due else due
             ripe = current if started or time.monotonic() >= due else b""
             outgoing = current if started else answers or ripe
@@ -86,7 +97,8 @@ class WildBoard:
         if kind in (Kind.STOP, Kind.START):
             self.hello = replace(self.hello, running=kind is Kind.START)
             self._plan = script(self.hello) if kind is Kind.START else None
-        result = Result.REFUSED_UNKNOWN if kind is Kind.SET_BASELINE else Result.DONE  # it does not estimate
+        # It does not estimate.
+        result = Result.REFUSED_UNKNOWN if kind is Kind.SET_BASELINE else Result.DONE
         return message(answer_body(Answer(kind, tag, result, value)))
 
 
@@ -108,7 +120,9 @@ def wild_board(script: Script, hello: Hello = IDLE) -> Iterator[WildBoard]:
         os.close(slave)
 
 
-def wire(hello: Hello, number: int, device_ms: int | None = None, shape: tuple[int, int] | None = None) -> bytes:
+def wire(
+    hello: Hello, number: int, device_ms: int | None = None, shape: tuple[int, int] | None = None
+) -> bytes:
     """Frame `number` as it goes over the line; its first reading tells the number."""
     sums = np.full(shape or (hello.rows, hello.columns), 700 * hello.readings // 2, np.uint16)
     clock = 1000 + round(number * hello.period_us / 1000) if device_ms is None else device_ms

@@ -1,4 +1,6 @@
-"""Docstrings of the house → Markdown. They are no reStructuredText, so autodoc would misread them."""
+"""Docstrings of the house → Markdown. They are no reStructuredText, so autodoc would misread
+them.
+"""
 
 import inspect
 import re
@@ -6,8 +8,15 @@ from typing import Any
 
 
 def markdown(text: str) -> str:
-    """A cleaned docstring with its parameters as a list, its examples as code, nothing else as markup."""
-    text = re.sub(r"^(Parameters|Attributes|Returns|Yields|Raises|Examples)\n-{3,}\n", "", text, flags=re.MULTILINE)
+    """A cleaned docstring with its parameters as a list, its examples as code, nothing else as
+    markup.
+    """
+    text = re.sub(
+        r"^(Parameters|Attributes|Returns|Yields|Raises|Examples)\n-{3,}\n",
+        "",
+        text,
+        flags=re.MULTILINE,
+    )
     blocks = [_block(block) for block in re.split(r"\n{2,}", text.strip("\n"))]
     return "\n\n".join(blocks)
 

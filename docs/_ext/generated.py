@@ -21,10 +21,14 @@ EXAMPLE = re.compile(r"^Example: (.+)$", re.MULTILINE)
 
 
 def commands_page() -> str:
-    """Every command with its arguments and options, by typer's own generator; not the words of the release before."""
+    """Every command with its arguments and options, by typer's own generator; not the words of the
+    release before.
+    """
     command = typer.main.get_command(commands)
     command.commands = {name: each for name, each in command.commands.items() if not each.hidden}  # type: ignore[attr-defined]
-    text = get_docs_for_click(obj=command, ctx=typer.Context(command, info_name="lampest"), name="lampest")
+    text = get_docs_for_click(
+        obj=command, ctx=typer.Context(command, info_name="lampest"), name="lampest"
+    )
     _, _, chapters = text.partition("\n## ")
     chapters = EXAMPLE.sub(r"**Example**:\n\n```console\n$ \1\n```", chapters)
     return "## " + re.sub(r"(`[^`\n]*`)|<", lambda found: found[1] or r"\<", chapters)
@@ -32,7 +36,10 @@ def commands_page() -> str:
 
 def columns_table() -> str:
     """Every dataset of an estimate, in the file's order."""
-    rows = [f"| `{one.path}` | {', '.join(one.axes)} | {one.units} | {one.long_name} |" for one in all_columns()]
+    rows = [
+        f"| `{one.path}` | {', '.join(one.axes)} | {one.units} | {one.long_name} |"
+        for one in all_columns()
+    ]
     return "\n".join(("| dataset | over | unit | what it is |", "|---|---|---|---|", *rows)) + "\n"
 
 

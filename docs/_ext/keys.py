@@ -37,7 +37,9 @@ def anchor(name: str) -> str:
 
 
 def headings(schema: dict[str, Any]) -> dict[str, str]:
-    """Name of a part → the word by which a file chooses it, else the keys that hold it: a file names no class."""
+    """Name of a part → the word by which a file chooses it, else the keys that hold it: a file
+    names no class.
+    """
     parts = schema.get("$defs", {})
     keys: dict[str, list[str]] = {}
     for part in (schema, *parts.values()):
@@ -56,11 +58,15 @@ def _label(part: dict[str, Any], keys: list[str]) -> str:
 def content(part: dict[str, Any], labels: dict[str, str]) -> str:
     """What a part says of itself, and a table of its keys."""
     rows = [
-        f"| `{key}` | {words(value, labels)} | {'required' if key in part.get('required', ()) else default(value)} |"
+        f"| `{key}` | {words(value, labels)} | "
+        f"{'required' if key in part.get('required', ()) else default(value)} |"
         for key, value in part["properties"].items()
     ]
     return "\n\n".join(
-        (markdown(part.get("description", "")), "\n".join(("| key | value | default |", "|---|---|---|", *rows)))
+        (
+            markdown(part.get("description", "")),
+            "\n".join(("| key | value | default |", "|---|---|---|", *rows)),
+        )
     )
 
 
@@ -79,7 +85,9 @@ def words(value: dict[str, Any], labels: dict[str, str]) -> str:
         return f"[{labels[name]}](#{anchor(name)})"
     choices = value.get("anyOf") or value.get("oneOf")
     if choices:
-        return ", ".join(dict.fromkeys(words(one, labels) for one in choices if one.get("type") != "null"))
+        return ", ".join(
+            dict.fromkeys(words(one, labels) for one in choices if one.get("type") != "null")
+        )
     if "const" in value or "enum" in value:
         return ", ".join(f"`{word}`" for word in value.get("enum", [value.get("const")]))
     return container(value, labels)
@@ -93,6 +101,12 @@ def container(value: dict[str, Any], labels: dict[str, str]) -> str:
         return f"list of {words(inside, labels)}" if inside else "list"
     if kind == "object":
         inside = value.get("additionalProperties")
-        return f"mapping of names to {words(inside, labels)}" if isinstance(inside, dict) else "mapping"
+        return (
+            f"mapping of names to {words(inside, labels)}"
+            if isinstance(inside, dict)
+            else "mapping"
+        )
     limits = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
-    return " ".join((kind, *(f"{sign} {value[limit]}" for limit, sign in limits.items() if limit in value)))
+    return " ".join(
+        (kind, *(f"{sign} {value[limit]}" for limit, sign in limits.items() if limit in value))
+    )

@@ -28,16 +28,22 @@ def names_page() -> str:
     for name in sorted(lampest.__all__, key=str.lower):
         rooms[room_of(name)].append(name)
     return "\n\n".join(
-        f"## {ROOMS[room]}\n\n" + "\n\n".join(entry(name) for name in names) for room, names in rooms.items()
+        f"## {ROOMS[room]}\n\n" + "\n\n".join(entry(name) for name in names)
+        for room, names in rooms.items()
     )
 
 
 def room_of(name: str) -> str:
-    """The room that a name comes from; what is no class or function of lampest is told by where it is kept."""
+    """The room that a name comes from; what is no class or function of lampest is told by where it
+    is kept.
+    """
     if name == "reconstruct":
         return "report"
     thing = getattr(lampest, name)
-    home = getattr(thing, "__name__" if inspect.ismodule(thing) else "__module__", None) or "lampest.recording"
+    home = (
+        getattr(thing, "__name__" if inspect.ismodule(thing) else "__module__", None)
+        or "lampest.recording"
+    )
     room = home.partition("lampest.")[2].partition(".")[0]
     return room if room in ROOMS else "panel"
 
@@ -47,15 +53,28 @@ def entry(name: str) -> str:
     thing = getattr(lampest, name)
     if inspect.isclass(thing):
         return (
-            f"::::::{{py:class}} lampest.{name}{signature(thing)}\n{documentation(thing)}\n\n{members(thing)}\n::::::"
+            "::::::{py:class} "
+            f"lampest.{name}{signature(thing)}\n{documentation(thing)}\n\n{members(thing)}\n::::::"
         )
     if inspect.isroutine(thing):
-        return f"::::::{{py:function}} lampest.{name}{signature(thing)}\n{documentation(thing)}\n::::::"
+        return (
+            "::::::{py:function} "
+            f"lampest.{name}{signature(thing)}\n{documentation(thing)}\n::::::"
+        )
     if inspect.ismodule(thing):
-        inside = [each for each in vars(thing).values() if getattr(each, "__module__", "") == thing.__name__]
-        shown = [each for each in inside if inspect.isfunction(each) and not each.__name__.startswith("_")]
+        inside = [
+            each
+            for each in vars(thing).values()
+            if getattr(each, "__module__", "") == thing.__name__
+        ]
+        shown = [
+            each
+            for each in inside
+            if inspect.isfunction(each) and not each.__name__.startswith("_")
+        ]
         return "\n\n".join(
-            f"::::::{{py:function}} lampest.{name}.{each.__name__}{signature(each)}\n{documentation(each)}\n::::::"
+            "::::::{py:function} "
+            f"lampest.{name}.{each.__name__}{signature(each)}\n{documentation(each)}\n::::::"
             for each in shown
         )
     return f"::::::{{py:data}} lampest.{name}\n`{thing!r}`\n::::::"
@@ -67,8 +86,14 @@ def signature(thing: Any) -> str:
         found = inspect.signature(thing)
     except ValueError:  # an exception's, for one
         return ""
-    parameters = [each.replace(annotation=each.empty) for each in found.parameters.values() if each.name != "self"]
-    shown = [p.replace(default=Shown(p.default)) if p.default is not p.empty else p for p in parameters]
+    parameters = [
+        each.replace(annotation=each.empty)
+        for each in found.parameters.values()
+        if each.name != "self"
+    ]
+    shown = [
+        p.replace(default=Shown(p.default)) if p.default is not p.empty else p for p in parameters
+    ]
     return str(found.replace(parameters=shown, return_annotation=found.empty))
 
 
@@ -88,11 +113,20 @@ def members(kind: type) -> str:
     parts = [*fields(kind)]
     for name, member in sorted(inspect.getmembers_static(kind)):
         plain = member.__func__ if isinstance(member, classmethod | staticmethod) else member
-        home = getattr(getattr(plain, "fget", None) or getattr(plain, "func", None) or plain, "__module__", "") or ""
+        home = (
+            getattr(
+                getattr(plain, "fget", None) or getattr(plain, "func", None) or plain,
+                "__module__",
+                "",
+            )
+            or ""
+        )
         if name.startswith("_") or not home.startswith("lampest") or not inspect.getdoc(plain):
             continue
         if inspect.isfunction(plain):
-            parts.append(f":::::{{py:method}} {name}{signature(plain)}\n{documentation(plain)}\n:::::")
+            parts.append(
+                f":::::{{py:method}} {name}{signature(plain)}\n{documentation(plain)}\n:::::"
+            )
         elif not inspect.isclass(plain):
             parts.append(f":::::{{py:property}} {name}\n{documentation(plain)}\n:::::")
     return "\n\n".join(parts)
@@ -114,12 +148,14 @@ def fields(kind: type) -> Iterator[str]:
 def kind_of(annotation: Any) -> str:
     """A type as it is written, without the modules it comes from."""
     text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-    words = text.replace("numpy.ndarray[tuple[typing.Any, ...], numpy.dtype[numpy.float64]]", "Array")
+    words = text.replace(
+        "numpy.ndarray[tuple[typing.Any, ...], numpy.dtype[numpy.float64]]", "Array"
+    )
     for module in ("typing.", "collections.abc.", "numpy.", "pathlib."):
         words = words.replace(module, "")
-    return " ".join(part.rpartition(".")[2] if part.startswith("lampest.") else part for part in words.split()).replace(
-        "|", "\\|"
-    )
+    return " ".join(
+        part.rpartition(".")[2] if part.startswith("lampest.") else part for part in words.split()
+    ).replace("|", "\\|")
 
 
 def default(field: Any) -> str:

@@ -2,8 +2,8 @@
 Reconstruct a lamprey's mouth
 =============================
 
-A shipped, simulated recording of a mouth of 35 mm. The readings are blurred by crosstalk. The estimate shows the rim,
-which presses, and the centre, which sucks. The report summarises the fit.
+A shipped, simulated recording of a mouth of 35 mm. The readings are blurred by crosstalk. The
+estimate shows the rim, which presses, and the centre, which sucks. The report summarises the fit.
 """
 
 import lampest

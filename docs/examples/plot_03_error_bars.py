@@ -2,7 +2,8 @@
 Error bars
 ==========
 
-Each cell has a standard deviation and a 95 % interval. This script counts how many intervals cover the simulated truth.
+Each cell has a standard deviation and a 95 % interval. This script counts how many intervals cover
+the simulated truth.
 """
 
 import matplotlib.pyplot as plt
@@ -16,7 +17,9 @@ truth = recording.truth_cell_resistance[-1].ravel()
 order = np.argsort(truth)
 low = found.cell_resistance_lower[-1].ravel()
 high = found.cell_resistance_upper[-1].ravel()
-print(f"{100 * np.mean((low <= truth) & (truth <= high)):.0f} % of the 95 % intervals cover the truth")
+print(
+    f"{100 * np.mean((low <= truth) & (truth <= high)):.0f} % of the 95 % intervals cover the truth"
+)
 
 figure, axes = plt.subplots()
 axes.vlines(range(truth.size), low[order], high[order], lw=1, label="95 % interval")

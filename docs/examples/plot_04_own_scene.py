@@ -2,7 +2,8 @@
 Simulate your own panel
 =======================
 
-A scene describes the panel and its electronics. A simulation adds loads and noise, and keeps the truth.
+A scene describes the panel and its electronics. A simulation adds loads and noise, and keeps the
+truth.
 """
 
 import lampest

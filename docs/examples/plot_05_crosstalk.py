@@ -2,8 +2,8 @@
 Crosstalk and sneak paths
 =========================
 
-The two-point reading of a uniform panel is R = r (M + N − 1)/(M N): at 10 × 10 only 19 % of the cell.
-One pressed cell changes every reading of its row and column.
+The two-point reading of a uniform panel is R = r (M + N − 1)/(M N): at 10 × 10 only 19 % of the
+cell. One pressed cell changes every reading of its row and column.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,8 @@
 Missing readings
 ================
 
-Five readings are missing in every frame. A penalty fills the cells in, and their error bars show how little is known.
+Five readings are missing in every frame. A penalty fills the cells in, and their error bars show
+how little is known.
 """
 
 from dataclasses import replace

@@ -12,8 +12,12 @@ import numpy as np
 
 import lampest
 
-right = lampest.LoadedColumnsReadout(load_ohm=3300, drive_ohm=100, adc_bits=12, readings=20, noise_lsb=1)
-wrong = lampest.GroundedReadout(sense="all", load_ohm=3300, drive_ohm=100, adc_bits=12, readings=20, noise_lsb=1)
+right = lampest.LoadedColumnsReadout(
+    load_ohm=3300, drive_ohm=100, adc_bits=12, readings=20, noise_lsb=1
+)
+wrong = lampest.GroundedReadout(
+    sense="all", load_ohm=3300, drive_ohm=100, adc_bits=12, readings=20, noise_lsb=1
+)
 scene = lampest.Scene(panel=lampest.Panel(rows=8, columns=8, pitch_mm=10), readout=right)
 ring = lampest.Ring(centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=40, mass_g=800)
 recording = lampest.simulate(

@@ -2,14 +2,20 @@
 From resistance to pressure
 ===========================
 
-The film's response curve converts a change of resistance to pressure. Cells beyond the curve are flagged as saturated.
+The film's response curve converts a change of resistance to pressure. Cells beyond the curve are
+flagged as saturated.
 """
 
 import lampest
 
 recording = lampest.datasets.load("lamprey_25mm")
-found = lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient(weight="auto")], formulation="reduced")
-print(f"largest pressure {found.pressure[-1].max():.0f} kPa, largest suction {found.pressure[-1].min():.0f} kPa")
+found = lampest.reconstruct(
+    recording, [lampest.Misfit(), lampest.Gradient(weight="auto")], formulation="reduced"
+)
+print(
+    f"largest pressure {found.pressure[-1].max():.0f} kPa, largest suction "
+    f"{found.pressure[-1].min():.0f} kPa"
+)
 print(f"{found.saturated[-1].sum()} cells are saturated")
 figure = found.plot("pressure")
 figure

@@ -2,7 +2,8 @@
 Your own penalty
 ================
 
-A term is a residual. This one expects the whole panel to have one mean of ln r. Derivatives are made by CasADi.
+A term is a residual. This one expects the whole panel to have one mean of ln r. Derivatives are
+made by CasADi.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,9 @@ class CommonLevel(lampest.Term):
 
 
 recording = lampest.datasets.load("rod")
-found = lampest.reconstruct(recording, [lampest.Misfit(), CommonLevel(weight=1.0)], formulation="reduced")
+found = lampest.reconstruct(
+    recording, [lampest.Misfit(), CommonLevel(weight=1.0)], formulation="reduced"
+)
 print(found.status[-1])
 figure = found.plot()
 figure

@@ -14,7 +14,9 @@ scene = recording.scene
 frames = recording.resistance
 unloaded = recording.role == lampest.UNLOADED
 resting = lampest.Readings.of(scene, frames[unloaded]).mean()
-stream = lampest.Stream.begin(lampest.Estimator((lampest.Misfit(),), formulation="reduced"), scene, 1.0, resting)
+stream = lampest.Stream.begin(
+    lampest.Estimator((lampest.Misfit(),), formulation="reduced"), scene, 1.0, resting
+)
 strongest = []
 for frame in frames[~unloaded]:
     stream, step = stream.push(lampest.Readings.of(scene, frame))

@@ -1,7 +1,9 @@
-"""Every command that pages in docs/studies and of the model check name: `make studies`; PAGES="bench real" names some.
+"""Every command that pages in docs/studies and of the model check name: `make studies`;
+PAGES="bench real" names some.
 
-All pages take more than an hour on one core. Output goes to results/studies/PAGE.log, with the commit. A command that
-fails does not stop the others. A page whose commands all succeed says at its end by which commit, and when.
+All pages take more than an hour on one core. Output goes to results/studies/PAGE.log, with the
+commit. A command that fails does not stop the others. A page whose commands all succeed says at its
+end by which commit, and when.
 """
 
 import argparse
@@ -15,22 +17,31 @@ from itertools import takewhile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-MEASURED = (*sorted((ROOT / "docs" / "studies").glob("*.md")), ROOT / "docs" / "theory" / "model_check.md")
+MEASURED = (
+    *sorted((ROOT / "docs" / "studies").glob("*.md")),
+    ROOT / "docs" / "theory" / "model_check.md",
+)
 PAGES = {page.stem: page for page in MEASURED}
 LOGS = ROOT / "results" / "studies"
-COMMAND = re.compile(r"^    ((?:\w+=\w+ )*(?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE)
+COMMAND = re.compile(
+    r"^    ((?:\w+=\w+ )*(?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE
+)
 RUN = re.compile(r"\n*<!-- run -->\n.*\Z", re.DOTALL)
 
 
 def commands(page: Path) -> list[str]:
     """The indented commands of a page, without optional arguments in brackets."""
-    return [re.sub(r" *\[[^\]]*\]", "", results) for results in COMMAND.findall(page.read_text(encoding="utf-8"))]
+    return [
+        re.sub(r" *\[[^\]]*\]", "", results)
+        for results in COMMAND.findall(page.read_text(encoding="utf-8"))
+    ]
 
 
 def with_commit(text: str, commit: str, day: str) -> str:
     """A page that says at its end by which commit its commands ran."""
     return (
-        RUN.sub("", text).rstrip("\n") + f"\n\n<!-- run -->\nAll commands of this page ran at commit {commit}, {day}.\n"
+        RUN.sub("", text).rstrip("\n")
+        + f"\n\n<!-- run -->\nAll commands of this page ran at commit {commit}, {day}.\n"
     )
 
 
@@ -46,7 +57,12 @@ def run_page(page: Path, commit: str) -> bool:
         with (LOGS / f"{page.stem}.log").open("a", encoding="utf-8") as log:
             log.write(f"\n# {commit}: {typed}\n")
             log.flush()
-            options = {"cwd": ROOT, "env": os.environ | variables, "stdout": log, "stderr": subprocess.STDOUT}
+            options = {
+                "cwd": ROOT,
+                "env": os.environ | variables,
+                "stdout": log,
+                "stderr": subprocess.STDOUT,
+            }
             ended = subprocess.run(command, **options)
         if ended.returncode:
             failed += 1

@@ -1,13 +1,16 @@
-"""The five methods as the paper writes and solves them: equations (11) to (24), left where `lsqnonlin` stops.
+"""The five methods as the paper writes and solves them: equations (11) to (24), left where
+`lsqnonlin` stops.
 
-Cost = Σ (f(r) − R_m)² + λ Σ penalty², r ≥ R_m and no upper bound. Baseline: for absolute methods by itself; for
-relative ones together with the first frame, from where on every solution is the next one's reference.
+Cost = Σ (f(r) − R_m)² + λ Σ penalty², r ≥ R_m and no upper bound. Baseline: for absolute methods by
+itself; for relative ones together with the first frame, from where on every solution is the next
+one's reference.
 
-`lsqnonlin` is MATLAB's in kind: trust-region-reflective within bounds, and it stops where MATLAB's defaults do. What it
-leaves is not always a minimum: where plain least squares has none, its answer is where it stopped. Written from the
-published algorithm (Coleman and Li, SIAM J. Optim. 6, 1996; Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1999) and
-the documented defaults: subspace of two dimensions, tolerances 10⁻⁶, 100 evaluations for each unknown, derivatives by
-forward differences, which cost as many evaluations as there are unknowns. Derivatives are exact here; they are charged.
+`lsqnonlin` is MATLAB's in kind: trust-region-reflective within bounds, and it stops where MATLAB's
+defaults do. What it leaves is not always a minimum: where plain least squares has none, its answer
+is where it stopped. Written from the published algorithm (Coleman and Li, SIAM J. Optim. 6, 1996;
+Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1999) and the documented defaults: subspace of two
+dimensions, tolerances 10⁻⁶, 100 evaluations for each unknown, derivatives by forward differences,
+which cost as many evaluations as there are unknowns. Derivatives are exact here; they are charged.
 """
 
 from collections.abc import Callable
@@ -24,14 +27,17 @@ from lampest.panel.readouts.floating import FloatingNetwork, grounding
 TOLERANCE = 1e-6
 EVALUATIONS = 100
 ITERATIONS = 400
-RADIUS = 10.0  # of the first trust region, in the unknowns' unit; it grows to REACH times the start's length
+# Of the first trust region, in the unknowns' unit; it grows to REACH times the start's length.
+RADIUS = 10.0
 REACH = 100.0
 Function = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class Weights:
-    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the start over R_m."""
+    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the
+    start over R_m.
+    """
 
     absolute: float = 1e-3
     relative: float = 10.0
@@ -42,8 +48,9 @@ class Weights:
 class LeftBySolver:
     """What one method leaves of a recording.
 
-    baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm. evaluations : (frames) solves
-    of the forward problem that MATLAB would have needed, derivatives included. why : (frames) what ended it.
+    baseline : (rows, columns) ohm. cells, model, measured : (frames, rows, columns) ohm.
+    evaluations : (frames) solves of the forward problem that MATLAB would have needed, derivatives
+    included. why : (frames) what ended it.
     joint : whether the first frame was solved together with the baseline.
     """
 
@@ -71,7 +78,9 @@ WEIGHTS = Weights(relative=1e-3, start=1.66)  # of the scene that was fitted to 
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
-    """Where the solver ended, after how many evaluations, and why: 'cost', 'step', 'gradient' or 'limit'."""
+    """Where the solver ended, after how many evaluations, and why: 'cost', 'step', 'gradient' or
+    'limit'.
+    """
 
     point: Array
     evaluations: int
@@ -86,13 +95,17 @@ class Quadratic:
     curvature: Array
     gradient: Array
 
-    def along(self, direction: Array, origin: Array, low: float, high: float) -> tuple[float, Array]:
+    def along(
+        self, direction: Array, origin: Array, low: float, high: float
+    ) -> tuple[float, Array]:
         """(least value, its step) of origin + t·direction with t between low and high."""
         image = self.jacobian @ direction
         shift = self.jacobian @ origin
         curvature = image @ image + direction @ (self.curvature * direction)
         slope = self.gradient @ direction + image @ shift + direction @ (self.curvature * origin)
-        ends = [low, high] + ([float(np.clip(-slope / curvature, low, high))] if curvature > 0 else [])
+        ends = [low, high] + (
+            [float(np.clip(-slope / curvature, low, high))] if curvature > 0 else []
+        )
         steps = [origin + t * direction for t in ends]
         values = [self.at(step) for step in steps]
         best = int(np.argmin(values))
@@ -105,7 +118,9 @@ class Quadratic:
 
 
 def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array) -> Stopped:
-    """Σ residual² made less within point ≥ lower, from a start above it, until one of MATLAB's limits is met."""
+    """Σ residual² made less within point ≥ lower, from a start above it, until one of MATLAB's
+    limits is met.
+    """
     point = np.maximum(start, lower + 1e-10 * np.maximum(1.0, np.abs(lower)))
     values = residual(point)
     slopes = jacobian(point)
@@ -148,7 +163,15 @@ def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array
     return Stopped(point, evaluations, "limit")
 
 
-def _why(number: int, optimality: float, length: float, radius: float, ratio: float, change: float, cost: float) -> str:
+def _why(
+    number: int,
+    optimality: float,
+    length: float,
+    radius: float,
+    ratio: float,
+    change: float,
+    cost: float,
+) -> str:
     """Which tolerance is met; empty where none is."""
     if optimality < TOLERANCE:
         return "gradient"
@@ -160,7 +183,9 @@ def _why(number: int, optimality: float, length: float, radius: float, ratio: fl
 def _step(
     model: Quadratic, point: Array, scale: Array, lower: Array, radius: float, theta: float
 ) -> tuple[float, Array]:
-    """(value, step) in scaled unknowns: the trust region's, cut at the bound, reflected there, or down the gradient."""
+    """(value, step) in scaled unknowns: the trust region's, cut at the bound, reflected there, or
+    down the gradient.
+    """
     step = _subspace_step(model, radius)
     if np.all(point + scale * step > lower):
         return model.at(step), step
@@ -170,12 +195,16 @@ def _step(
     reflected = np.where(hit, -step, step)
     options = [(model.at(theta * cut), theta * cut)]
     on_bound = np.maximum(point + scale * cut, lower)
-    far = min(theta * _to_bound(on_bound, scale * reflected, lower), _to_sphere(cut, reflected, radius))
+    far = min(
+        theta * _to_bound(on_bound, scale * reflected, lower), _to_sphere(cut, reflected, radius)
+    )
     near = (1 - theta) * reach
     if far > near:
         options.append(model.along(reflected, cut, near, far))
     downhill = -model.gradient
-    far = min(theta * _to_bound(point, scale * downhill, lower), radius / float(np.linalg.norm(downhill)))
+    far = min(
+        theta * _to_bound(point, scale * downhill, lower), radius / float(np.linalg.norm(downhill))
+    )
     options.append(model.along(downhill, np.zeros_like(step), 0.0, far))
     return min(options, key=lambda option: option[0])
 
@@ -210,7 +239,8 @@ def _to_sphere(origin: Array, direction: Array, radius: float) -> float:
     return (inside**0.5 - mixed) / square if square > 0 else 0.0
 
 
-METHODS: dict[str, tuple[str, bool]] = {  # name → what is penalised, and whether relatively to the frame before
+# Name → what is penalised, and whether relatively to the frame before.
+METHODS: dict[str, tuple[str, bool]] = {
     "LSM": ("", False),
     "LSR-CR": ("value", False),
     "LSR-dCR": ("value", True),
@@ -222,7 +252,9 @@ METHODS: dict[str, tuple[str, bool]] = {  # name → what is penalised, and whet
 def left_by_solver(
     method: str, panel: Panel, resting: Array, measured: Array, weights: Weights = WEIGHTS
 ) -> LeftBySolver:
-    """Every frame in order; resting : (rows, columns), measured : (frames, rows, columns) ohm as recorded."""
+    """Every frame in order; resting : (rows, columns), measured : (frames, rows, columns) ohm as
+    recorded.
+    """
     penalised, relative = METHODS[method]
     problem = _Problem(panel, _operator(penalised, panel), weights)
     frames = list(measured)
@@ -235,10 +267,17 @@ def left_by_solver(
         baseline = problem.alone(resting).point
         ended = [problem.alone(frame) for frame in frames]
     cells = np.stack([record.point.reshape(panel.shape) for record in ended])
-    model = np.stack([_network(record.point, frame).reading() for record, frame in zip(ended, frames, strict=True)])
+    model = np.stack(
+        [
+            _network(record.point, frame).reading()
+            for record, frame in zip(ended, frames, strict=True)
+        ]
+    )
     counts = np.array([record.evaluations for record in ended])
     why = tuple(record.why for record in ended)
-    return LeftBySolver(baseline.reshape(panel.shape), cells, model, measured, counts, why, relative)
+    return LeftBySolver(
+        baseline.reshape(panel.shape), cells, model, measured, counts, why, relative
+    )
 
 
 def _operator(penalised: str, panel: Panel) -> Array | None:
@@ -251,7 +290,9 @@ def _operator(penalised: str, panel: Panel) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Costs and where their minimisation stopped; operator : (penalties, cells), None without a penalty."""
+    """Costs and where their minimisation stopped; operator : (penalties, cells), None without a
+    penalty.
+    """
 
     panel: Panel
     operator: Array | None
@@ -260,7 +301,9 @@ class _Problem:
     def alone(self, measured: Array) -> Stopped:
         """(11), (13), (19)."""
         factor = np.sqrt(self.weights.absolute)
-        rows = np.zeros((0, self.panel.crossings)) if self.operator is None else factor * self.operator
+        rows = (
+            np.zeros((0, self.panel.crossings)) if self.operator is None else factor * self.operator
+        )
 
         def residual(cells: Array) -> Array:
             return np.concatenate([_misfit(cells, measured), rows @ cells])
@@ -291,7 +334,9 @@ class _Problem:
         def residual(both: Array) -> Array:
             rest = both[:count]
             cells = both[count:]
-            return np.concatenate([_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)])
+            return np.concatenate(
+                [_misfit(rest, resting), _misfit(cells, measured), rows @ (cells / rest - 1)]
+            )
 
         def jacobian(both: Array) -> Array:
             rest = both[:count]
@@ -304,7 +349,9 @@ class _Problem:
                 ]
             )
 
-        ended = self._minimised(residual, jacobian, np.concatenate([resting.ravel(), measured.ravel()]))
+        ended = self._minimised(
+            residual, jacobian, np.concatenate([resting.ravel(), measured.ravel()])
+        )
         return ended.point[:count], Stopped(ended.point[count:], 2 * ended.evaluations, ended.why)
 
     def _minimised(self, residual: Function, jacobian: Function, lower: Array) -> Stopped:

@@ -1,13 +1,15 @@
-"""Attachments and what is none, at 1 to 10 frames a second: whether it sucks, whether it breathes, how large, when.
+"""Attachments and what is none, at 1 to 10 frames a second: whether it sucks, whether it breathes,
+how large, when.
 
-Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here they get a course over
-time: touch, suction, breathing with a phase that wanders, leaks, hands that tremble, release; and films that creep and
-keep a part of their answer. Only the panel's two-point resistances are the package's.
+Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here
+they get a course over time: touch, suction, breathing with a phase that wanders, leaks, hands that
+tremble, release; and films that creep and keep a part of their answer. Only the panel's two-point
+resistances are the package's.
 
     python -m docs.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
     python -m docs.studies.attachments --read seen.csv other.csv --figure roc.png
     python -m docs.studies.attachments --table --attached 300 --side 8 --scenes 4 --rates 1 2 4 10
-    python -m docs.studies.attachments --attached 3600 --rates 1 --side 6 --kinds "still mouth" cup rod
+    python -m docs.studies.attachments --attached 3600 --rates 1 --side 6 --kinds cup rod
 """
 
 import argparse
@@ -38,7 +40,8 @@ BARE_S = 4.0
 # of the temperature: of all cells, a tenth of it different from cell to cell
 SWAY = 0.03
 SWAY_S = 7200.0
-CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
+# s, and the part of the answer that comes so late
+CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))
 # part of its largest answer that a film keeps, and for how long
 KEPT = 0.12
 FADES_S = 60.0
@@ -52,11 +55,35 @@ CURRENT = "mouth in current"
 CUP_CURRENT = "cup in current"
 HAND_PUMPED = "hand-pumped cup"
 RING = "trembling ring"
-KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED, SLIDING, PULLED, CURRENT, CUP_CURRENT, HAND_PUMPED, RING)
+KINDS = (
+    *MAKERS,
+    SHAKEN,
+    STILL,
+    PUMPING,
+    BUMPED,
+    SLIDING,
+    PULLED,
+    CURRENT,
+    CUP_CURRENT,
+    HAND_PUMPED,
+    RING,
+)
 LIVING = (*MOUTHS, PUMPING, SLIDING, PULLED, CURRENT)
 # their shapes
-OF_COURSE = {SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth", SLIDING: "mouth"}
-OF_COURSE |= {PULLED: "wavy mouth", CURRENT: "wavy mouth", CUP_CURRENT: "cup", HAND_PUMPED: "cup", RING: "ring"}
+OF_COURSE = {
+    SHAKEN: "cup",
+    BUMPED: "cup",
+    STILL: "mouth",
+    PUMPING: "uneven mouth",
+    SLIDING: "mouth",
+}
+OF_COURSE |= {
+    PULLED: "wavy mouth",
+    CURRENT: "wavy mouth",
+    CUP_CURRENT: "cup",
+    HAND_PUMPED: "cup",
+    RING: "ring",
+}
 # along the rows, and between which times after the touch
 SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
@@ -71,7 +98,8 @@ DECAY = (0.1, 0.5)
 class Seen:
     """One recording and its first attachment; times in s after the touch, NaN where there is none.
 
-    early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it. pumps : at the end.
+    early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it. pumps :
+        at the end.
     lamprey : when something was first called a lamprey. watched : s of measured frames.
     """
 
@@ -102,7 +130,9 @@ class Seen:
     watched: float = np.nan
 
 
-def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float) -> tuple[Array, float, float]:
+def courses(
+    rng: np.random.Generator, kind: str, time: Array, attached_s: float
+) -> tuple[Array, float, float]:
     """((frames, 3) factors of contact, of suction and of a body beside, breathing depth, rate)."""
     since = time - TOUCH_S
     on = (since >= 0) & (since < attached_s)
@@ -111,10 +141,16 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
     depth = rng.uniform(0.03, 0.15)
     hertz = rng.uniform(0.6, 2.0)
     step = np.diff(time, prepend=time[0])
-    phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
+    phase = (
+        2
+        * np.pi
+        * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
+    )
     tremble = 1 + 0.015 * _wandering(rng, step)
     (own,) = rng.spawn(1)  # so that scenes without a body are as they were
-    beats = np.clip(_wandering(own, step, 3.0), 0, 1) * np.sin(2 * np.pi * own.uniform(0.4, 1.6) * time)
+    beats = np.clip(_wandering(own, step, 3.0), 0, 1) * np.sin(
+        2 * np.pi * own.uniform(0.4, 1.6) * time
+    )
     body = on * (1 + 0.6 * beats)
     if kind == RING:  # as a weight on it does that is not at rest
         return np.stack([press * (1 + 0.03 * np.sin(phase)), 0 * suck, body], axis=1), 0.0, hertz
@@ -128,24 +164,36 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
             begin = rng.uniform(3, 9)
             lasts = rng.uniform(2, 4)
             suck = suck * (
-                1 + rng.uniform(0.5, 2) * np.clip(np.minimum(since - begin, begin + lasts - since) * 2, 0, 1)
+                1
+                + rng.uniform(0.5, 2)
+                * np.clip(np.minimum(since - begin, begin + lasts - since) * 2, 0, 1)
             )
-        return np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath, body], axis=1), depth, hertz
-    leak = np.exp(-np.clip(since, 0, attached_s) * rng.uniform(0, 0.14 / attached_s) * ("cup" in kind)) * (
-        1 + 0.004 * _wandering(rng, step)
-    )
-    if kind == BUMPED:  # every minute something pushes it, and its suction is another one from then on
+        return (
+            np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath, body], axis=1),
+            depth,
+            hertz,
+        )
+    leak = np.exp(
+        -np.clip(since, 0, attached_s) * rng.uniform(0, 0.14 / attached_s) * ("cup" in kind)
+    ) * (1 + 0.004 * _wandering(rng, step))
+    # Every minute something pushes it, and its suction is another one from then on.
+    if kind == BUMPED:
         bumps = rng.uniform(0, attached_s, rng.poisson(attached_s / 60))
         leak = leak * np.exp(rng.normal(0, 0.15, len(bumps)) @ (since >= bumps[:, None]))
     return (
-        np.stack([press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak, body], axis=1),
+        np.stack(
+            [press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak, body],
+            axis=1,
+        ),
         0.0,
         hertz,
     )
 
 
 def _pumped(rng: np.random.Generator, since: Array) -> Array:
-    """Suction over that after a pump (frames): it decays until the next one, which takes half a second to two."""
+    """Suction over that after a pump (frames): it decays until the next one, which takes half a
+    second to two.
+    """
     factor = np.ones_like(since)
     begin = 1.5
     while begin < since[-1]:
@@ -174,13 +222,19 @@ def _wandering(rng: np.random.Generator, step: Array, seconds: float = 0.3) -> A
 
 
 def straight(pressure: Array) -> Array:
-    """r/r0 that under suction grows along a straight line through the published point, 7.54 at −10 kPa."""
-    return np.where(pressure < 0, 1 - 0.654 * pressure, ratio_from_pressure(np.maximum(pressure, 0)))
+    """r/r0 that under suction grows along a straight line through the published point, 7.54 at −10
+    kPa.
+    """
+    return np.where(
+        pressure < 0, 1 - 0.654 * pressure, ratio_from_pressure(np.maximum(pressure, 0))
+    )
 
 
 def delayed(pressure: Array) -> Array:
     """r/r0 through the same point that stays 1 up to a suction of 2 kPa."""
-    return ratio_from_pressure(np.where(pressure < 0, np.minimum(pressure + 2, 0) * 10 / 8, pressure))
+    return ratio_from_pressure(
+        np.where(pressure < 0, np.minimum(pressure + 2, 0) * 10 / 8, pressure)
+    )
 
 
 CURVES: dict[str, Callable[[Array], Array]] = {
@@ -200,19 +254,36 @@ def cells(
     shake: Array,
     curve: str = "published",
 ) -> Array:
-    """(frames, rows, columns) ohm of a film that creeps; shake : (frames) mm by which the load stands off."""
+    """(frames, rows, columns) ohm of a film that creeps; shake : (frames) mm by which the load
+    stands off.
+    """
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * layer.patch_mm
-    inside = np.hypot(*np.meshgrid(offset, offset)) < (layer.patch_mm / 2 if layer.round else np.inf)
+    inside = np.hypot(*np.meshgrid(offset, offset)) < (
+        layer.patch_mm / 2 if layer.round else np.inf
+    )
     across, down = panel.centres_mm()
-    x = across[None, :, None, None] + np.broadcast_to(offset, (GRID, GRID)) + np.zeros((panel.rows, 1, 1, 1))
-    y = down[:, None, None, None] + np.broadcast_to(offset[:, None], (GRID, GRID)) + np.zeros((1, panel.columns, 1, 1))
+    x = (
+        across[None, :, None, None]
+        + np.broadcast_to(offset, (GRID, GRID))
+        + np.zeros((panel.rows, 1, 1, 1))
+    )
+    y = (
+        down[:, None, None, None]
+        + np.broadcast_to(offset[:, None], (GRID, GRID))
+        + np.zeros((1, panel.columns, 1, 1))
+    )
     places = np.unique(np.round(shake, 2))
     maps = {
-        at: [part(x - at, y)[..., inside].mean(axis=-1) for part in (made.contact, made.suction, made.beside)]
+        at: [
+            part(x - at, y)[..., inside].mean(axis=-1)
+            for part in (made.contact, made.suction, made.beside)
+        ]
         for at in places.tolist()
     }
     each = [maps[at] for at in np.round(shake, 2).tolist()]
-    pressure = np.array([np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)])
+    pressure = np.array(
+        [np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)]
+    )
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
     logarithm = answer * np.log(CURVES[curve](pressure))
@@ -220,18 +291,36 @@ def cells(
     most = np.zeros(panel.shape)
     shown = []
     for now, step in zip(logarithm, np.diff(time, prepend=time[0]), strict=True):
-        late = [old + (now - old) * (1 - np.exp(-step / lag)) for old, (lag, _) in zip(late, CREEP, strict=True)]
-        most = np.where(np.abs(now) > np.abs(most), now, now + (most - now) * np.exp(-step / FADES_S))
-        shown.append(now + sum(part * old for old, (_, part) in zip(late, CREEP, strict=True)) + KEPT * (most - now))
+        late = [
+            old + (now - old) * (1 - np.exp(-step / lag))
+            for old, (lag, _) in zip(late, CREEP, strict=True)
+        ]
+        most = np.where(
+            np.abs(now) > np.abs(most), now, now + (most - now) * np.exp(-step / FADES_S)
+        )
+        shown.append(
+            now
+            + sum(part * old for old, (_, part) in zip(late, CREEP, strict=True))
+            + KEPT * (most - now)
+        )
     return np.asarray(resting * np.exp(np.array(shown)))
 
 
 def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
-    """Two-point resistances, 140 ohm in series included, from a divider of 1 kohm, 10 bit, 20 readings, with ripple."""
+    """Two-point resistances, 140 ohm in series included, from a divider of 1 kohm, 10 bit, 20
+    readings, with ripple.
+    """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
-    sway = SWAY * (1 + 0.1 * rng.standard_normal((rows, columns))) * np.sin(2 * np.pi * time / SWAY_S)[:, None, None]
-    total = two_point_resistance(resistance * np.exp(drift * np.log10(1 + time)[:, None, None] + sway)) + 140.0
+    sway = (
+        SWAY
+        * (1 + 0.1 * rng.standard_normal((rows, columns)))
+        * np.sin(2 * np.pi * time / SWAY_S)[:, None, None]
+    )
+    total = (
+        two_point_resistance(resistance * np.exp(drift * np.log10(1 + time)[:, None, None] + sway))
+        + 140.0
+    )
     channels = 3.0 * rng.standard_normal(rows + columns)
     total = total + channels[:rows, None] + channels[rows:]
     reference = 1000 * (1 + rng.uniform(-0.01, 0.01))
@@ -245,7 +334,12 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
 
 
 def recording(
-    kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S, curve: str = "published"
+    kind: str,
+    rate: float,
+    seed: int,
+    side: int = 10,
+    attached_s: float = ATTACHED_S,
+    curve: str = "published",
 ) -> tuple[Recording, Made, float, float]:
     """(the recording, what stood there, breathing depth and rate)."""
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
@@ -256,17 +350,36 @@ def recording(
     time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
     course, depth, hertz = courses(rng, kind, time, attached_s)
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
-    inwards = 1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
-    shake += inwards * SLIDES_MM * np.clip((time - TOUCH_S - SLIDES_S[0]) / np.ptp(SLIDES_S), 0, 1) * (kind == SLIDING)
-    if kind in (CURRENT, CUP_CURRENT):  # turbulence moves it by a third of a millimetre, within two seconds
+    inwards = (
+        1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
+    )
+    shake += (
+        inwards
+        * SLIDES_MM
+        * np.clip((time - TOUCH_S - SLIDES_S[0]) / np.ptp(SLIDES_S), 0, 1)
+        * (kind == SLIDING)
+    )
+    # Turbulence moves it by a third of a millimetre, within two seconds.
+    if kind in (CURRENT, CUP_CURRENT):
         shake += rng.uniform(0.1, 0.6) * _wandering(rng, np.diff(time, prepend=time[0]), 2.0)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve)
     scene = Scene(
-        panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse(), gain="estimated", ripple="estimated"
+        panel,
+        TwoPointReadout(noise_lsb=0.7),
+        140.0,
+        response=PublishedResponse(),
+        gain="estimated",
+        ripple="estimated",
     )
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
-        Recording(scene, recorded(rng, resistance, time - time[0]), time - time[0], role, name=kind.replace(" ", "_")),
+        Recording(
+            scene,
+            recorded(rng, resistance, time - time[0]),
+            time - time[0],
+            role,
+            name=kind.replace(" ", "_"),
+        ),
         made,
         depth,
         hertz,
@@ -274,7 +387,12 @@ def recording(
 
 
 def seen(
-    kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S, curve: str = "published"
+    kind: str,
+    rate: float,
+    seed: int,
+    side: int = 10,
+    attached_s: float = ATTACHED_S,
+    curve: str = "published",
 ) -> Seen:
     """One recording, and how `lampest detect` answers it at three times."""
     whole, made, depth, hertz = recording(kind, rate, seed, side, attached_s, curve)
@@ -290,7 +408,9 @@ def seen(
         moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
         if np.isnan(lamprey) and Detected.of(kind, watch.attachments, rate).answer == LAMPREY:
             lamprey = time - touch
-    early, later, full = (Detected.of(kind, record.attachments, rate) for record in (*moments, watch))
+    early, later, full = (
+        Detected.of(kind, record.attachments, rate) for record in (*moments, watch)
+    )
     cpu = process_time() - begin
     first = full.chosen
     best = later.chosen
@@ -316,7 +436,10 @@ def seen(
         best.breathes if best else 0.5,
         first.since_s - touch if first else np.nan,
         first.until_s - touch - attached_s if first and first.until_s is not None else np.nan,
-        sum(record.until_s is None or record.until_s - record.since_s > 3 for record in full.attachments),
+        sum(
+            record.until_s is None or record.until_s - record.since_s > 3
+            for record in full.attachments
+        ),
         made.diameters_mm[0] if len(made.diameters_mm) == 1 else np.nan,
         size,
         size_sd,
@@ -360,8 +483,10 @@ def report(everything: Sequence[Seen]) -> None:
     for rate in sorted({record.rate for record in everything}):
         here = [record for record in everything if record.rate == rate]
         print(
-            f"\n{rate:g} frames a second\n| scene | recordings | answers after 10 s | P(sucks) after 5 s "
-            "| P(breathes) | touched | released | kept as one | diameter: error, in 95 % | suction over true, in 95 % |"
+            f"\n{rate:g} frames a second\n| scene | recordings | answers after 10 s | P(sucks) "
+            "after 5 s "
+            "| P(breathes) | touched | released | kept as one | diameter: error, in 95 % | suction "
+            "over true, in 95 % |"
         )
         for kind in KINDS:
             some = [record for record in here if record.kind == kind]
@@ -371,25 +496,36 @@ def report(everything: Sequence[Seen]) -> None:
                 name: sum(record.answer == name for record in some)
                 for name in sorted({record.answer for record in some})
             }
-            size = np.array([(record.diameter - record.true_diameter, record.diameter_sd) for record in some])
-            force = np.array([(record.suction, record.true_suction, record.suction_sd) for record in some])
+            size = np.array(
+                [(record.diameter - record.true_diameter, record.diameter_sd) for record in some]
+            )
+            force = np.array(
+                [(record.suction, record.true_suction, record.suction_sd) for record in some]
+            )
             print(
-                f"| {kind} | {len(some)} | {', '.join(f'{name} {n}' for name, n in answers.items())} "
-                f"| {np.median([one.early for one in some]):.2f} | {np.median([one.breathes for one in some]):.2f} "
-                f"| {_middle([one.touched for one in some])} | {_middle([one.released for one in some])} "
+                f"| {kind} | {len(some)} | "
+                f"{', '.join(f'{name} {n}' for name, n in answers.items())} "
+                f"| {np.median([one.early for one in some]):.2f} | "
+                f"{np.median([one.breathes for one in some]):.2f} "
+                f"| {_middle([one.touched for one in some])} | "
+                f"{_middle([one.released for one in some])} "
                 f"| {np.mean([one.count == 1 for one in some]):.0%} "
                 f"| {_middle(np.abs(size[:, 0]))} mm, {_held(size[:, 0], size[:, 1])} "
-                f"| {_middle(force[:, 0] / force[:, 1])}, {_held(force[:, 0] - force[:, 1], force[:, 2])} |"
+                f"| {_middle(force[:, 0] / force[:, 1])}, "
+                f"{_held(force[:, 0] - force[:, 1], force[:, 2])} |"
             )
         sucking = ("mouth", "cup")
         early = {
-            record: [seen.early for seen in here if any(word in seen.kind for word in sucking) is record]
+            record: [
+                seen.early for seen in here if any(word in seen.kind for word in sucking) is record
+            ]
             for record in (True, False)
         }
         if all(early.values()):
             print(f"sucks, after 5 s: AUC {area_under_curve(*map(np.array, early.values())):.4f}")
         breathing = [
-            np.array([record.breathes for record in here if record.kind in kinds]) for kinds in (MOUTHS, ("cup",))
+            np.array([record.breathes for record in here if record.kind in kinds])
+            for kinds in (MOUTHS, ("cup",))
         ]
         if all(map(len, breathing)):
             print(f"breathes: AUC {area_under_curve(*breathing):.4f}")
@@ -398,7 +534,10 @@ def report(everything: Sequence[Seen]) -> None:
         for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
             of = (called >= low) & (called < high)
             share = are[of].mean() if of.any() else np.nan
-            print(f"P(lamprey) {low:g} to {min(high, 1):g}: {of.sum()} recordings, {share:.0%} are mouths")
+            print(
+                f"P(lamprey) {low:g} to {min(high, 1):g}: {of.sum()} recordings, {share:.0%} are "
+                "mouths"
+            )
     deep = np.array(
         [
             (record.seen_depth, record.depth, record.depth_sd)
@@ -410,34 +549,54 @@ def report(everything: Sequence[Seen]) -> None:
         covered = _held(deep[:, 0] - deep[:, 1], deep[:, 2])
         print(f"breathing depth over true {_middle(deep[:, 0] / deep[:, 1])}, {covered}")
     force = np.array(
-        [(record.suction, record.true_suction, record.suction_sd) for record in everything if record.sucks > 0.5]
+        [
+            (record.suction, record.true_suction, record.suction_sd)
+            for record in everything
+            if record.sucks > 0.5
+        ]
     )
     if len(force):
         covered = _held(force[:, 0] - force[:, 1], force[:, 2])
         print(f"suction over true {_middle(force[:, 0] / force[:, 1])}, {covered}")
-    print(f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording")
+    print(
+        f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording"
+    )
 
 
 def table(everything: Sequence[Seen]) -> None:
     """Print minutes to the answer, recall and false alarms for each frame rate."""
-    print("| frames a second | mouths | called lamprey | minutes after: median, latest | others, hours | false |")
+    print(
+        "| frames a second | mouths | called lamprey | minutes after: median, latest | others, "
+        "hours | false |"
+    )
     print("|---|---|---|---|---|---|")
     for rate in sorted({record.rate for record in everything}):
         mouths, others = (
-            [record for record in everything if record.rate == rate and (record.kind in LIVING) is is_one]
+            [
+                record
+                for record in everything
+                if record.rate == rate and (record.kind in LIVING) is is_one
+            ]
             for is_one in (True, False)
         )
-        minutes = np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
+        minutes = (
+            np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
+        )
         hours = sum(record.watched for record in others) / 3600
         false = sum(np.isfinite(record.lamprey) for record in others)
         times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
         bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
         stated = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
-        print(f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | {stated} |")
+        print(
+            f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | "
+            f"{stated} |"
+        )
 
 
 def plot(everything: Sequence[Seen], path: Path) -> None:
-    """ROC curves of both questions, at four frames a second and more, and how often what is called lamprey is one."""
+    """ROC curves of both questions, at four frames a second and more, and how often what is called
+    lamprey is one.
+    """
     from matplotlib import pyplot
 
     fast = [record for record in everything if record.rate > 3.8]
@@ -446,7 +605,10 @@ def plot(everything: Sequence[Seen], path: Path) -> None:
     early = np.array([record.early for record in fast])
     called = np.array([record.sucks * record.breathes for record in fast])
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4), layout="constrained")
-    for name, score, true in (("sucks, after 5 s", early, sucking), ("lamprey, after 10 s", called, mouths)):
+    for name, score, true in (
+        ("sucks, after 5 s", early, sucking),
+        ("lamprey, after 10 s", called, mouths),
+    ):
         levels = np.unique(np.append(score, [-1.0, 2.0]))[::-1]
         rates = [[np.mean(score[which] >= level) for level in levels] for which in (~true, true)]
         area = area_under_curve(score[true], score[~true])
@@ -461,11 +623,20 @@ def plot(everything: Sequence[Seen], path: Path) -> None:
         of = (called >= low) & (called < high)
         if of.any():
             share = mouths[of].mean()
-            error = np.sqrt((mouths[of].mean() * (1 - mouths[of].mean()) + 0.25 / of.sum()) / of.sum())
+            error = np.sqrt(
+                (mouths[of].mean() * (1 - mouths[of].mean()) + 0.25 / of.sum()) / of.sum()
+            )
             right.errorbar(100 * called[of].mean(), 100 * share, 100 * error, fmt="o", color="C1")
-            right.annotate(f"{of.sum()}", (100 * called[of].mean(), 100 * share), (6, 6), textcoords="offset points")
+            right.annotate(
+                f"{of.sum()}",
+                (100 * called[of].mean(), 100 * share),
+                (6, 6),
+                textcoords="offset points",
+            )
     right.plot([0, 100], [0, 100], color="0.7", zorder=0)
-    right.set(xlabel="P(lamprey) after 10 s [%]", ylabel="are mouths [%]", xlim=(-5, 108), ylim=(-5, 112))
+    right.set(
+        xlabel="P(lamprey) after 10 s [%]", ylabel="are mouths [%]", xlim=(-5, 108), ylim=(-5, 112)
+    )
     figure.savefig(path, dpi=120)
     pyplot.close(figure)
 
@@ -486,12 +657,18 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--rates", type=float, nargs="+", default=[4.0])
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS))
-    parser.add_argument("--table", action="store_true", help="minutes to the answer, recall and false alarms alone")
+    parser.add_argument(
+        "--table", action="store_true", help="minutes to the answer, recall and false alarms alone"
+    )
     parser.add_argument("--out", type=Path, help="a table, to which recordings are appended")
-    parser.add_argument("--read", type=Path, nargs="+", help="such tables, to report instead of new scenes")
+    parser.add_argument(
+        "--read", type=Path, nargs="+", help="such tables, to report instead of new scenes"
+    )
     parser.add_argument("--side", type=int, default=10, help="of the panel, cells")
     parser.add_argument("--attached", type=float, default=ATTACHED_S, help="s")
-    parser.add_argument("--curve", choices=list(CURVES), default="published", help="of the film under suction")
+    parser.add_argument(
+        "--curve", choices=list(CURVES), default="published", help="of the film under suction"
+    )
     parser.add_argument("--figure", type=Path, help="ROC curves and calibration, such as roc.png")
     given = parser.parse_args()
     found = [record for path in given.read or () for record in read(path)]

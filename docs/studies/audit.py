@@ -39,12 +39,17 @@ LATE_S = 8.0  # when effects come that come during a recording
 
 
 def usual_effects() -> dict[str, Unmodelled]:
-    """What electronics, films and animals do that no scene states, most at two strengths; first of all nothing."""
+    """What electronics, films and animals do that no scene states, most at two strengths; first of
+    all nothing.
+    """
     return {
         "as specified": Unmodelled(),
         "noise 2": Unmodelled(noise_factor=2),
         **{f"ripple {lsb:g} LSB": Unmodelled(supply_ripple_lsb=lsb) for lsb in (0.5, 2)},
-        **{f"outliers 1e-{digit}": Unmodelled(outlier_probability=10.0**-digit) for digit in (4, 3, 2)},
+        **{
+            f"outliers 1e-{digit}": Unmodelled(outlier_probability=10.0**-digit)
+            for digit in (4, 3, 2)
+        },
         **{f"gain {percent:g} %": Unmodelled(gain_spread=percent / 100) for percent in (0.2, 0.5)},
         **{f"moves {speed} mm/s": Unmodelled(load_speed_mm_s=speed) for speed in (5, 30)},
         **{f"series {ohm} ohm": Unmodelled(series_resistance_ohm=ohm) for ohm in (5, 20)},
@@ -55,7 +60,10 @@ def usual_effects() -> dict[str, Unmodelled]:
         "film uneven": Unmodelled(response_spread=0.2),
         "reference 5 %": Unmodelled(reference_tolerance=0.05),
         "leak 10 kohm": Unmodelled(leak_ohm=10e3),
-        **{f"leak {kohm} kohm, late": Unmodelled(leak_ohm=kohm * 1e3, begins_s=LATE_S) for kohm in (10, 50)},
+        **{
+            f"leak {kohm} kohm, late": Unmodelled(leak_ohm=kohm * 1e3, begins_s=LATE_S)
+            for kohm in (10, 50)
+        },
         "contact 200 ohm, late": Unmodelled(contact_ohm=200, begins_s=LATE_S),
         "all creep 2 %": Unmodelled(common_drift_per_minute=0.12),
         "saturation 0.6": Unmodelled(saturation=0.6),
@@ -66,9 +74,10 @@ def usual_effects() -> dict[str, Unmodelled]:
 class AuditFile(Configuration):
     """What is audited. Raises ValueError where a number is out of range.
 
-    simulation : as in a simulation's file; the seeds are `seed` and those that follow it. Loads are put up to half a
-        pitch beside their places, drawn for every seed.
-    estimators : methods by name. seeds : how many recordings of each effect. formulation : of all estimators.
+    simulation : as in a simulation's file; the seeds are `seed` and those that follow it. Loads are
+        put up to half a pitch beside their places, drawn for every seed.
+    estimators : methods by name. seeds : how many recordings of each effect. formulation : of all
+        estimators.
     effects : name → what is unmodelled, on top of nothing. executor : all cores by default.
     """
 
@@ -85,7 +94,9 @@ class AuditFile(Configuration):
             raise ValueError("estimators and effects must hold at least one")
         check_range("seeds", self.seeds, 1, 10_000)
         if self.simulation.baseline_frames < 2:
-            raise ValueError("simulation.baseline_frames must be at least 2: repeats tell the scatter")
+            raise ValueError(
+                "simulation.baseline_frames must be at least 2: repeats tell the scatter"
+            )
         for effect in self.effects.values():
             replace(self.simulation, unmodelled=effect)
 
@@ -113,7 +124,8 @@ class AuditTask(NamedTuple):
 
 @dataclass(frozen=True)
 class Audited:
-    """One recording with one estimator: how many intervals there are, and of how many (`_covered`) the truth lies in
+    """One recording with one estimator: how many intervals there are, and of how many (`_covered`)
+    the truth lies in
     them."""
 
     effect: str = column("1", "what the scene does not name")
@@ -133,9 +145,13 @@ class Audited:
     chi_square: float = column("1", "chi square of unloaded repeats per degree of freedom", nan)
     width: float = column("1", "median standard deviation of the logarithm of a cell", nan)
     sentence: str = column("1", "what the results warn of, or empty", "")
-    own: float = column("1", "median standard deviation of the logarithm of a cell, its own part", nan)
+    own: float = column(
+        "1", "median standard deviation of the logarithm of a cell, its own part", nan
+    )
     common: float = column("1", "the same, the part that cells share", nan)
-    ratio: float = column("1", "own part over the robust actual error beside the median of the frame", nan)
+    ratio: float = column(
+        "1", "own part over the robust actual error beside the median of the frame", nan
+    )
 
 
 def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
@@ -143,7 +159,9 @@ def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
     seeds = range(audit.simulation.seed, audit.simulation.seed + audit.seeds)
     tasks = [AuditTask(audit, effect, seed) for effect in audit.effects for seed in seeds]
     executor = audit.executor or Processes()
-    results = each_of(audited, tasks, on_step, executor, lambda task, error: (_failed(task, "", error),))
+    results = each_of(
+        audited, tasks, on_step, executor, lambda task, error: (_failed(task, "", error),)
+    )
     return tuple(chain.from_iterable(results))
 
 
@@ -164,33 +182,48 @@ def audited(task: AuditTask) -> tuple[Audited, ...]:
 def _counted(task: AuditTask, name: str, method: StudyMethod, recording: Recording) -> Audited:
     try:
         results = reconstruct(
-            recording, Estimator(method.parts, task.audit.formulation, bounds=method.bounds, error_bars=True)
+            recording,
+            Estimator(method.parts, task.audit.formulation, bounds=method.bounds, error_bars=True),
         )
     except InputError as error:
         return _failed(task, name, error)
     assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None
-    resting = np.exp(np.log(recording.truth_cell_resistance[recording.role == UNLOADED]).mean(axis=0))
+    resting = np.exp(
+        np.log(recording.truth_cell_resistance[recording.role == UNLOADED]).mean(axis=0)
+    )
     truth = recording.truth_cell_resistance[results.frame]
     load = recording.truth_pressure[results.frame] - recording.truth_pressure[0]
     # A cell counts as loaded from 0.5 kPa on: below, a film's answer is smaller than its creep.
     intervals = {
         "cells": _covered(results.cell_resistance_lower, truth, results.cell_resistance_upper),
-        "change": _covered(results.relative_change_lower, 100 * (truth / resting - 1), results.relative_change_upper),
-        "pressure": _covered(results.pressure_lower, load, results.pressure_upper, np.abs(load) > 0.5),
+        "change": _covered(
+            results.relative_change_lower,
+            100 * (truth / resting - 1),
+            results.relative_change_upper,
+        ),
+        "pressure": _covered(
+            results.pressure_lower, load, results.pressure_upper, np.abs(load) > 0.5
+        ),
     }
     counts: dict[str, Any] = {name: there for name, (there, _) in intervals.items()}
     counts |= {f"{name}_covered": inside for name, (_, inside) in intervals.items()}
     if results.cell_resistance_errors is not None:
-        counts["width"] = float(np.nanmedian(results.cell_resistance_errors / results.cell_resistance))
+        counts["width"] = float(
+            np.nanmedian(results.cell_resistance_errors / results.cell_resistance)
+        )
     for part, sigma in (("own", results.sigma_own), ("common", results.sigma_common)):
         counts[part] = nan if sigma is None else float(np.nanmedian(sigma))
     counts |= _own_part(results, truth) | {"chi_square": repeats_chi_square(recording)}
     failed = "" if counts["cells"] else "no error bars"
-    return Audited(task.effect, task.seed, name, failed, sentence="; ".join(results.checks), **counts)
+    return Audited(
+        task.effect, task.seed, name, failed, sentence="; ".join(results.checks), **counts
+    )
 
 
 def _own_part(results: Estimates, truth: Array) -> dict[str, Any]:
-    """Cells within 1.96 σ_own of the median error of their frame, and σ_own over the robust error."""
+    """Cells within 1.96 σ_own of the median error of their frame, and σ_own over the robust
+    error.
+    """
     own = results.sigma_own
     if own is None:
         return {}
@@ -199,10 +232,16 @@ def _own_part(results: Estimates, truth: Array) -> dict[str, Any]:
     there = np.isfinite(own) & np.isfinite(error)
     size = MAD_TO_SIGMA * float(np.median(error[there])) if there.any() else nan
     inside = int((error[there] <= TWO_SIDED * own[there]).sum())
-    return {"alone": int(there.sum()), "alone_covered": inside, "ratio": float(np.median(own[there])) / size}
+    return {
+        "alone": int(there.sum()),
+        "alone_covered": inside,
+        "ratio": float(np.median(own[there])) / size,
+    }
 
 
-def _covered(lower: Array | None, truth: Array, upper: Array | None, counted: Any = True) -> tuple[int, int]:
+def _covered(
+    lower: Array | None, truth: Array, upper: Array | None, counted: Any = True
+) -> tuple[int, int]:
     """(how many of the counted have an interval, how many of those cover the truth)."""
     if lower is None or upper is None:
         return 0, 0
@@ -212,7 +251,9 @@ def _covered(lower: Array | None, truth: Array, upper: Array | None, counted: An
 
 def repeats_chi_square(recording: Recording) -> float:
     """χ² of the unloaded frames about their mean, per degree of freedom, with the scene's noise."""
-    resting = Readings.of(recording.scene, recording.recorded, recording.sigma)[recording.role == UNLOADED]
+    resting = Readings.of(recording.scene, recording.recorded, recording.sigma)[
+        recording.role == UNLOADED
+    ]
     if resting.sigma is None:
         return nan
     plain = resting.plain.all(axis=0)
@@ -222,7 +263,9 @@ def repeats_chi_square(recording: Recording) -> float:
 
 def _usual_sentence(own: Sequence[Audited]) -> str:
     """The most frequent one that results carry, whatever its numbers."""
-    kinds = grouped(own, lambda record: "".join(letter for letter in record.sentence if not letter.isdigit()))
+    kinds = grouped(
+        own, lambda record: "".join(letter for letter in record.sentence if not letter.isdigit())
+    )
     messages = [similar for kind, similar in kinds.items() if kind]
     return max(messages, key=len)[0].sentence if messages else ""
 
@@ -230,13 +273,19 @@ def _usual_sentence(own: Sequence[Audited]) -> str:
 def _share(own: Sequence[Audited], what: str) -> float:
     """Percent of all intervals that cover the truth; NaN where there is none."""
     counted = sum(getattr(record, what) for record in own)
-    return 100 * sum(getattr(record, f"{what}_covered") for record in own) / counted if counted else nan
+    return (
+        100 * sum(getattr(record, f"{what}_covered") for record in own) / counted
+        if counted
+        else nan
+    )
 
 
 def _spread(own: Sequence[Audited], what: str) -> float:
     """Standard error of that percentage, from the recordings', percent; NaN of fewer than two."""
     shares = [
-        100 * getattr(record, f"{what}_covered") / getattr(record, what) for record in own if getattr(record, what)
+        100 * getattr(record, f"{what}_covered") / getattr(record, what)
+        for record in own
+        if getattr(record, what)
     ]
     return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else nan
 
@@ -244,8 +293,8 @@ def _spread(own: Sequence[Audited], what: str) -> float:
 def _verdict(shares: Sequence[float]) -> str:
     """Whether recordings without a sentence keep the promise: 90 to 98 percent, and never below 80.
 
-    Without such recordings it is 'reported'. Intervals of pressure may be wider: beyond what the response states they
-    reach as far as it goes.
+    Without such recordings it is 'reported'. Intervals of pressure may be wider: beyond what the
+    response states they reach as far as it goes.
     """
     known = [share for share in shares if not np.isnan(share)]
     if not known:
@@ -256,7 +305,9 @@ def _verdict(shares: Sequence[float]) -> str:
 
 
 def _row(own: Sequence[Audited]) -> study.Row:
-    """Coverages in percent, `silent_` those of recordings without a sentence; failed ones count nowhere."""
+    """Coverages in percent, `silent_` those of recordings without a sentence; failed ones count
+    nowhere.
+    """
     good = [record for record in own if not record.failed]
     silent = [record for record in good if not record.sentence]
     coverage: dict[str, float] = {}
@@ -302,19 +353,30 @@ SCREEN: Columns = {
 def audit_remarks(results: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
     rows = audit_rows(results)
-    broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "uncovered", "failed")]
+    broken = [
+        f"{row.effect} × {row.estimator}"
+        for row in rows
+        if row.verdict in ("short", "uncovered", "failed")
+    ]
     cached = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
     lines = [
-        "cells, change, press.: how many 95 % intervals cover the truth, ± their standard deviation over recordings;",
-        "press. of loaded cells. own: cells whose error beside their frame's median lies within the own part; ratio:",
+        "cells, change, press.: how many 95 % intervals cover the truth, ± their standard "
+        "deviation over recordings;",
+        "press. of loaded cells. own: cells whose error beside their frame's median lies within "
+        "the own part; ratio:",
         "own part over that error. reported: results that carry a sentence.",
-        f"promise, of results without a sentence: {LEAST:g} to {MOST:g} % (covered; more is wide), never below "
+        f"promise, of results without a sentence: {LEAST:g} to {MOST:g} % (covered; more is wide), "
+        "never below "
         f"{NEVER_BELOW:g} % (uncovered).",
         cached + (f"; not: {', '.join(broken)}" if broken else ""),
     ]
     message = {row.effect: row.sentence for row in rows if row.sentence}
     lines += [f"{effect}: {sentence}" for effect, sentence in message.items()]
-    failures = Counter(f"{record.effect} × {record.estimator}: {record.failed}" for record in results if record.failed)
+    failures = Counter(
+        f"{record.effect} × {record.estimator}: {record.failed}"
+        for record in results
+        if record.failed
+    )
     return lines + [f"{count} × {failure}" for failure, count in failures.items()]
 
 

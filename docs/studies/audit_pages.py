@@ -1,4 +1,5 @@
-"""The CSV file of an audit → the table of docs/studies/audit.md, between <!-- audit --> and <!-- /audit -->.
+"""The CSV file of an audit → the table of docs/studies/audit.md, between <!-- audit --> and <!--
+/audit -->.
 
 Run it with: python -m docs.studies.audit_pages results/audit
 """
@@ -23,7 +24,8 @@ def rows_of(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
 
 
 def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
-    """Percent of intervals of cells / changes / pressures that cover the truth, for each estimator; own part; reports.
+    """Percent of intervals of cells / changes / pressures that cover the truth, for each estimator;
+    own part; reports.
 
     Of the own part: percent of cells within it × its size over the actual error.
     """
@@ -34,7 +36,9 @@ def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
         first = next(iter(own.values()))
         rows = [own[name] for name in names]
         alone = [f"{float(row['alone']):.0f} × {float(row['ratio']):.2f}" for row in rows]
-        lines.append([effect, *map(shares, rows), *alone, f"{first['reported']} of {first['recordings']}"])
+        lines.append(
+            [effect, *map(shares, rows), *alone, f"{first['reported']} of {first['recordings']}"]
+        )
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 

@@ -28,17 +28,22 @@ from lampest.studies import bench
 from lampest.studies.bench import BenchFile, BenchLimits
 from lampest.studies.study import read_settings
 
-STALLED = 1e-14  # scipy's own tests of a step and of a gain shall not end a solve before the gradient does
-# Iterations of L-BFGS-B for each one that a method with second derivatives may take: one is an evaluation, no matrix.
+# scipy's own tests of a step and of a gain shall not end a solve before the gradient does
+STALLED = 1e-14
+# Iterations of L-BFGS-B for each one that a method with second derivatives may take: one is an
+# evaluation, no matrix.
 CHEAPER = 10
 
 
 @dataclass(frozen=True)
 class Trf(Solver):
-    """½ Σ f² = φ/s over u = log r within the bounds, f = √(2·weight/s)·residual, s = the start's `cost_scale`.
+    """½ Σ f² = φ/s over u = log r within the bounds, f = √(2·weight/s)·residual, s = the start's
+    `cost_scale`.
 
-    Stops where the scaled gradient falls below the settings' tolerance, as the reduced solver does, or where neither
-    cost nor point moves any more. jacobian : 'exact', from closed forms, or '2-point', scipy's own finite differences.
+    Stops where the scaled gradient falls below the settings' tolerance, as the reduced solver does,
+    or where neither
+    cost nor point moves any more. jacobian : 'exact', from closed forms, or '2-point', scipy's own
+        finite differences.
     """
 
     cost: Cost
@@ -67,7 +72,9 @@ class Trf(Solver):
         except (ValueError, np.linalg.LinAlgError):
             return Outcome(start.cell_resistance, np.zeros(0), Status.BREAKDOWN, 0)
         status = Status.OPTIMUM if results.status > 0 else Status.ITERATIONS
-        return Outcome(np.exp(results.x).reshape(data.measured.shape), np.zeros(0), status, int(results.njev))
+        return Outcome(
+            np.exp(results.x).reshape(data.measured.shape), np.zeros(0), status, int(results.njev)
+        )
 
     @cached_property
     @guarded
@@ -75,7 +82,9 @@ class Trf(Solver):
         """(residuals, their derivatives)."""
         symbols = self.cost.symbols()
         pairs = self.cost.residuals(symbols)
-        stacked = casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs))
+        stacked = casadi.vertcat(
+            *(np.sqrt(self.cost.weights[number]) * part for number, part in pairs)
+        )
         residual = symbols.compiled("residual", casadi.densify(stacked))
         return residual, symbols.compiled("derivative", casadi.jacobian(stacked, symbols.unknown))
 
@@ -103,21 +112,26 @@ class _Point:
         function = self.solver._functions[1]
         size = cells[0].size
         count = cells.size
-        partial = sparse.csc_array((self.scale * at.call(function), function.pattern), shape=function.structure.shape)
+        partial = sparse.csc_array(
+            (self.scale * at.call(function), function.pattern), shape=function.structure.shape
+        )
         blocks = [
             partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
             for frame, network in enumerate(at.networks)
         ]
-        matrix: Array = np.hstack(blocks) + (partial[:, :count] @ sparse.diags_array(cells.ravel())).toarray()
+        matrix: Array = (
+            np.hstack(blocks) + (partial[:, :count] @ sparse.diags_array(cells.ravel())).toarray()
+        )
         return matrix
 
 
 @dataclass(frozen=True)
 class Lbfgsb(Solver):
-    """φ/s over u = log r within the bounds, s = the start's `cost_scale`, with the closed-form gradient.
+    """φ/s over u = log r within the bounds, s = the start's `cost_scale`, with the closed-form
+    gradient.
 
-    Stops where the projected gradient falls below the settings' tolerance, as the reduced solver does, or where the
-    cost does not fall any more, or after ten times the settings' iterations.
+    Stops where the projected gradient falls below the settings' tolerance, as the reduced solver
+    does, or where the cost does not fall any more, or after ten times the settings' iterations.
     """
 
     cost: Cost
@@ -146,7 +160,12 @@ class Lbfgsb(Solver):
                 jac=True,
                 method="L-BFGS-B",
                 bounds=np.column_stack((lower, upper)),
-                options={"ftol": STALLED, "gtol": self.settings.tolerance, "maxiter": most, "maxfun": 2 * most},
+                options={
+                    "ftol": STALLED,
+                    "gtol": self.settings.tolerance,
+                    "maxiter": most,
+                    "maxfun": 2 * most,
+                },
             )
         except (ValueError, np.linalg.LinAlgError):
             return Outcome(start.cell_resistance, nothing, Status.BREAKDOWN, 0)
@@ -163,10 +182,11 @@ SOLVERS: dict[str, Callable[[Cost, Settings], Solver]] = {
 
 @dataclass(frozen=True)
 class ScipyMethod(Method):
-    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours are.
+    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours
+    are.
 
-    scipy_exact, scipy_difference : trf with the closed-form Jacobian, and with finite differences. scipy_lbfgsb :
-    L-BFGS-B with the closed-form gradient.
+    scipy_exact, scipy_difference : trf with the closed-form Jacobian, and with finite differences.
+    scipy_lbfgsb : L-BFGS-B with the closed-form gradient.
     """
 
     optimum: ClassVar[bool] = True
@@ -181,7 +201,9 @@ class ScipyMethod(Method):
         """Kept for costs that come again."""
         return _scipy(self.kind, cost, settings)
 
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
         """The minimum next to that start."""
         places = starts(solver.cost, data, previous)
         start = min(evaluable(solver.cost, data, places), key=lambda point: point.objective)
@@ -211,12 +233,18 @@ class SolversFile(BenchFile):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not all(term.loss.squared for method in self.estimators.values() for term in method.parts):
+        if not all(
+            term.loss.squared for method in self.estimators.values() for term in method.parts
+        ):
             raise ValueError("only squared losses can be compared with a least-squares solver")
 
     def formulation(self, solver: Any, *, joint: bool) -> Method:
         """Return the formulation of a solver's name, SciPy's included."""
-        return ScipyMethod(kind=solver, joint=joint) if solver in SOLVERS else super().formulation(solver, joint=joint)
+        return (
+            ScipyMethod(kind=solver, joint=joint)
+            if solver in SOLVERS
+            else super().formulation(solver, joint=joint)
+        )
 
 
 STUDY = replace(bench.STUDY, read=read_settings(SolversFile))

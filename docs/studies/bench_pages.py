@@ -1,4 +1,5 @@
-"""The tables of a benchmark → the pages that show them, between <!-- bench: NAME --> and <!-- /bench -->.
+"""The tables of a benchmark → the pages that show them, between <!-- bench: NAME --> and <!--
+/bench -->.
 
 Run it with: python -m docs.studies.bench_pages results/bench
 NAME is that of a section of bench.md: solvers, methods, growth or remarks.
@@ -24,7 +25,11 @@ def with_tables(text: str, tables: dict[str, str]) -> str:
 
     def table(results: re.Match[str]) -> str:
         name = results[1]
-        return f"<!-- bench: {name} -->\n\n{tables[name]}\n<!-- /bench -->\n" if name in tables else results[0]
+        return (
+            f"<!-- bench: {name} -->\n\n{tables[name]}\n<!-- /bench -->\n"
+            if name in tables
+            else results[0]
+        )
 
     return MARKED.sub(table, text)
 

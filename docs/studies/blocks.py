@@ -1,7 +1,9 @@
-"""Time of frames that are solved in blocks of many or of one, one by one, and of the whole `lampest.reconstruct`.
+"""Time of frames that are solved in blocks of many or of one, one by one, and of the whole
+`lampest.reconstruct`.
 
-python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25] [--turns 5]: processor time of a frame with error bars
-in inverses of a matrix of all lines but one, medians of turns A B A B, of 24 frames under a rod.
+python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25] [--turns 5]: processor time of a
+frame with error bars in inverses of a matrix of all lines but one, medians of turns A B A B, of 24
+frames under a rod.
 """
 
 import argparse
@@ -32,14 +34,22 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=0.25, help="s between frames")
     parser.add_argument("--turns", type=int, default=5, help="of which the median counts")
     options = parser.parse_args()
-    titles = "panel", "terms", "frame by frame", "in blocks of one", "in blocks", "the whole call, a frame"
+    titles = (
+        "panel",
+        "terms",
+        "frame by frame",
+        "in blocks of one",
+        "in blocks",
+        "the whole call, a frame",
+    )
     print(f"| {' | '.join(titles)} | largest difference of ln r |")
     print("|---" * (len(titles) + 1) + "|")
     for side in options.sides:
         recording = _recording(side, options.period)
         with ONE_BLAS_THREAD:
             unit = inverse_time(
-                np.random.default_rng(0).random((2 * side - 1, 2 * side - 1)) + side * np.eye(2 * side - 1)
+                np.random.default_rng(0).random((2 * side - 1, 2 * side - 1))
+                + side * np.eye(2 * side - 1)
             )
             for name, terms in METHODS.items():
                 *times, difference = _measured(recording, terms, options.turns)
@@ -51,13 +61,21 @@ def _recording(side: int, period: float) -> lampest.Recording:
     panel = lampest.Panel(side, side)
     middle = panel.pitch_mm * (side - 1) / 2
     rod = lampest.Rod(centre_mm=(middle, middle), diameter_mm=3 * panel.pitch_mm, mass_g=800)
-    scene = lampest.Scene(panel, lampest.TwoPointReadout(adc_bits=12, noise_lsb=1.0, readings=4), 140.0)
-    simulation = lampest.Simulation(1, 4, scene, baseline_frames=5, frames=FRAMES, frame_period_s=period, loads=(rod,))
+    scene = lampest.Scene(
+        panel, lampest.TwoPointReadout(adc_bits=12, noise_lsb=1.0, readings=4), 140.0
+    )
+    simulation = lampest.Simulation(
+        1, 4, scene, baseline_frames=5, frames=FRAMES, frame_period_s=period, loads=(rod,)
+    )
     return lampest.simulate(simulation)
 
 
-def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...], turns: int) -> tuple[float, ...]:
-    """Seconds of a frame alone, in a block of one and of many, and of the whole call; the largest difference."""
+def _measured(
+    recording: lampest.Recording, terms: tuple[lampest.Term, ...], turns: int
+) -> tuple[float, ...]:
+    """Seconds of a frame alone, in a block of one and of many, and of the whole call; the largest
+    difference.
+    """
     prepared = Prepared(recording)
     readings = prepared.noise.readings
     frames = recording.measured_frames()

@@ -1,4 +1,5 @@
-"""Random boards calibrated: how often good calibrations are refused and bad ones are not; whether intervals hold.
+"""Random boards calibrated: how often good calibrations are refused and bad ones are not; whether
+intervals hold.
 
 Run it with: python -m docs.studies.calibrations --draws 200 --bad 25
 """
@@ -47,7 +48,11 @@ class Draw:
     def recorded(self, cells: Array, seed: int) -> Recording:
         """Frames through the true board; cells (rows, columns), or one set for each frame."""
         frames = cells if cells.ndim == 3 else np.repeat(cells[None], self.frames, axis=0)
-        series = self.truth if self.told.circuit.unit == "ohm" else [np.zeros(n) for n in self.told.panel.shape]
+        series = (
+            self.truth
+            if self.told.circuit.unit == "ohm"
+            else [np.zeros(n) for n in self.told.panel.shape]
+        )
         volt = self.actual.volt_from_recorded(self.actual.simulated(frames, self.told, *series))
         sums = sums_of_codes(self.actual, volt, Unmodelled(outlier_probability=1e-4), seed)
         values = self.told.circuit.recorded_from_sums(sums, self.actual.readings)
@@ -56,7 +61,9 @@ class Draw:
 
 
 def draw(kind: str, rng: np.random.Generator) -> Draw:
-    """3 × 3 to 8 × 8, 10 and 12 bits, noise up to 2 LSB, 3 to 14 frames, channels of 25 to 155 ohm, 1 and 5 % loads."""
+    """3 × 3 to 8 × 8, 10 and 12 bits, noise up to 2 LSB, 3 to 14 frames, channels of 25 to 155 ohm,
+    1 and 5 % loads.
+    """
     rows, columns = (int(size) for size in rng.integers(3, 9, 2))
     converter = {
         "supply_volt": 5.0,
@@ -72,7 +79,9 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
         return level + rng.uniform(-1, 1, lines) * rng.uniform(2, min(level - 25, 45))
 
     if kind == "two_point":
-        readout: Readout = TwoPointReadout(**converter, measured_across=str(rng.choice(["reference", "sensor"])))
+        readout: Readout = TwoPointReadout(
+            **converter, measured_across=str(rng.choice(["reference", "sensor"]))
+        )
         truth = (channels(rows), channels(columns))
         actual = readout.off_by(tolerance * rng.uniform(-1, 1))
         driven = "rows"
@@ -100,7 +109,14 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
         ohm = {"drive_ohm": tuple(truth[0].tolist()), SECOND[kind]: tuple(truth[1].tolist())}
         actual = replace(readout, **ohm)
     placed = str(
-        rng.choice(["shorted" if kind == "two_point" else "two values", "everywhere", "here and there", "three"])
+        rng.choice(
+            [
+                "shorted" if kind == "two_point" else "two values",
+                "everywhere",
+                "here and there",
+                "three",
+            ]
+        )
     )
     printed = resistors(kind, placed, (rows, columns), driven, rng)
     true = printed * (1 + tolerance * rng.uniform(-1, 1, printed.shape))
@@ -109,7 +125,9 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
     return Draw(stated, actual, truth, printed, cells, int(rng.integers(3, 15)), tolerance, placed)
 
 
-def resistors(kind: str, placed: str, shape: tuple[int, int], driven: str, rng: np.random.Generator) -> Array:
+def resistors(
+    kind: str, placed: str, shape: tuple[int, int], driven: str, rng: np.random.Generator
+) -> Array:
     """(rows, columns) ohm as printed, inf where there is none."""
     if placed == "shorted":
         return np.zeros(shape)
@@ -133,7 +151,9 @@ def resistors(kind: str, placed: str, shape: tuple[int, int], driven: str, rng: 
     return three
 
 
-def errors(results: ResistorCalibration, truth: tuple[Array, Array]) -> tuple[list[float], list[float]]:
+def errors(
+    results: ResistorCalibration, truth: tuple[Array, Array]
+) -> tuple[list[float], list[float]]:
     """(found − true)/σ of means, and of what single lines add."""
     means = []
     single = []
@@ -165,7 +185,10 @@ def pressed(record: Draw, rng: np.random.Generator) -> Array:
 Bad = Callable[[Draw, np.random.Generator], tuple[Array, Array]]
 BAD: dict[str, Bad] = {
     "panel, said to be the resistors": lambda record, rng: (foam(record, rng), record.printed),
-    "panel, said to be shorted": lambda record, rng: (foam(record, rng), np.zeros(record.cells.shape)),
+    "panel, said to be shorted": lambda record, rng: (
+        foam(record, rng),
+        np.zeros(record.cells.shape),
+    ),
     "panel pressed, said to be 3050 ohm": lambda record, rng: (
         pressed(record, rng),
         np.full(record.cells.shape, 3050.0),
@@ -186,7 +209,9 @@ def good(kind: str, draws: int) -> None:
     for seed in range(draws):
         record = draw(kind, np.random.default_rng([seed, KINDS.index(kind)]))
         try:
-            results = calibrate_resistors([record.recorded(record.cells, seed)], [record.printed], record.tolerance)
+            results = calibrate_resistors(
+                [record.recorded(record.cells, seed)], [record.printed], record.tolerance
+            )
         except InputError as error:
             refused += 1
             print(f"  {seed}, {record.placed}: {error}")
@@ -196,7 +221,8 @@ def good(kind: str, draws: int) -> None:
         single += of_lines
     held, of_single = (100 * np.mean(np.abs(part) < 1.96) for part in (means, single))
     print(
-        f"{kind}: {refused} of {draws} good ones refused; 95 % intervals hold {held:.1f} %, of lines {of_single:.1f} %"
+        f"{kind}: {refused} of {draws} good ones refused; 95 % intervals hold {held:.1f} %, of "
+        f"lines {of_single:.1f} %"
     )
     print(f"  errors are {np.std(means):.2f} σ, of lines {np.std(single):.2f} σ", flush=True)
 
@@ -210,7 +236,8 @@ def bad(kind: str, draws: int) -> None:
             rng = np.random.default_rng([seed, KINDS.index(kind)])
             record = draw(kind, rng)
             if name.startswith(("table", "values")) and record.placed in ("three", "shorted"):
-                continue  # three resistors turned or off are another good calibration, or next to one
+                # Three resistors turned or off are another good calibration, or next to one.
+                continue
             cells, known = spoil(record, rng)
             count += 1
             try:
@@ -218,7 +245,10 @@ def bad(kind: str, draws: int) -> None:
                 accepted.append(f"{seed} ({record.placed})")
             except InputError:
                 pass
-        print(f"{kind}, {name}: {count - len(accepted)} of {count} refused {' '.join(accepted)}", flush=True)
+        print(
+            f"{kind}, {name}: {count - len(accepted)} of {count} refused {' '.join(accepted)}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

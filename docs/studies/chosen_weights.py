@@ -1,10 +1,12 @@
-"""`weight: auto` on mats whose scene is right, or wrong: its error over that of the best weight in hindsight.
+"""`weight: auto` on mats whose scene is right, or wrong: its error over that of the best weight in
+hindsight.
 
-Run it with: python -m docs.studies.chosen_weights [--mats 3] [--seed 1]; prints the table of the page.
+Run it with: python -m docs.studies.chosen_weights [--mats 3] [--seed 1]; prints the table of the
+page.
 
-A mat of 10 × 10 cells with an uneven film is pressed at two places; a converter of 12 bits reads it behind a divider,
-five frames unloaded and three pressed. The error is the rms of ln r, in the strongest frame, with the weight of
-each rule; the best of weights on a grid about them counts as 1.
+A mat of 10 × 10 cells with an uneven film is pressed at two places; a converter of 12 bits reads it
+behind a divider, five frames unloaded and three pressed. The error is the rms of ln r, in the
+strongest frame, with the weight of each rule; the best of weights on a grid about them counts as 1.
 """
 
 import argparse
@@ -65,29 +67,43 @@ def recording_of(condition: Condition, seed: int) -> tuple[lampest.Recording, Ar
     rng = np.random.default_rng(seed)
     readout = lampest.TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0)
     row, column = np.indices((SIDE, SIDE))
-    film = 0.2 * np.sin(row / 2 + seed) * np.cos(column / 3) + 0.03 * rng.standard_normal((SIDE, SIDE))
+    film = 0.2 * np.sin(row / 2 + seed) * np.cos(column / 3) + 0.03 * rng.standard_normal(
+        (SIDE, SIDE)
+    )
     cells = np.repeat(3000 * np.exp(film)[None], FRAMES, axis=0)
     for size in (1.8, 0.8):
         place = rng.uniform(2, SIDE - 3, 2)
         load = np.exp(-((((row - place[0]) ** 2 + (column - place[1]) ** 2) / size**2) ** 2))
-        cells[UNLOADED:] *= np.exp(-1.5 * load * np.linspace(0.7, 1, FRAMES - UNLOADED)[:, None, None])
-    exact = lampest.two_point_resistance(cells) * (1 + condition.static * rng.standard_normal((SIDE, SIDE)))
+        cells[UNLOADED:] *= np.exp(
+            -1.5 * load * np.linspace(0.7, 1, FRAMES - UNLOADED)[:, None, None]
+        )
+    exact = lampest.two_point_resistance(cells) * (
+        1 + condition.static * rng.standard_normal((SIDE, SIDE))
+    )
     codes = readout.volt_from_recorded(exact) / readout.lsb_volt
     codes = np.round(codes + condition.noise_lsb * rng.standard_normal(codes.shape))
     role = (np.arange(FRAMES) >= UNLOADED).astype(np.uint8)
     first = 0 if condition.unloaded else UNLOADED
-    scene = lampest.Scene(lampest.Panel(SIDE, SIDE), replace(readout, noise_lsb=condition.specified))
+    scene = lampest.Scene(
+        lampest.Panel(SIDE, SIDE), replace(readout, noise_lsb=condition.specified)
+    )
     recorded = readout.recorded_from_volt(codes * readout.lsb_volt)
-    return lampest.Recording(scene, recorded[first:], np.arange(float(FRAMES - first)), role[first:]), cells[UNLOADED:]
+    return lampest.Recording(
+        scene, recorded[first:], np.arange(float(FRAMES - first)), role[first:]
+    ), cells[UNLOADED:]
 
 
 def excess(recording: lampest.Recording, cells: Array, penalty: lampest.Term) -> Array:
-    """Error with the weight of each of RULES over that with the best weight; NaN where a rule has no estimate."""
+    """Error with the weight of each of RULES over that with the best weight; NaN where a rule has
+    no estimate.
+    """
 
     def fitted(weight: float | str, rule: str | None = None) -> lampest.Estimates:
         terms = [lampest.Misfit(weighting="noise"), replace(penalty, weight=weight)]
         auto = weight == "auto"
-        return lampest.reconstruct(recording, terms, auto_weight=lampest.AutoWeight(rule=rule), error_bars=auto)
+        return lampest.reconstruct(
+            recording, terms, auto_weight=lampest.AutoWeight(rule=rule), error_bars=auto
+        )
 
     def error(results: lampest.Estimates) -> float:
         return float(np.sqrt(np.mean(np.log(results.cell_resistance[-1] / cells[-1]) ** 2)))
@@ -105,17 +121,28 @@ def table(mats: int, seed: int) -> Iterator[str]:
     yield f"| | {' | '.join(names)} |"
     yield "|---" * (len(names) + 1) + "|"
     for about, condition in CONDITIONS.items():
-        usable = {name: term for name, term in PENALTIES.items() if condition.unloaded or "relative" not in name}
+        usable = {
+            name: term
+            for name, term in PENALTIES.items()
+            if condition.unloaded or "relative" not in name
+        }
         figures = []
         for name, penalty in PENALTIES.items():
-            drawn = [recording_of(condition, seed + number) for number in range(mats if name in usable else 0)]
+            drawn = [
+                recording_of(condition, seed + number)
+                for number in range(mats if name in usable else 0)
+            ]
             results = np.array([excess(*each, penalty) for each in drawn]).reshape(-1, len(RULES))
-            figures += [f"{np.median(own):.2f} / {own.max():.2f}" if len(own) else "" for own in results.T]
+            figures += [
+                f"{np.median(own):.2f} / {own.max():.2f}" if len(own) else "" for own in results.T
+            ]
         yield f"| {about} | {' | '.join(figures)} |"
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--mats", type=int, default=3)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()

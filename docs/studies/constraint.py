@@ -1,4 +1,6 @@
-"""Picture of docs/howto/adding/constraint.md: error bars without and with nine cells that are tied to each other."""
+"""Picture of docs/howto/adding/constraint.md: error bars without and with nine cells that are tied
+to each other.
+"""
 
 from pathlib import Path
 
@@ -17,8 +19,14 @@ def main() -> None:
     terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)]
     program = lampest.program(recording, terms, frames=[int(recording.measured_frames()[0])])
     plate = casadi.vec(program.cells()[0:3, 0:3]) / 1000
-    solutions = {"free": program.solve(), "3 × 3 cells tied": program.subject_to("plate", plate[1:] - plate[0]).solve()}
-    maps = {name: 100 * (found.cell_resistance_errors / found.cell_resistance)[0] for name, found in solutions.items()}
+    solutions = {
+        "free": program.solve(),
+        "3 × 3 cells tied": program.subject_to("plate", plate[1:] - plate[0]).solve(),
+    }
+    maps = {
+        name: 100 * (found.cell_resistance_errors / found.cell_resistance)[0]
+        for name, found in solutions.items()
+    }
     figure, axes = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
     largest = max(float(values.max()) for values in maps.values())
     for place, (name, values) in zip(axes, maps.items(), strict=True):

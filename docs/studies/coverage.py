@@ -1,4 +1,5 @@
-"""How often 95 % intervals hold the truth on fresh scenes, and how large errors are against standard deviations.
+"""How often 95 % intervals hold the truth on fresh scenes, and how large errors are against
+standard deviations.
 
 Run it with: python -m docs.studies.coverage --scenes 200 --seed 101
 """
@@ -8,7 +9,13 @@ import argparse
 import numpy as np
 
 from lampest import two_point_resistance
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    GradientOfRelativeChange,
+    Misfit,
+    RelativeChange,
+)
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc
@@ -43,7 +50,9 @@ def mouth_cells(rng: np.random.Generator, side: int) -> Array:
 
 
 def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
-    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows, columns)."""
+    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows,
+    columns).
+    """
     side = int(rng.integers(6, 17))
     noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
     panel = Panel(side, side)
@@ -55,7 +64,9 @@ def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
 
 
 def study(scenes: int, seed: int) -> None:
-    """Print, for every method, coverage and error over standard deviation of the cells away from bounds."""
+    """Print, for every method, coverage and error over standard deviation of the cells away from
+    bounds.
+    """
     rng = np.random.default_rng(seed)
     held: dict[str, list[Array]] = {name: [] for name in METHODS}
     standard: dict[str, list[Array]] = {name: [] for name in METHODS}
@@ -76,7 +87,8 @@ def study(scenes: int, seed: int) -> None:
         inside = np.concatenate(held[name])
         size = np.concatenate(standard[name])
         print(
-            f"{name}: {100 * inside.mean():.1f} % held, error/sd {np.sqrt(np.mean(size**2)):.2f}, {inside.size} cells"
+            f"{name}: {100 * inside.mean():.1f} % held, error/sd {np.sqrt(np.mean(size**2)):.2f}, "
+            f"{inside.size} cells"
         )
 
 

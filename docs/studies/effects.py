@@ -1,4 +1,5 @@
-"""Loads on panels with one effect each: unnamed in the scene, and estimated; errors, own parts of bars, coverage.
+"""Loads on panels with one effect each: unnamed in the scene, and estimated; errors, own parts of
+bars, coverage.
 
 Run it with: python -m docs.studies.effects [ROW]...
 """
@@ -41,8 +42,12 @@ ROWS = {
     "readings off by 1 %": Row(static=0.01),
     "readings off by 2 %": Row(static=0.02),
     "readings off by 5 %": Row(static=0.05),
-    "channels of 5 ohm": Row(channel_ohm=5.0, keys={"systematic": Systematic(channel_spread_ohm="estimated")}),
-    "series +20 ohm": Row(series_ohm=20.0, keys={"systematic": Systematic(series_tolerance_ohm="estimated")}),
+    "channels of 5 ohm": Row(
+        channel_ohm=5.0, keys={"systematic": Systematic(channel_spread_ohm="estimated")}
+    ),
+    "series +20 ohm": Row(
+        series_ohm=20.0, keys={"systematic": Systematic(series_tolerance_ohm="estimated")}
+    ),
     "ripple of 1 LSB": Row(ripple_lsb=1.0, keys={"gain": "estimated", "ripple": "estimated"}),
 }
 LOADS = ("mouth", "rod", "hand", "ring", "cup", "rock")
@@ -66,18 +71,34 @@ def load(kind: str, rng: np.random.Generator) -> Array:
 
 
 def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Recording:
-    """A load on films that scatter by a tenth: means of 20 readings of 10 bits of a divider across 1000 ohm."""
+    """A load on films that scatter by a tenth: means of 20 readings of 10 bits of a divider across
+    1000 ohm.
+    """
     rng = np.random.default_rng(seed)
     lsb = 5 / 1024
-    cells = np.repeat(3000 * np.exp(0.1 * rng.standard_normal((1, *SHAPE))), UNLOADED + FRAMES, axis=0)
+    cells = np.repeat(
+        3000 * np.exp(0.1 * rng.standard_normal((1, *SHAPE))), UNLOADED + FRAMES, axis=0
+    )
     strength = row.strength * (1 + row.swaying * np.sin(1.3 * np.arange(FRAMES) + 0.5))
     cells[UNLOADED:] *= np.exp(-strength[:, None, None] * load(kind, rng))
     channels = row.channel_ohm * rng.standard_normal((2, SHAPE[0]))
-    exact = two_point_resistance(cells) + channels[0][:, None] + channels[1] + SERIES_OHM + row.series_ohm
+    exact = (
+        two_point_resistance(cells)
+        + channels[0][:, None]
+        + channels[1]
+        + SERIES_OHM
+        + row.series_ohm
+    )
     exact = exact * np.exp(row.static * rng.standard_normal(SHAPE))
     phase = rng.uniform(0, 6, (len(cells), 1, 1))
-    volt = 5000 / (1000 + exact) + row.ripple_lsb * lsb * np.sin(2 * np.pi * np.arange(SHAPE[1]) / 3 + phase)
-    codes = np.round(volt / lsb + 0.7 * rng.standard_normal((20, *volt.shape))).clip(0, 1023).mean(axis=0)
+    volt = 5000 / (1000 + exact) + row.ripple_lsb * lsb * np.sin(
+        2 * np.pi * np.arange(SHAPE[1]) / 3 + phase
+    )
+    codes = (
+        np.round(volt / lsb + 0.7 * rng.standard_normal((20, *volt.shape)))
+        .clip(0, 1023)
+        .mean(axis=0)
+    )
     scene = Scene(Panel(*SHAPE), TwoPointReadout(readings=20, noise_lsb=0.7), SERIES_OHM, **keys)
     role = (np.arange(len(cells)) >= UNLOADED).astype(np.uint8)
     recorded = 1000 * (5 - codes * lsb) / (codes * lsb)
@@ -85,7 +106,9 @@ def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Record
 
 
 def figures(made: Recording) -> tuple[float, ...]:
-    """Rms error of ln r; coverage of the own part and its size over the error; coverage of cells and of changes; %."""
+    """Rms error of ln r; coverage of the own part and its size over the error; coverage of cells
+    and of changes; %.
+    """
     found = lampest.reconstruct(made)
     truth = made.truth_cell_resistance
     assert truth is not None and found.sigma_own is not None
@@ -103,12 +126,22 @@ def figures(made: Recording) -> tuple[float, ...]:
     rms = float(np.sqrt(np.mean(error**2)))
     shares = (100 * float(np.mean(part)) for part in (within, held, held_changes))
     own_share, cell_share, change_share = shares
-    return 100 * rms, own_share, float(np.median(found.sigma_own) / size), cell_share, change_share, advised
+    return (
+        100 * rms,
+        own_share,
+        float(np.median(found.sigma_own) / size),
+        cell_share,
+        change_share,
+        advised,
+    )
 
 
 def main(names: list[str]) -> None:
     """Print a line for each row, unnamed and estimated: means over the loads."""
-    print("| effect | scene | error, % | own | cells | changes | advised |\n|---|---|---|---|---|---|---|")
+    print(
+        "| effect | scene | error, % | own | cells | changes | advised "
+        "|\n|---|---|---|---|---|---|---|"
+    )
     for name in names or ROWS:
         row = ROWS[name]
         for words, keys in (("unnamed", {}), ("estimated", row.keys)):
@@ -116,7 +149,9 @@ def main(names: list[str]) -> None:
             error, own, ratio, cells, changes, advised = np.mean(every, axis=0)
             bars = f"{own:.0f} × {ratio:.2f} | {cells:.0f} | {changes:.0f}"
             print(
-                f"| {name} | {words} | {error:.2f} | {bars} | {advised * len(LOADS):.0f} of {len(LOADS)} |", flush=True
+                f"| {name} | {words} | {error:.2f} | {bars} | {advised * len(LOADS):.0f} of "
+                f"{len(LOADS)} |",
+                flush=True,
             )
 
 

@@ -1,6 +1,8 @@
-"""A recording of a million frames run from the disk, killed in the middle, resumed: memory, time, and what it finds.
+"""A recording of a million frames run from the disk, killed in the middle, resumed: memory, time,
+and what it finds.
 
-Run it with: python -m docs.studies.endless --frames 1000000 --formulation naive --folder results/endless
+Run it with: python -m docs.studies.endless --frames 1000000 --formulation naive --folder
+results/endless
 """
 
 import argparse
@@ -35,7 +37,9 @@ estimators: {{one: {{terms: {{misfit: {{weighting: noise}}{penalty}}}}}}}
 
 
 def parts(frames: int) -> Iterator[Recording]:
-    """The shipped lamprey of 35 mm, its frames again and again with noise of their own, by parts."""
+    """The shipped lamprey of 35 mm, its frames again and again with noise of their own, by
+    parts.
+    """
     shipped = lampest.datasets.load("lamprey_35mm")
     scene = shipped.scene
     truth = shipped.truth_cell_resistance
@@ -46,7 +50,9 @@ def parts(frames: int) -> Iterator[Recording]:
     for begin in range(0, frames, step):
         number = np.arange(begin, min(begin + step, frames))
         values = exact[np.where(number < UNLOADED, 0, 3 + (number // 5) % 21)]
-        values = values + np.asarray(scene.readout.sigma(values)) * rng.standard_normal(values.shape)
+        values = values + np.asarray(scene.readout.sigma(values)) * rng.standard_normal(
+            values.shape
+        )
         role = (number >= UNLOADED).astype(np.uint8)
         yield Recording(scene, values, PERIOD_S * number, role, name="long", number=number)
 
@@ -61,13 +67,19 @@ def run(config: Path, out: Path) -> None:
         process = psutil.Process()
         size = process.memory_info().rss / 1e6
         files = process.num_fds()
-        print(f"{path.stem}  {seconds:8.1f} s of the processor  {size:8.2f} MB  {files} files open", flush=True)
+        print(
+            f"{path.stem}  {seconds:8.1f} s of the processor  {size:8.2f} MB  {files} files open",
+            flush=True,
+        )
         write(path, carried)
 
     batch.write_carried = told
     run_batch(read_run(config), out, Serial())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(f"done    {time.process_time() - begin:8.1f} s of the processor, at most {peak:.1f} MB", flush=True)
+    print(
+        f"done    {time.process_time() - begin:8.1f} s of the processor, at most {peak:.1f} MB",
+        flush=True,
+    )
 
 
 def killed(command: list[str], out: Path, after: int) -> None:
@@ -99,8 +111,18 @@ def main() -> None:
     config.write_text(RUN.format(formulation=stated.formulation, bars=bars, penalty=penalty))
     save_parts(stated.folder / "long.h5", parts(stated.frames))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(f"{stated.folder / 'long.h5'}: {stated.frames} frames, made with at most {peak:.1f} MB", flush=True)
-    command = [sys.executable, "-m", "docs.studies.endless", "--run", "--folder", str(stated.folder)]
+    print(
+        f"{stated.folder / 'long.h5'}: {stated.frames} frames, made with at most {peak:.1f} MB",
+        flush=True,
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "docs.studies.endless",
+        "--run",
+        "--folder",
+        str(stated.folder),
+    ]
     killed(command, out, stated.frames * 100 // PART_READINGS // 2)
     subprocess.run(command, check=True)
 

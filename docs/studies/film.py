@@ -1,11 +1,13 @@
-"""What a film's memory costs pressures, and how often it is taken for a lamprey after one has let go.
+"""What a film's memory costs pressures, and how often it is taken for a lamprey after one has let
+go.
 
 Run it with: python -m docs.studies.film --recordings 34 --seed 1001
 
-Films are drawn: hysteresis 10 to 30 % (24 % for pressures), creep 0.5 to 12 % for each decade, a fifth from cell to
-cell (for pressures 5 % as well). For pressures a rod of 10 to 24 kPa is put on and taken off a 10 × 10 panel; for
-recognition a lamprey lets go after 20 to 150 s and nothing touches the panel for 300 frames. `--film silent` does not
-tell the film; `told` tells it to a tenth.
+Films are drawn: hysteresis 10 to 30 % (24 % for pressures), creep 0.5 to 12 % for each decade, a
+fifth from cell to cell (for pressures 5 % as well). For pressures a rod of 10 to 24 kPa is put on
+and taken off a 10 × 10 panel; for recognition a lamprey lets go after 20 to 150 s and nothing
+touches the panel for 300 frames. `--film silent` does not tell the film; `told` tells it to a
+tenth.
 """
 
 import argparse
@@ -48,7 +50,9 @@ def film_of(rng: np.random.Generator, hysteresis: float | None = None, spread: f
     return Film(gap, float(rng.uniform(0.005, 0.12)), cell_spread=spread)
 
 
-def pressed(rng: np.random.Generator, seed: int, film: Film, told: Film | None, kpa: float) -> Recording:
+def pressed(
+    rng: np.random.Generator, seed: int, film: Film, told: Film | None, kpa: float
+) -> Recording:
     """A rod put on in 15 s, left for 30 s, taken off in 15 s, and 50 s of rest."""
     place = rng.uniform(35, 55, 2)
     across = 45.0
@@ -59,14 +63,21 @@ def pressed(rng: np.random.Generator, seed: int, film: Film, told: Film | None, 
         mass_g=kpa * np.pi / 4 * across**2 / 9.81,
     )
     scene = Scene(
-        PANEL, READOUT, 140.0, systematic=Systematic(response_sd=0.05), film=told, response=PublishedResponse()
+        PANEL,
+        READOUT,
+        140.0,
+        systematic=Systematic(response_sd=0.05),
+        film=told,
+        response=PublishedResponse(),
     )
     course = Course(approach_s=15, release_at_s=45, release_s=15)
     return simulate(Simulation(1, seed, scene, frames=110, loads=(rod,), course=course, film=film))
 
 
 def pressures(count: int, seed: int) -> None:
-    """Print errors in percent of the largest pressure, cells under the rod; and how many intervals hold the truth."""
+    """Print errors in percent of the largest pressure, cells under the rod; and how many intervals
+    hold the truth.
+    """
     for spread, (name, tell) in product((0.05, 0.2), TOLD.items()):
         rng = np.random.default_rng(seed)
         errors = []
@@ -81,7 +92,9 @@ def pressures(count: int, seed: int) -> None:
             truth = made.truth_pressure[results.frame]
             under = truth.max(axis=0) > 0.2 * truth.max()
             errors.append(100 * np.abs(results.pressure - truth)[:, under] / truth.max())
-            held.append(((results.pressure_lower <= truth) & (truth <= results.pressure_upper))[:, under])
+            held.append(
+                ((results.pressure_lower <= truth) & (truth <= results.pressure_upper))[:, under]
+            )
         parts = {"loading": slice(0, 45), "unloading": slice(45, 60), "after": slice(62, None)}
         messages = [
             f"{part} {np.percentile(np.concatenate([one[at].ravel() for one in errors]), 95):.1f} "
@@ -90,11 +103,15 @@ def pressures(count: int, seed: int) -> None:
         ]
         within = 100 * np.mean(np.concatenate([record.ravel() for record in held]))
         print(
-            f"cells by {spread:4}, {name:10s} 95th percentile: {', '.join(messages)}; within {within:.0f} %", flush=True
+            f"cells by {spread:4}, {name:10s} 95th percentile: {', '.join(messages)}; within "
+            f"{within:.0f} %",
+            flush=True,
         )
 
 
-def left(rng: np.random.Generator, seed: int, film: Film, told: Film | None) -> tuple[Recording, int]:
+def left(
+    rng: np.random.Generator, seed: int, film: Film, told: Film | None
+) -> tuple[Recording, int]:
     """A lamprey that lets go, and the first frame after that."""
     place = rng.uniform(25, 65, 2)
     mouth = OralDisc(
@@ -107,18 +124,30 @@ def left(rng: np.random.Generator, seed: int, film: Film, told: Film | None) -> 
     )
     stays = int(rng.integers(20, 150))
     scene = Scene(
-        PANEL, READOUT, 140.0, water=Water(50.0), systematic=Systematic(0.01, channel_spread_ohm=3), film=told
+        PANEL,
+        READOUT,
+        140.0,
+        water=Water(50.0),
+        systematic=Systematic(0.01, channel_spread_ohm=3),
+        film=told,
     )
     course = Course(-0.8, 0.6, 2.0, 1.15, 0.1, float(stays), 1.0)
     unmodelled = Unmodelled(
-        channel_spread_ohm=3, reference_tolerance=0.01, drift_per_minute=0.01, outlier_probability=1e-4
+        channel_spread_ohm=3,
+        reference_tolerance=0.01,
+        drift_per_minute=0.01,
+        outlier_probability=1e-4,
     )
-    plain = Simulation(1, seed, scene, frames=stays + 2 + AFTER, loads=(mouth,), course=course, film=film)
+    plain = Simulation(
+        1, seed, scene, frames=stays + 2 + AFTER, loads=(mouth,), course=course, film=film
+    )
     return simulate(replace(plain, unmodelled=unmodelled)), stays + 2
 
 
 def memories(count: int, seed: int, name: str) -> None:
-    """Print how many mouths are seen, how soon after release they are gone, and what is seen after that."""
+    """Print how many mouths are seen, how soon after release they are gone, and what is seen after
+    that.
+    """
     rng = np.random.default_rng(seed)
     seen = 0
     late = []
@@ -130,13 +159,17 @@ def memories(count: int, seed: int, name: str) -> None:
             made.save(Path(folder) / "left.h5")
             results = detect_recording(Path(folder) / "left.h5").attachments
             released = float(made.time[3 + first - 2])
-            here = [record for record in results if record.sucks > 0.5 and record.since_s < released]
+            here = [
+                record for record in results if record.sucks > 0.5 and record.since_s < released
+            ]
             seen += bool(here)
             late += [record.until_s - released for record in here if record.until_s is not None]
             again += sum(record.since_s > released + 1 for record in results)
     print(
-        f"{name}: {seen} of {count} mouths seen, {len(late)} released, {np.median(late):.1f} s after the truth in the "
-        f"median and {np.max(late):.1f} s at most; {again} loads in {count * AFTER} frames after that"
+        f"{name}: {seen} of {count} mouths seen, {len(late)} released, {np.median(late):.1f} s "
+        "after the truth in the "
+        f"median and {np.max(late):.1f} s at most; {again} loads in {count * AFTER} frames after "
+        "that"
     )
 
 

@@ -1,8 +1,10 @@
-"""How time and memory grow with the panel: first and later frames of each method on one of the bench's recordings.
+"""How time and memory grow with the panel: first and later frames of each method on one of the
+bench's recordings.
 
-Run it as OMP_NUM_THREADS=1 python -m docs.studies.growth --sides 32 64 100 200 --methods LSR-CR LSR-gCR: seconds of
-the processor, iterations, how it ended, the process's largest memory until then, and the exponent p of time ∝ side^p by
-a straight line through the logarithms. Relative methods begin with a first pair.
+Run it as OMP_NUM_THREADS=1 python -m docs.studies.growth --sides 32 64 100 200 --methods LSR-CR
+LSR-gCR: seconds of the processor, iterations, how it ended, the process's largest memory until
+then, and the exponent p of time ∝ side^p by a straight line through the logarithms. Relative
+methods begin with a first pair.
 """
 
 import argparse
@@ -25,13 +27,21 @@ def main() -> None:
     bench = read_settings(BenchFile)(Path("configs/bench.yaml"))
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sides", type=int, nargs="+", default=[32, 64, 100])
-    parser.add_argument("--methods", choices=bench.estimators, nargs="+", default=list(bench.estimators))
+    parser.add_argument(
+        "--methods", choices=bench.estimators, nargs="+", default=list(bench.estimators)
+    )
     parser.add_argument("--recording", type=int, default=2)
     stated = parser.parse_args()
     for method in stated.methods:
-        spent = np.array([_spent(bench, method, side, stated.recording - 1) for side in stated.sides])
+        spent = np.array(
+            [_spent(bench, method, side, stated.recording - 1) for side in stated.sides]
+        )
         for name, seconds in zip(("first", "later"), spent.T, strict=True):
-            power = np.polyfit(np.log(stated.sides), np.log(seconds), 1)[0] if len(stated.sides) > 1 else np.nan
+            power = (
+                np.polyfit(np.log(stated.sides), np.log(seconds), 1)[0]
+                if len(stated.sides) > 1
+                else np.nan
+            )
             print(f"{method}, {name}: side^{power:.2f}", flush=True)
 
 
@@ -40,7 +50,8 @@ def _spent(bench: BenchFile, method: str, side: int, number: int) -> tuple[float
     recording = bench.recording((side, side), number)
     readings = recording.readings()
     times = []
-    stream = first_stream(recording, readings, bench.estimator(method, "reduced", (1, 1)))  # a pair on any panel
+    # a pair on any panel
+    stream = first_stream(recording, readings, bench.estimator(method, "reduced", (1, 1)))
     for place, frame in enumerate(recording.measured_frames()[:FRAMES]):
         start = process_time()
         stream, step = stream.push(readings[frame])
@@ -54,7 +65,9 @@ def _spent(bench: BenchFile, method: str, side: int, number: int) -> tuple[float
 def _print(name: str, seconds: float, results: Solution) -> None:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
-        f"{name}: {seconds:.2f} s, iterations {results.iterations}, {results.status.value}, {memory:.0f} MB", flush=True
+        f"{name}: {seconds:.2f} s, iterations {results.iterations}, {results.status.value}, "
+        f"{memory:.0f} MB",
+        flush=True,
     )
 
 

@@ -1,7 +1,9 @@
-"""`weight: auto` of losses with heavy tails against the best weight in hindsight, in the strongest frame of recordings.
+"""`weight: auto` of losses with heavy tails against the best weight in hindsight, in the strongest
+frame of recordings.
 
-Recordings are `attached` and `rods, one taps` of `docs.studies.limit` in turn; with --real those of real electronics,
-whose errors are the same in all frames. Run it with: python -m docs.studies.heavy_tails --recordings 12 --seed 7100
+Recordings are `attached` and `rods, one taps` of `docs.studies.limit` in turn; with --real those of
+real electronics, whose errors are the same in all frames. Run it with: python -m
+docs.studies.heavy_tails --recordings 12 --seed 7100
 """
 
 import argparse
@@ -35,7 +37,9 @@ TERMS = [
 
 
 def excess(made: Recording, estimator: Estimator) -> Array:
-    """Rms log error of cells and of changes with the chosen weight over that of the best one, for each."""
+    """Rms log error of cells and of changes with the chosen weight over that of the best one, for
+    each.
+    """
     readings = Prepared(made).noise.readings
     scene = made.scene
     truth = made.truth_cell_resistance
@@ -58,7 +62,9 @@ def excess(made: Recording, estimator: Estimator) -> Array:
 
 def solved(estimator: Estimator, scene: Scene, data: Data) -> Array:
     """Cells (rows, columns) ohm of the last frame; NaN where it is not solved."""
-    return best_solution(estimator.problem(scene, len(data.measured), 1.0), data, None).cell_resistance[-1]
+    return best_solution(
+        estimator.problem(scene, len(data.measured), 1.0), data, None
+    ).cell_resistance[-1]
 
 
 def study(count: int, seed: int, real: bool) -> None:
@@ -66,7 +72,9 @@ def study(count: int, seed: int, real: bool) -> None:
     names = ("attached, real", "rods, real") if real else ("attached", "rods, one taps")
     every = [SETTINGS[names[number % 2]].recording(seed + 7 * number) for number in range(count)]
     for term in TERMS:
-        results = np.array([excess(record, Estimator((Misfit(), term), "reduced")) for record in every])
+        results = np.array(
+            [excess(record, Estimator((Misfit(), term), "reduced")) for record in every]
+        )
         both = zip(np.median(results, axis=0), np.percentile(results, 95, axis=0), strict=True)
         cells, change = (f"{middle:.2f} / {high:.2f}" for middle, high in both)
         print(f"{term.kind:25} {term.loss.kind:8} cells {cells}, changes {change}", flush=True)

@@ -1,10 +1,13 @@
-"""`weight: auto` on arrays of more than 400 cells: its error over that of the best weight in hindsight.
+"""`weight: auto` on arrays of more than 400 cells: its error over that of the best weight in
+hindsight.
 
-Run it with: python -m docs.studies.large_arrays [--arrays 19] [--seed 9000]; prints the table of the page.
+Run it with: python -m docs.studies.large_arrays [--arrays 19] [--seed 9000]; prints the table of
+the page.
 
-Arrays of 20 to 39 rows and 16 to 39 columns, cells that differ at random by 5 or 30 %, one to three smooth loads.
-Dividers with and without loaded columns, converters of 10, 12 or 16 bits. Each array is read twice: with its noise
-alone, and with static errors of five times the noise, which the scene does not name.
+Arrays of 20 to 39 rows and 16 to 39 columns, cells that differ at random by 5 or 30 %, one to three
+smooth loads. Dividers with and without loaded columns, converters of 10, 12 or 16 bits. Each array
+is read twice: with its noise alone, and with static errors of five times the noise, which the scene
+does not name.
 """
 
 import argparse
@@ -28,7 +31,9 @@ def scene_of(rng: np.random.Generator, kind: int) -> tuple[lampest.Scene, float]
     readings = int(rng.choice([1, 4]))
     converter = {"supply_volt": 3.3, "adc_bits": bits, "readings": readings, "noise_lsb": noise}
     if kind % 2 == 0:
-        return lampest.Scene(panel, lampest.TwoPointReadout(**converter, reference_ohm=ohm / 8)), ohm
+        return lampest.Scene(
+            panel, lampest.TwoPointReadout(**converter, reference_ohm=ohm / 8)
+        ), ohm
     driven, polarity = (("rows", "up"), ("columns", "down"))[kind // 2]
     readout = lampest.LoadedColumnsReadout(
         **converter, driven=driven, polarity=polarity, load_ohm=ohm / 4, drive_ohm=50
@@ -54,12 +59,18 @@ def recording_of(seed: int, static: float) -> tuple[lampest.Recording, Array]:
         logarithm[unloaded:] -= load * np.linspace(0.6, 1, frames)[:, None, None]
     cells = np.exp(logarithm)
     size = float(readout.noise_lsb) / np.sqrt(readout.readings)
-    volt = readout.volt_from_recorded(scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene))
+    volt = readout.volt_from_recorded(
+        scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
+    )
     codes = volt / readout.lsb_volt + size * rng.standard_normal(volt.shape)
     codes = np.round(codes + static * size * rng.standard_normal((rows, columns)))
-    recorded = readout.recorded_from_volt(np.clip(codes, 0, 2**readout.adc_bits - 1) * readout.lsb_volt)
+    recorded = readout.recorded_from_volt(
+        np.clip(codes, 0, 2**readout.adc_bits - 1) * readout.lsb_volt
+    )
     time = np.arange(float(unloaded + frames))
-    return lampest.Recording(scene, recorded, time, (time >= unloaded).astype(np.uint8)), cells[unloaded:]
+    return lampest.Recording(scene, recorded, time, (time >= unloaded).astype(np.uint8)), cells[
+        unloaded:
+    ]
 
 
 def error(recording: lampest.Recording, cells: Array, weight: float | str) -> float:
@@ -81,13 +92,16 @@ def table(arrays: int, seed: int) -> Iterator[str]:
             chosen = [error(*drawn, "auto"), *(errors[weight] for weight in WEIGHTS[[4, 8]])]
             ratios.append(np.array(chosen) / min(*errors.values(), chosen[0]))
         figures = (
-            f"{np.median(own):.2f} / {np.quantile(own, 0.9):.2f} / {own.max():.2f}" for own in np.array(ratios).T
+            f"{np.median(own):.2f} / {np.quantile(own, 0.9):.2f} / {own.max():.2f}"
+            for own in np.array(ratios).T
         )
         yield f"| {f'{static:g} × the noise' if static else 'none'} | {' | '.join(figures)} |"
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--arrays", type=int, default=19)
     parser.add_argument("--seed", type=int, default=9000)
     given = parser.parse_args()

@@ -1,4 +1,5 @@
-"""How near methods come to what readings tell: recordings of 21 frames, against LSR-ΔCR and the Cramér–Rao bound.
+"""How near methods come to what readings tell: recordings of 21 frames, against LSR-ΔCR and the
+Cramér–Rao bound.
 
 Every scene is drawn anew from the seed; nothing is what methods were tuned for but `attached`.
 Run it with: python -m docs.studies.limit --recordings 6 --seed 501
@@ -13,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.losses import Student
-from lampest.cost.terms import Arrival, LogRatio, Misfit, RelativeChange, Term, TotalVariationOfChange
+from lampest.cost.terms import (
+    Arrival,
+    LogRatio,
+    Misfit,
+    RelativeChange,
+    Term,
+    TotalVariationOfChange,
+)
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import reconstruct
@@ -50,7 +58,9 @@ METHODS: dict[str, tuple[tuple[Term, ...], str | SmootherMethod]] = {
 
 
 def mouth(rng: np.random.Generator, side: int, moved_mm: float = 0.0) -> Array:
-    """Contact and suction (2, rows, columns) kPa of a mouth; a seed moved by so much along the rows."""
+    """Contact and suction (2, rows, columns) kPa of a mouth; a seed moved by so much along the
+    rows.
+    """
     place = rng.uniform(0.3, 0.7, 2) * (side - 1) * PITCH_MM
     load = OralDisc(
         centre_mm=(float(place[0] + moved_mm), float(place[1])),
@@ -78,17 +88,28 @@ def detaching(seed: int, side: int) -> Array:
 
 def moving(seed: int, side: int) -> Array:
     """A mouth that creeps by 1.5 mm a frame."""
-    return np.stack([mouth(np.random.default_rng(seed), side, 1.5 * (t - 10)).sum(axis=0) for t in range(FRAMES)])
+    return np.stack(
+        [
+            mouth(np.random.default_rng(seed), side, 1.5 * (t - 10)).sum(axis=0)
+            for t in range(FRAMES)
+        ]
+    )
 
 
 def rods(seed: int, side: int) -> Array:
-    """A rod that stands, one that leaves, one that taps for a single frame: no suction, other places and times."""
+    """A rod that stands, one that leaves, one that taps for a single frame: no suction, other
+    places and times.
+    """
     rng = np.random.default_rng(seed)
     panel = Panel(side, side, PITCH_MM)
     pressure = np.zeros((FRAMES, side, side))
     for first, last in ((3, FRAMES), (0, 9), (14, 15)):
         place = rng.uniform(0.15, 0.85, 2) * (side - 1) * PITCH_MM
-        rod = Rod(centre_mm=(float(place[0]), float(place[1])), diameter_mm=25.0, mass_g=float(rng.uniform(50, 500)))
+        rod = Rod(
+            centre_mm=(float(place[0]), float(place[1])),
+            diameter_mm=25.0,
+            mass_g=float(rng.uniform(50, 500)),
+        )
         pressure[first:last] += sum(rod.mean_pressure(panel, PATCH_MM))
     return pressure
 
@@ -107,7 +128,9 @@ def hand(seed: int, side: int) -> Array:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured, with what. noisier : the true noise over what is told. spread : of log r of unloaded cells."""
+    """What is measured, with what. noisier : the true noise over what is told. spread : of log r of
+    unloaded cells.
+    """
 
     course: Callable[[int, int], Array] = attached
     unmodelled: Unmodelled = CLEAN
@@ -127,9 +150,16 @@ class Setting:
         pressure = np.concatenate([np.zeros((RESTING, *panel.shape)), self.course(seed, self.side)])
         resting = 3050 * np.exp(self.spread * rng.standard_normal(panel.shape))
         time = np.arange(len(pressure), dtype=float)
-        drift = np.exp(self.unmodelled.drift_per_minute / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
+        drift = np.exp(
+            self.unmodelled.drift_per_minute
+            / 60
+            * rng.standard_normal(panel.shape)
+            * time[:, None, None]
+        )
         cells = resting * drift * ratio_from_pressure(pressure)
-        noisy = replace(self.readout, noise_lsb=float(np.mean(self.readout.assumed_noise)) * self.noisier)
+        noisy = replace(
+            self.readout, noise_lsb=float(np.mean(self.readout.assumed_noise)) * self.noisier
+        )
         recorded, _ = measured(replace(scene, readout=noisy), cells, self.unmodelled, seed)
         role = np.where(time < RESTING, UNLOADED, MEASURED).astype(np.uint8)
         return Recording(scene, recorded, time, role, truth_cell_resistance=cells)
@@ -155,7 +185,9 @@ SETTINGS = {
 
 
 def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array:
-    """What |error| of log r has as its median at the Cramér–Rao bound, (frames, rows, columns), no more than 1."""
+    """What |error| of log r has as its median at the Cramér–Rao bound, (frames, rows, columns), no
+    more than 1.
+    """
     readings = recording.readings()
     circuit = recording.scene.circuit
     assert readings.sigma is not None
@@ -163,12 +195,18 @@ def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array
     for number, truth in zip(frames, cells, strict=True):
         network = circuit.network(truth, circuit.ties(readings.value[number]))
         rows = network.sensitivity() / readings.sigma[number].ravel()[:, None]
-        results.append(np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + 1e-4 * np.eye(rows.shape[1])))))
+        results.append(
+            np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + 1e-4 * np.eye(rows.shape[1]))))
+        )
     return np.asarray(np.minimum(NORMAL_MEDIAN * np.stack(results), 1.0)).reshape(cells.shape)
 
 
-def measure(recording: Recording, terms: tuple[Term, ...], formulation: str | SmootherMethod) -> Array:
-    """Median error, percent; over the bound; 95th; held, of cells, changed ones, round jumps, changes; ms; solved."""
+def measure(
+    recording: Recording, terms: tuple[Term, ...], formulation: str | SmootherMethod
+) -> Array:
+    """Median error, percent; over the bound; 95th; held, of cells, changed ones, round jumps,
+    changes; ms; solved.
+    """
     begin = process_time()
     results = reconstruct(recording, Estimator(terms, formulation))
     lower = results.cell_resistance_lower
@@ -188,30 +226,51 @@ def measure(recording: Recording, terms: tuple[Term, ...], formulation: str | Sm
     low = results.relative_change_lower
     high = results.relative_change_upper
     cached = (
-        np.full(cells.shape, np.nan) if low is None or high is None else 100.0 * ((low <= change) & (change <= high))
+        np.full(cells.shape, np.nan)
+        if low is None or high is None
+        else 100.0 * ((low <= change) & (change <= high))
     )
-    share = np.median(error[solved]) / (100 * np.median(bound(recording, results.frame, cells)[solved]))
+    share = np.median(error[solved]) / (
+        100 * np.median(bound(recording, results.frame, cells)[solved])
+    )
     return np.array(
-        [np.median(error[solved]), share, np.percentile(error[solved], 95), held[solved].mean(), held[changed].mean(),
-         held[around].mean() if around.any() else np.nan, cached[solved].mean(), 1e3 * seconds / len(cells),
-         100.0 * solved.mean()]
-    )  # fmt: skip
+        [
+            np.median(error[solved]),
+            share,
+            np.percentile(error[solved], 95),
+            held[solved].mean(),
+            held[changed].mean(),
+            held[around].mean() if around.any() else np.nan,
+            cached[solved].mean(),
+            1e3 * seconds / len(cells),
+            100.0 * solved.mean(),
+        ]
+    )
 
 
 def study(count: int, seed: int, settings: list[str], methods: list[str]) -> None:
     """Print a table for every setting."""
     for name in settings:
         print(
-            f"\n{name}: error (over LSR-dCR), over bound, 95th; held: cells, changed, round jumps, changes; ms; solved"
+            f"\n{name}: error (over LSR-dCR), over bound, 95th; held: cells, changed, round jumps, "
+            "changes; ms; solved"
         )
         of_paper = np.ones(count)
         for method in methods:
-            every = np.stack([measure(SETTINGS[name].recording(seed + 7 * k), *METHODS[method]) for k in range(count)])
+            every = np.stack(
+                [
+                    measure(SETTINGS[name].recording(seed + 7 * k), *METHODS[method])
+                    for k in range(count)
+                ]
+            )
             of_paper = every[:, 0] if method == "LSR-dCR" else of_paper
             error, share, high, *held, ms, solved = np.nanmean(every, axis=0)
             ratio = np.median(every[:, 0] / of_paper)
             shown = " ".join(f"{record:5.1f}" for record in held)
-            text = f"{error:6.3f} % ({ratio:4.2f}) {share:5.2f} {high:6.2f} %; {shown} %; {ms:5.0f} ms; {solved:.0f} %"
+            text = (
+                f"{error:6.3f} % ({ratio:4.2f}) {share:5.2f} {high:6.2f} %; {shown} %; "
+                f"{ms:5.0f} ms; {solved:.0f} %"
+            )
             print(f"  {method:14} {text}", flush=True)
 
 

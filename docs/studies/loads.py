@@ -1,12 +1,14 @@
-"""Forces of two or three touches on panels that no calibration has seen them on: naive, and after `calibrate --loads`.
+"""Forces of two or three touches on panels that no calibration has seen them on: naive, and after
+`calibrate --loads`.
 
 Run it with: python -m docs.studies.loads --panels 6 --seed 2001
 
-Panels of 8 × 8 cells whose gains scatter by a fifth. A rod of 30 mm is put on places a pitch apart (one point: 5 kPa),
-or 17.5 mm apart with 1, 3, 9 and 20 kPa; it stands 0.5 mm beside its place. Fresh touches are rods of 15 to 25 mm and 2
-to 20 kPa. `repeat` is by how much a cell answers otherwise each time. Errors are those of the force on the cells of a
-touch, in percent of what the same cells truly felt; `weight` is against the rod's weight, of which cells a pitch apart
-see only samples. `held` is how many pressures of touched cells lie within their 95 % intervals.
+Panels of 8 × 8 cells whose gains scatter by a fifth. A rod of 30 mm is put on places a pitch apart
+(one point: 5 kPa), or 17.5 mm apart with 1, 3, 9 and 20 kPa; it stands 0.5 mm beside its place.
+Fresh touches are rods of 15 to 25 mm and 2 to 20 kPa. `repeat` is by how much a cell answers
+otherwise each time. Errors are those of the force on the cells of a touch, in percent of what the
+same cells truly felt; `weight` is against the rod's weight, of which cells a pitch apart see only
+samples. `held` is how many pressures of touched cells lie within their 95 % intervals.
 """
 
 import argparse
@@ -41,7 +43,10 @@ def touches(rng: np.random.Generator, panel: Panel, count: int) -> list[Shape]:
         ends = [(10.0 * (count - 1) - diameter / 2) for count in panel.shape[::-1]]
         x, y = (float(rng.uniform(diameter / 2, end)) for end in ends)
         apart = [np.hypot(x - other.centre_mm[0], y - other.centre_mm[1]) for other in found]
-        if all(far > (diameter + other.diameter_mm) / 2 + 10 for far, other in zip(apart, found, strict=True)):
+        if all(
+            far > (diameter + other.diameter_mm) / 2 + 10
+            for far, other in zip(apart, found, strict=True)
+        ):
             found.append(rod(x, y, diameter, float(np.exp(rng.uniform(np.log(2), np.log(20))))))
     return list(found)
 
@@ -57,8 +62,12 @@ def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
 
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
-    """(touches and figures): |error| of the force, the same against the weight; and the share of pressures held."""
-    recording = bench.recorded(groups, "fresh", replace(scene, response=scene.response or PublishedResponse()))
+    """(touches and figures): |error| of the force, the same against the weight; and the share of
+    pressures held.
+    """
+    recording = bench.recorded(
+        groups, "fresh", replace(scene, response=scene.response or PublishedResponse())
+    )
     results = reconstruct(recording, Estimator((Misfit(),), "reduced"))
     truth = recording.truth_pressure
     assert truth is not None and results.pressure is not None
@@ -69,7 +78,9 @@ def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Ar
         at = first - RESTING
         there = truth[first]
         felt = there > 0.5
-        held = ((results.pressure_lower[at] <= there) & (there <= results.pressure_upper[at]))[felt].mean()
+        held = ((results.pressure_lower[at] <= there) & (there <= results.pressure_upper[at]))[
+            felt
+        ].mean()
         newton = forces(results.pressure[at], group, bench.panel)
         weights = np.array([load.mass_g * 9.81e-3 for load in group if isinstance(load, Rod)])
         off = np.abs(newton / forces(there, group, bench.panel) - 1), np.abs(newton / weights - 1)
@@ -91,7 +102,9 @@ def study(panels: int, seed: int, film: str, plan: str, repeat: float) -> None:
     for number in range(panels):
         bench = Bench(seed + number, repeat=repeat, response=FILMS[film])
         groups, known = moved_over(bench, kpa, 30.0, step)
-        results = calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01)
+        results = calibrate_loads(
+            [bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01
+        )
         rng = np.random.default_rng(seed + 1000 + number)
         fresh = [touches(rng, bench.panel, int(rng.integers(2, 4))) for _ in range(FRESH)]
         for name, scene in (("naive", bench.scene), ("calibrated", results.scene)):
@@ -105,11 +118,16 @@ def study(panels: int, seed: int, film: str, plan: str, repeat: float) -> None:
 
 def main() -> None:
     """Every film, plan and repeatability."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--panels", type=int, default=6)
     parser.add_argument("--seed", type=int, default=2001)
     chosen = parser.parse_args()
-    print(f"{'film':10} {'loads':14} {'repeat':8} {'':10} " + " ".join(f"{name:>7}" for name in COLUMNS))
+    print(
+        f"{'film':10} {'loads':14} {'repeat':8} {'':10} "
+        + " ".join(f"{name:>7}" for name in COLUMNS)
+    )
     for film in FILMS:
         for plan in LOADS:
             for repeat in (0.02, 0.05):

@@ -1,4 +1,6 @@
-"""Memory and open files of a stream and of the live page: python -m docs.studies.long_lives --frames 1000000."""
+"""Memory and open files of a stream and of the live page: python -m docs.studies.long_lives
+--frames 1000000.
+"""
 
 import argparse
 import gc
@@ -19,13 +21,17 @@ from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.watcher import Scan
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7))
-METHOD = Estimator((lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-5)), "reduced", error_bars=False)
+METHOD = Estimator(
+    (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-5)), "reduced", error_bars=False
+)
 DISTINCT = 50  # frames that come again and again
 
 
 @dataclass(frozen=True)
 class Figures:
-    """After so many frames: bytes that Python holds (0 if not traced), those of the process, files, threads."""
+    """After so many frames: bytes that Python holds (0 if not traced), those of the process, files,
+    threads.
+    """
 
     frames: int
     allocated: int
@@ -39,7 +45,9 @@ class Figures:
         gc.collect()
         process = psutil.Process()
         allocated = tracemalloc.get_traced_memory()[0] if tracemalloc.is_tracing() else 0
-        return cls(frames, allocated, process.memory_info().rss, process.num_fds(), process.num_threads())
+        return cls(
+            frames, allocated, process.memory_info().rss, process.num_fds(), process.num_threads()
+        )
 
 
 def recorded() -> Array:
@@ -47,7 +55,9 @@ def recorded() -> Array:
     rng = np.random.default_rng(1)
     readout = SCENE.readout
     assert readout is not None
-    cells = 1000 * np.exp(0.2 * rng.standard_normal((3, 4)) + 0.05 * rng.standard_normal((DISTINCT, 3, 4)))
+    cells = 1000 * np.exp(
+        0.2 * rng.standard_normal((3, 4)) + 0.05 * rng.standard_normal((DISTINCT, 3, 4))
+    )
     exact = np.asarray(readout.to_recorded(readout.exact_reading(cells), SCENE))
     return exact + np.asarray(readout.sigma(exact)) * rng.standard_normal(exact.shape)
 
@@ -77,7 +87,9 @@ def stream_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
 
 
 def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
-    """Figures of the live page's engine after so many frames; it solves as many of them as it can."""
+    """Figures of the live page's engine after so many frames; it solves as many of them as it
+    can.
+    """
     frames = recorded()
     found = []
     source = FrameSource(SCENE, 0.1, "receiving")
@@ -107,7 +119,9 @@ def main() -> None:
     for name, figures in (("stream", stream_figures), ("live", live_figures)):
         for row in figures(marks, trace=False):
             print(
-                f"{name}  {row.frames:>9} frames  {row.resident / 1e6:8.2f} MB  {row.open_files} files open", flush=True
+                f"{name}  {row.frames:>9} frames  {row.resident / 1e6:8.2f} MB  {row.open_files} "
+                "files open",
+                flush=True,
             )
 
 

@@ -1,8 +1,9 @@
-"""What a case costs beside its solving: python -m docs.studies.many_cases --recordings 40 --estimators 50.
+"""What a case costs beside its solving: python -m docs.studies.many_cases --recordings 40
+--estimators 50.
 
-Processor time of one process, so that other work on the machine does not count: reading the run's file, solving (what
-the estimator does, error bars left out), what follows from estimates, writing each case and results.h5, and the same
-run once more, which finds every case done.
+Processor time of one process, so that other work on the machine does not count: reading the run's
+file, solving (what the estimator does, error bars left out), what follows from estimates, writing
+each case and results.h5, and the same run once more, which finds every case done.
 """
 
 import argparse
@@ -35,8 +36,12 @@ def main() -> None:
         parts = {name: timed(getattr(batch, name), what, spent) for name, what in names.items()}
         with mock.patch.multiple(batch, **parts):
             run = timed(read_run, "the run's file", spent)(path)
-            timed(batch.run_batch, "all of it", spent)(run, Path(name) / "out", local(1, len(run.cases)))
-        timed(batch.run_batch, "found done", spent)(run, Path(name) / "out", local(1, len(run.cases)))
+            timed(batch.run_batch, "all of it", spent)(
+                run, Path(name) / "out", local(1, len(run.cases))
+            )
+        timed(batch.run_batch, "found done", spent)(
+            run, Path(name) / "out", local(1, len(run.cases))
+        )
         cases = len(run.cases)
     print(f"{cases} cases of 4 × 4 cells, 1 frame; ms of processor time for each")
     for what, seconds in spent.items():
@@ -61,7 +66,9 @@ def timed(function: Callable[..., Any], what: str, spent: Counter[str]) -> Calla
 def written(folder: Path, recordings: int, estimators: int) -> Path:
     """A run's file of so many tiny recordings with so many weights."""
     rng = np.random.default_rng(0)
-    scene = lampest.Scene(lampest.Panel(4, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+    scene = lampest.Scene(
+        lampest.Panel(4, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0
+    )
     readout = scene.readout
     assert readout is not None
     for number in range(recordings):
@@ -71,8 +78,11 @@ def written(folder: Path, recordings: int, estimators: int) -> Path:
         lampest.Recording(scene, recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8)).save(
             folder / f"r{number:04d}.h5"
         )
-    lines = [f"  e{n:04d}: {{terms: {{misfit: {{}}, gradient: {{weight: {10 ** (-5 + 4 * n / estimators):.6g}}}}}}}"
-             for n in range(estimators)]  # fmt: skip
+    lines = [
+        f"  e{n:04d}: {{terms: {{misfit: {{}}, gradient: {{weight: "
+        f"{10 ** (-5 + 4 * n / estimators):.6g}}}}}}}"
+        for n in range(estimators)
+    ]
     text = "\n".join(["schema: 1", "recordings: ['r*.h5']", "estimators:", *lines])
     (folder / "run.yaml").write_text(f"{text}\nformulation: reduced\nerror_bars: false\n")
     return folder / "run.yaml"

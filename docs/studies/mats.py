@@ -1,12 +1,14 @@
-"""Random mats of as many readings as cells, solved without bounds or penalties by our solver and by published ones.
+"""Random mats of as many readings as cells, solved without bounds or penalties by our solver and by
+published ones.
 
-Run it with: python -m docs.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of the page.
+Run it with: python -m docs.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of
+the page.
 
-Conductances g with G(g) = G_m, as many readings as cells. G = 1/R are the conductances that are read between every row
-and every column. Equations and settings are those of J. A. Medrano-Sánchez et al., IEEE Sensors J., 2019, doi
-10.1109/JSEN.2019.2918592, and of the programs that C. Medrano published with them. They tolerate 6 µS in every G, of
-cells between 20 µS and 20 mS; `krylov_fine` and `fixed_point` go to 10⁻¹² S instead, so that accuracy and time can be
-seen apart.
+Conductances g with G(g) = G_m, as many readings as cells. G = 1/R are the conductances that are
+read between every row and every column. Equations and settings are those of J. A. Medrano-Sánchez
+et al., IEEE Sensors J., 2019, doi 10.1109/JSEN.2019.2918592, and of the programs that C. Medrano
+published with them. They tolerate 6 µS in every G, of cells between 20 µS and 20 mS; `krylov_fine`
+and `fixed_point` go to 10⁻¹² S instead, so that accuracy and time can be seen apart.
 """
 
 import argparse
@@ -48,7 +50,8 @@ STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
 
 @dataclass(frozen=True)
 class Mats:
-    """sides : of square mats, conductances uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard normal.
+    """sides : of square mats, conductances uniform between 20 µS and 20 mS, read as R·(1 +
+    noise·z), z standard normal.
 
     draws : mats of each side and noise.
     """
@@ -60,7 +63,9 @@ class Mats:
 
 @dataclass(frozen=True, eq=False)
 class MatAnswer:
-    """conductance : (rows, columns) siemens. evaluations : how often a network was solved. converged : so it says."""
+    """conductance : (rows, columns) siemens. evaluations : how often a network was solved.
+    converged : so it says.
+    """
 
     conductance: Array
     iterations: int
@@ -69,7 +74,9 @@ class MatAnswer:
 
 
 class CountedNetwork:
-    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm; counts how often it is asked."""
+    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm; counts how
+    often it is asked.
+    """
 
     def __init__(self, measured: Array) -> None:
         self.wanted = 1 / measured
@@ -91,7 +98,9 @@ class CountedNetwork:
 
 
 def fixed_point(measured: Array) -> MatAnswer:
-    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1, until |G(g) − G_m| < 10⁻¹² S or 1,000 times."""
+    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1, until |G(g) − G_m| < 10⁻¹² S or 1,000
+    times.
+    """
     network = CountedNetwork(measured)
     conductance = network.wanted
     for step in range(MOST_STEPS):
@@ -118,13 +127,19 @@ def _krylov(measured: Array, tolerance: float) -> MatAnswer:
     steps = count()
     try:
         found = newton_krylov(
-            network.misfit, network.wanted, f_tol=tolerance, maxiter=MOST_STEPS, callback=lambda *_: next(steps)
+            network.misfit,
+            network.wanted,
+            f_tol=tolerance,
+            maxiter=MOST_STEPS,
+            callback=lambda *_: next(steps),
         )
         converged = True
     except (NoConvergence, ValueError, np.linalg.LinAlgError) as error:
         converged = False
         found = error.args[0] if isinstance(error, NoConvergence) else network.wanted * np.nan
-    return MatAnswer(np.reshape(found, measured.shape), next(steps), network.evaluations(), converged)
+    return MatAnswer(
+        np.reshape(found, measured.shape), next(steps), network.evaluations(), converged
+    )
 
 
 def bounded_least_squares(measured: Array) -> MatAnswer:
@@ -136,7 +151,9 @@ def bounded_least_squares(measured: Array) -> MatAnswer:
         bounds=(0.0, np.inf),
         xtol=STEP_TOLERANCE,
     )
-    return MatAnswer(found.x.reshape(measured.shape), int(found.njev), network.evaluations(), found.status > 0)
+    return MatAnswer(
+        found.x.reshape(measured.shape), int(found.njev), network.evaluations(), found.status > 0
+    )
 
 
 PUBLISHED: dict[str, Callable[[Array], MatAnswer]] = {
@@ -151,10 +168,11 @@ PUBLISHED: dict[str, Callable[[Array], MatAnswer]] = {
 class MatSolve:
     """One solver on one mat.
 
-    seconds : of the solve, undisturbed. inverse_s : of one dense inverse of the mat's lines. evaluations : networks
-    solved; None where nobody counts. converged : by the solver's own word, ours by the check outside it.
-    reading_error, cell_error, worst_cell_error : largest of the readings, median and largest of the conductances, in
-    percent; infinite where there is no answer. negative : cells with a conductance below zero.
+    seconds : of the solve, undisturbed. inverse_s : of one dense inverse of the mat's lines.
+    evaluations : networks solved; None where nobody counts. converged : by the solver's own word,
+    ours by the check outside it. reading_error, cell_error, worst_cell_error : largest of the
+    readings, median and largest of the conductances, in percent; infinite where there is no answer.
+    negative : cells with a conductance below zero.
     """
 
     side: int
@@ -179,7 +197,9 @@ def solved_mats(mats: Mats, seed: int, settings: Settings) -> Iterator[MatSolve]
             for draw in range(mats.draws):
                 generator = np.random.default_rng((seed, side, draw))
                 conductance = generator.uniform(LEAST_S, MOST_S, (side, side))
-                measured = network_readings(conductance) * (1 + noise / 100 * generator.standard_normal((side, side)))
+                measured = network_readings(conductance) * (
+                    1 + noise / 100 * generator.standard_normal((side, side))
+                )
                 for solve in _solves(conductance, measured, settings):
                     yield MatSolve(side, noise, draw, *solve)
 
@@ -197,7 +217,15 @@ def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple
         else:
             answer, seconds = clocked(partial(PUBLISHED[name], measured))
         counted = None if name in OURS else answer.evaluations
-        yield name, seconds, inverse_s, answer.iterations, counted, answer.converged, *_errors(answer, truth, measured)
+        yield (
+            name,
+            seconds,
+            inverse_s,
+            answer.iterations,
+            counted,
+            answer.converged,
+            *_errors(answer, truth, measured),
+        )
 
 
 def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, float]:
@@ -209,7 +237,9 @@ def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, fl
     solver = estimator.problem(scene, 1, 1.0)
     solver.prepare()
     solution, seconds = clocked(lambda: estimator.method.solution(solver, data, None, None))
-    return MatAnswer(1 / solution.cell_resistance[-1], solution.iterations, 0, solution.solved), seconds
+    return MatAnswer(
+        1 / solution.cell_resistance[-1], solution.iterations, 0, solution.solved
+    ), seconds
 
 
 def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, float, float, int]:
@@ -217,7 +247,12 @@ def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, fl
         return np.inf, np.inf, np.inf, 0
     reading = 100 * np.abs(network_readings(answer.conductance) / measured - 1)
     cells = 100 * np.abs(answer.conductance / truth - 1)
-    return float(reading.max()), float(np.median(cells)), float(cells.max()), int(np.sum(answer.conductance < 0))
+    return (
+        float(reading.max()),
+        float(np.median(cells)),
+        float(cells.max()),
+        int(np.sum(answer.conductance < 0)),
+    )
 
 
 COLUMNS: dict[str, Callable[[Any], str]] = {
@@ -226,7 +261,9 @@ COLUMNS: dict[str, Callable[[Any], str]] = {
     "solver": lambda own: own[0].solver,
     "ms": lambda own: text_of(np.median([1e3 * record.seconds for record in own])),
     "networks": lambda own: (
-        "" if own[0].evaluations is None else text_of(np.median([record.evaluations for record in own]))
+        ""
+        if own[0].evaluations is None
+        else text_of(np.median([record.evaluations for record in own]))
     ),
     "misfit %": lambda own: _percent(max(record.reading_error for record in own)),
     "cell %": lambda own: _percent(np.median([record.cell_error for record in own])),
@@ -247,7 +284,9 @@ def table(solves: Sequence[MatSolve]) -> str:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--sides", type=int, nargs="+", default=[16])
     parser.add_argument("--draws", type=int, default=2)
     parser.add_argument("--noise", type=float, nargs="+", default=[0, 1], help="percent")

@@ -25,7 +25,9 @@ METHODS: dict[str, tuple[Term, ...]] = {
 
 
 def mouth(rng: np.random.Generator, seed: int) -> Recording:
-    """Three unloaded frames and three of a mouth, 6 × 6 to 14 × 14 cells, 10 bits and 20 readings."""
+    """Three unloaded frames and three of a mouth, 6 × 6 to 14 × 14 cells, 10 bits and 20
+    readings.
+    """
     side = int(rng.integers(6, 15))
     place = rng.uniform(0.3, 0.7, 2) * (side - 1) * 10
     load = OralDisc(
@@ -49,13 +51,20 @@ def study(count: int, seed: int) -> None:
             blind: list[tuple[Array, Array]] = []
             for number in range(count):
                 made = mouth(rng, seed + number)
-                holes = (rng.random(made.recorded.shape) < share) & (made.role == MEASURED)[:, None, None]
+                holes = (rng.random(made.recorded.shape) < share) & (made.role == MEASURED)[
+                    :, None, None
+                ]
                 results = reconstruct(
-                    replace(made, recorded=np.where(holes, np.nan, made.recorded)), Estimator(terms, "reduced")
+                    replace(made, recorded=np.where(holes, np.nan, made.recorded)),
+                    Estimator(terms, "reduced"),
                 )
                 lower = results.cell_resistance_lower
                 upper = results.cell_resistance_upper
-                assert made.truth_cell_resistance is not None and lower is not None and upper is not None
+                assert (
+                    made.truth_cell_resistance is not None
+                    and lower is not None
+                    and upper is not None
+                )
                 truth = made.truth_cell_resistance[results.frame]
                 hole = holes[results.frame]
                 error = 100 * np.abs(results.cell_resistance / truth - 1)
@@ -63,7 +72,10 @@ def study(count: int, seed: int) -> None:
                 for parts, chosen in ((read, ~hole), (blind, hole)):
                     chosen &= results.solved[:, None, None]
                     parts.append((error[chosen], held[chosen].astype(float)))
-            print(f"{100 * share:4.0f} % {name:8} read: {_text(read)}   missing: {_text(blind)}", flush=True)
+            print(
+                f"{100 * share:4.0f} % {name:8} read: {_text(read)}   missing: {_text(blind)}",
+                flush=True,
+            )
 
 
 def _text(parts: list[tuple[Array, Array]]) -> str:

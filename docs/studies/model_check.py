@@ -1,9 +1,11 @@
 """How often the model check calls a right circuit wrong, and how often it notices a wrong one.
 
-    python -m docs.studies.model_check [--matched N] [--wrong N] [--first SEED] [--sides N ...] [--bits N ...]
+    python -m docs.studies.model_check [--matched N] [--wrong N] [--first SEED]
+                                       [--sides N ...] [--bits N ...]
 
-Scenes are drawn anew: 4 × 4 to 18 × 18 cells, both sides driven, converters of 8 to 16 bits with 0 to 3 LSB of noise,
-loads of every shape or none, faults and saturated readings among them. Truth comes from the simulation alone.
+Scenes are drawn anew: 4 × 4 to 18 × 18 cells, both sides driven, converters of 8 to 16 bits with 0
+to 3 LSB of noise, loads of every shape or none, faults and saturated readings among them. Truth
+comes from the simulation alone.
 """
 
 import argparse
@@ -63,7 +65,9 @@ def loaded_columns(random: np.random.Generator, panel: lampest.Panel) -> Scene:
 
 
 def driven(random: np.random.Generator, panel: lampest.Panel) -> Scene:
-    """Idle lines of either side at ground, behind a resistor, or floating; loads of one line, or of groups."""
+    """Idle lines of either side at ground, behind a resistor, or floating; loads of one line, or of
+    groups.
+    """
     states = [0.0, 50.0, 3300.0, float("inf")]
     side = str(random.choice(["rows", "columns"]))
     sensed = panel.columns if side == "rows" else panel.rows
@@ -89,8 +93,16 @@ def loads(random: np.random.Generator, panel: lampest.Panel) -> tuple[lampest.Sh
         (),
         (lampest.Rod(centre_mm=centre, diameter_mm=30, mass_g=float(random.uniform(100, 2000))),),
         (lampest.Ring(centre_mm=centre, outer_diameter_mm=35, inner_diameter_mm=27, mass_g=850),),
-        (lampest.SuctionCup(centre_mm=centre, outer_diameter_mm=35, inner_diameter_mm=27, pressure_kpa=-10),),
-        (lampest.OralDisc(centre_mm=centre, diameter_mm=30, rim_width_mm=6, pressure_kpa=-8, rim_kpa=60),),
+        (
+            lampest.SuctionCup(
+                centre_mm=centre, outer_diameter_mm=35, inner_diameter_mm=27, pressure_kpa=-10
+            ),
+        ),
+        (
+            lampest.OralDisc(
+                centre_mm=centre, diameter_mm=30, rim_width_mm=6, pressure_kpa=-8, rim_kpa=60
+            ),
+        ),
         (lampest.Block(centre_mm=centre, length_mm=60, width_mm=25, mass_g=1500),),
     ]
     return shapes[int(random.integers(len(shapes)))]
@@ -104,9 +116,13 @@ def sound(seed: int) -> tuple[str, Recording] | None:
     kind = [two_point, loaded_columns, driven][seed % 3]
     scene = kind(random, panel)
     what = kind.__name__
-    cells = lampest.Cells(float(random.choice([800.0, 3050.0, 30000.0])), float(random.choice([0.1, 0.3, 1.0])))
+    cells = lampest.Cells(
+        float(random.choice([800.0, 3050.0, 30000.0])), float(random.choice([0.1, 0.3, 1.0]))
+    )
     creep = lampest.Unmodelled(drift_per_minute=float(random.choice([0.0, 0.0, 0.01])))
-    simulation = Simulation(1, seed, scene, cells, frames=3, loads=loads(random, panel), unmodelled=creep)
+    simulation = Simulation(
+        1, seed, scene, cells, frames=3, loads=loads(random, panel), unmodelled=creep
+    )
     recording = lampest.simulate(simulation)
     if random.random() < 0.3:
         what = what + ", faults"
@@ -126,7 +142,9 @@ def broken(recording: Recording, known: lampest.Faults, seed: int) -> Recording:
     cells[:, known.open_cells(panel)] = 1e12
     cells[:, known.shorted_cells(panel)] = 1e-3
     recorded, _ = measured(recording.scene, cells, lampest.Unmodelled(), seed)
-    return replace(recording, scene=replace(recording.scene, faults=known), recorded=recorded, raw_sums=None)
+    return replace(
+        recording, scene=replace(recording.scene, faults=known), recorded=recorded, raw_sums=None
+    )
 
 
 def faults(random: np.random.Generator, panel: lampest.Panel) -> lampest.Faults:
@@ -157,10 +175,14 @@ def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tupl
         if not exact:
             return recording
         assert recording.truth_cell_resistance is not None
-        recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(recording.truth_cell_resistance), scene)
+        recorded = scene.circuit.to_recorded(
+            scene.circuit.exact_reading(recording.truth_cell_resistance), scene
+        )
         return replace(recording, recorded=recorded, raw_sums=None)
 
-    def retold(recording: Recording, scene: Scene, convert: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    def retold(
+        recording: Recording, scene: Scene, convert: Callable[[np.ndarray], np.ndarray]
+    ) -> Recording:
         return replace(recording, scene=scene, recorded=convert(recording.recorded), raw_sums=None)
 
     plain = taken(Scene(panel, read, series_resistance_ohm=140.0))
@@ -172,14 +194,19 @@ def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tupl
     yield "rows and columns swapped", retold(volts, Scene(panel, swapped), lambda volt: volt)
     both = taken(Scene(panel, divider))
     ideal = replace(loaded, drive_ohm=0.0)
-    yield "two_point told as loaded columns", retold(both, Scene(panel, ideal), lambda ohm: 33000.0 / (ohm + 10000.0))
+    yield (
+        "two_point told as loaded columns",
+        retold(both, Scene(panel, ideal), lambda ohm: 33000.0 / (ohm + 10000.0)),
+    )
 
 
 def evidence(exact: Recording) -> float:
-    """By how much the truth is more probable than what the told circuit makes of readings without noise, as −2 log.
+    """By how much the truth is more probable than what the told circuit makes of readings without
+    noise, as −2 log.
 
-    −2 ln evidence of the told circuit, at σ of the mean frames, less A_CELL for each cell that moved, by more than 1 %
-    beside the others; 0 where those are half of the panel or more, or the fit fails.
+    −2 ln evidence of the told circuit, at σ of the mean frames, less A_CELL for each cell that
+    moved, by more than 1 % beside the others; 0 where those are half of the panel or more, or the
+    fit fails.
     """
     cells = exact.truth_cell_resistance
     assert cells is not None
@@ -188,17 +215,25 @@ def evidence(exact: Recording) -> float:
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
     named = np.arange(len(exact.role))
-    question = Question(Rival(exact.scene, exact.recorded, exact.sigma), exact.role, unloaded, measured, 1.0, named)
+    question = Question(
+        Rival(exact.scene, exact.recorded, exact.sigma), exact.role, unloaded, measured, 1.0, named
+    )
     results = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
-    if results is None or results.pair is None or min(fit.tail for fit in results.fits) < SIGNIFICANCE:
+    if (
+        results is None
+        or results.pair is None
+        or min(fit.tail for fit in results.fits) < SIGNIFICANCE
+    ):
         return float("inf")
     return results.pair.evidence.score - A_CELL * int(moved.sum())
 
 
 def named(what: str, check: ModelCheck) -> bool:
-    """Whether the sentence names the right circuit; on a square panel exchanged sides are transposed readings."""
+    """Whether the sentence names the right circuit; on a square panel exchanged sides are
+    transposed readings.
+    """
     names = {
         "series of 140 ohm forgotten": ["series_resistance_ohm near"],
         "loaded columns told as two_point": ["loaded_columns, readout.driven: rows"],
@@ -209,7 +244,9 @@ def named(what: str, check: ModelCheck) -> bool:
 
 
 def false_alarms(first: int, count: int) -> None:
-    """Print how many matched recordings are called wrong, or get advice, by kind, and their sentences."""
+    """Print how many matched recordings are called wrong, or get advice, by kind, and their
+    sentences.
+    """
     seen = Counter[str]()
     alarms = Counter[str]()
     noisy = Counter[str]()
@@ -237,17 +274,25 @@ def false_alarms(first: int, count: int) -> None:
         print(f"{what:32} {alarms[what]:3} of {seen[what]} called wrong, {noisy[what]} too noisy")
     for what in sorted(advised):
         print(f"{what}: advised {advised[what]} times")
-    print(f"false alarms: {alarms.total()} of {seen.total()} ({100 * alarms.total() / seen.total():.2f} %)", flush=True)
+    print(
+        f"false alarms: {alarms.total()} of {seen.total()} "
+        f"({100 * alarms.total() / seen.total():.2f} %)",
+        flush=True,
+    )
 
 
 def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]) -> None:
-    """Print the share of wrong circuits that are noticed, and named: of all, and of those that the data can show."""
+    """Print the share of wrong circuits that are noticed, and named: of all, and of those that the
+    data can show.
+    """
     for side, of_bits in product(sides, bits):
         noticed = Counter[str]()
         right = Counter[str]()
         tried = Counter[str]()
         for seed in range(first, first + count):
-            both = zip(wrong(seed, side, of_bits), wrong(seed, side, of_bits, exact=True), strict=True)
+            both = zip(
+                wrong(seed, side, of_bits), wrong(seed, side, of_bits, exact=True), strict=True
+            )
             for (what, recording), (_, exact) in both:
                 check = Prepared(recording).check
                 shown = evidence(exact)
@@ -256,9 +301,15 @@ def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]
                     noticed[of] += check.explains is False
                     right[of] += named(what, check)
                 if shown >= SHOWN_FROM and check.explains is not False:
-                    print(f"  missed: seed {seed}, {side} × {side}, {of_bits} bits, {what}, evidence {shown:.0f}")
+                    print(
+                        f"  missed: seed {seed}, {side} × {side}, {of_bits} bits, {what}, evidence "
+                        f"{shown:.0f}"
+                    )
         for what, total in sorted(tried.items()):
-            shares = f"noticed {100 * noticed[what] / total:5.1f} %, named {100 * right[what] / total:5.1f} %"
+            shares = (
+                f"noticed {100 * noticed[what] / total:5.1f} %, named "
+                f"{100 * right[what] / total:5.1f} %"
+            )
             print(f"{side:2} × {side:2}, {of_bits} bits, {what:52} {shares} of {total}", flush=True)
 
 

@@ -1,8 +1,10 @@
-"""Scenes for recognition, made without the package's simulation: other patches, other rims, other electronics.
+"""Scenes for recognition, made without the package's simulation: other patches, other rims, other
+electronics.
 
-A film's patch is a square or a circle of 5 to 7 mm, sampled on a grid of its own; rims have hard or sloping edges.
-Cells answer with a factor of their own and all of them less than published, where the film is bent. The divider, its
-converter, channels and outliers are written out here. Only the panel's two-point resistances are the package's.
+A film's patch is a square or a circle of 5 to 7 mm, sampled on a grid of its own; rims have hard or
+sloping edges. Cells answer with a factor of their own and all of them less than published, where
+the film is bent. The divider, its converter, channels and outliers are written out here. Only the
+panel's two-point resistances are the package's.
 """
 
 from collections.abc import Callable
@@ -20,7 +22,9 @@ Pressure = Callable[[Array, Array], Array]  # x, y in mm → kPa
 
 @dataclass(frozen=True)
 class Film:
-    """How a film departs from its published curve: all answer `bent` times as much in log, each cell scattered."""
+    """How a film departs from its published curve: all answer `bent` times as much in log, each
+    cell scattered.
+    """
 
     patch_mm: float
     round: bool
@@ -37,7 +41,8 @@ def _none(x: Array, y: Array) -> Array:
 class Scene:
     """Pressure at the points of a panel for a factor of contact and of suction, and what it is.
 
-    label : its class. diameter_mm : of every round load, in the order of their centres. centres_mm : (loads, 2).
+    label : its class. diameter_mm : of every round load, in the order of their centres. centres_mm
+        : (loads, 2).
     beside : pressure of a body that moves by itself.
     """
 
@@ -50,12 +55,22 @@ class Scene:
 
 
 def film(rng: np.random.Generator, kind: str) -> Film:
-    """`ideal`: as published; `real`: drawn, up to 20 % less and 15 % scatter; `other`: round patches, harsher."""
+    """`ideal`: as published; `real`: drawn, up to 20 % less and 15 % scatter; `other`: round
+    patches, harsher.
+    """
     if kind == "ideal":
         return Film(6.0, False, 1.0, 0.0, 0.2)
     if kind == "real":
-        return Film(6.0, False, rng.uniform(0.8, 1.0), rng.uniform(0.05, 0.15), rng.uniform(0.1, 0.4))
-    return Film(rng.uniform(5.0, 7.0), bool(rng.random() < 0.6), rng.uniform(0.75, 1.1), rng.uniform(0.1, 0.2), 0.4)
+        return Film(
+            6.0, False, rng.uniform(0.8, 1.0), rng.uniform(0.05, 0.15), rng.uniform(0.1, 0.4)
+        )
+    return Film(
+        rng.uniform(5.0, 7.0),
+        bool(rng.random() < 0.6),
+        rng.uniform(0.75, 1.1),
+        rng.uniform(0.1, 0.2),
+        0.4,
+    )
 
 
 def _edge(distance: Array, width: float) -> Array:
@@ -73,8 +88,12 @@ def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float
     return float(x), float(y)
 
 
-def annulus(rng: np.random.Generator, place: tuple[float, float], outer: float, inner: float, **form: float) -> Scene:
-    """A rim that presses with `rim` kPa in the mean and sucks with `inside`; long, uneven, tilted, with soft edges."""
+def annulus(
+    rng: np.random.Generator, place: tuple[float, float], outer: float, inner: float, **form: float
+) -> Scene:
+    """A rim that presses with `rim` kPa in the mean and sucks with `inside`; long, uneven, tilted,
+    with soft edges.
+    """
     long = form.get("long", 1.0)
     turn = rng.uniform(0, np.pi)
     wave = form.get("wave", 0.0)
@@ -95,7 +114,9 @@ def annulus(rng: np.random.Generator, place: tuple[float, float], outer: float, 
         radius, angle = polar(x, y)
         rim = _edge(radius - outer / 2, soft) - (_edge(radius - inner / 2, soft) if inner else 0.0)
         leaning = 1 + tilt * 2 * radius / outer * np.cos(angle - lean)
-        return np.asarray(form["rim"] * rim * np.maximum(leaning * (1 + wave * np.cos(lobes * angle + phase)), 0))
+        return np.asarray(
+            form["rim"] * rim * np.maximum(leaning * (1 + wave * np.cos(lobes * angle + phase)), 0)
+        )
 
     def suction(x: Array, y: Array) -> Array:
         return np.asarray(form.get("inside", 0.0) * _edge(polar(x, y)[0] - inner / 2, soft))
@@ -122,7 +143,9 @@ def mouth(
     pressed: bool = False,
     least: float = 24,
 ) -> Scene:
-    """A lamprey's mouth of `least` to 45 mm whose rim bears its suction, or presses with 30 to 80 kPa more."""
+    """A lamprey's mouth of `least` to 45 mm whose rim bears its suction, or presses with 30 to 80
+    kPa more.
+    """
     most = min(45.0, 0.7 * panel.pitch_mm * min(panel.shape))
     outer = rng.uniform(min(least, most), most)
     width = rng.uniform(4, 7)
@@ -131,15 +154,21 @@ def mouth(
     rim = -inside * inner**2 / (outer**2 - inner**2) + (rng.uniform(30, 80) if pressed else 0.0)
     form = {"rim": rim, "inside": inside, "soft": rng.uniform(0, 1.5)}
     if uneven:
-        form |= {"long": rng.uniform(1, 1.25), "wave": rng.uniform(0.1, 0.35), "tilt": rng.uniform(0, 0.3)}
+        form |= {
+            "long": rng.uniform(1, 1.25),
+            "wave": rng.uniform(0.1, 0.35),
+            "tilt": rng.uniform(0, 0.3),
+        }
     return annulus(rng, _place(rng, panel, outer * (0.2 if off else 0.5)), outer, inner, **form)
 
 
 def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
-    """A mouth whose rim is a closed curve of uneven load: long by up to 1.3, waves of form and of load, tilt, teeth.
+    """A mouth whose rim is a closed curve of uneven load: long by up to 1.3, waves of form and of
+    load, tilt, teeth.
 
-    Its outer edge is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, its load (1 + Σ b_k cos(kθ − ψ_k)) with k of 1 to 6,
-    and teeth press inside the rim. The diameter is that of a circle of the same area.
+    Its outer edge is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, its load (1 + Σ b_k cos(kθ −
+    ψ_k)) with k of 1 to 6, and teeth press inside the rim. The diameter is that of a circle of the
+    same area.
     """
     outer = rng.uniform(25, min(45.0, 0.7 * panel.pitch_mm * min(panel.shape)))
     width = rng.uniform(4, 7)
@@ -158,13 +187,17 @@ def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
     def sides(x: Array, y: Array) -> tuple[Array, Array, Array]:
         angle = np.arctan2(y - cy, x - cx)
         radius = np.hypot(x - cx, y - cy)
-        curve = 1 + sum(a * np.cos(k * angle - b) for k, a, b in zip(range(2, 6), *form, strict=True))
+        curve = 1 + sum(
+            a * np.cos(k * angle - b) for k, a, b in zip(range(2, 6), *form, strict=True)
+        )
         return radius, outer / 2 * curve, angle
 
     def contact(x: Array, y: Array) -> Array:
         radius, edge, angle = sides(x, y)
         ring = _edge(radius - edge, soft) - _edge(radius - edge + width, soft)
-        along = 1 + sum(a * np.cos(k * angle - b) for k, a, b in zip(range(1, 7), *load, strict=True))
+        along = 1 + sum(
+            a * np.cos(k * angle - b) for k, a, b in zip(range(1, 7), *load, strict=True)
+        )
         across = 1 + taper * np.clip(2 * (edge - radius) / width - 1, -1, 1)
         spikes = (
             teeth
@@ -181,7 +214,9 @@ def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
 
 
 def with_body(rng: np.random.Generator, made: Scene) -> Scene:
-    """A load with a body of 60 to 140 mm behind it that lies on the panel, from the edge of the load on."""
+    """A load with a body of 60 to 140 mm behind it that lies on the panel, from the edge of the
+    load on.
+    """
     cx, cy = made.centres_mm[0]
     turn = rng.uniform(0, 2 * np.pi)
     begin = made.diameters_mm[0] / 2 + 2
@@ -193,7 +228,10 @@ def with_body(rng: np.random.Generator, made: Scene) -> Scene:
         along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn) - begin
         across = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
         return np.asarray(
-            kpa * np.maximum(1 - (across / half) ** 2, 0) * _edge(-along, 3.0) * _edge(along - length, 10.0)
+            kpa
+            * np.maximum(1 - (across / half) ** 2, 0)
+            * _edge(-along, 3.0)
+            * _edge(along - length, 10.0)
         )
 
     return Scene(made.label, made.contact, made.suction, made.diameters_mm, made.centres_mm, body)
@@ -215,7 +253,9 @@ def ring(rng: np.random.Generator, panel: Panel) -> Scene:
     outer = rng.uniform(25, min(50, 0.7 * panel.pitch_mm * min(panel.shape)))
     width = rng.uniform(3.5, 7)
     form = {"rim": float(np.exp(rng.uniform(np.log(6), np.log(60)))), "tilt": rng.uniform(0, 0.2)}
-    return annulus(rng, _place(rng, panel, outer / 2), outer, outer - 2 * width, soft=rng.uniform(0, 1), **form)
+    return annulus(
+        rng, _place(rng, panel, outer / 2), outer, outer - 2 * width, soft=rng.uniform(0, 1), **form
+    )
 
 
 def rod(rng: np.random.Generator, panel: Panel, most: float = 50) -> Scene:
@@ -226,7 +266,11 @@ def rod(rng: np.random.Generator, panel: Panel, most: float = 50) -> Scene:
 
 
 def blobs(
-    rng: np.random.Generator, panel: Panel, count: int, size: tuple[float, float], kpa: tuple[float, float]
+    rng: np.random.Generator,
+    panel: Panel,
+    count: int,
+    size: tuple[float, float],
+    kpa: tuple[float, float],
 ) -> Pressure:
     """Bumps of Gaussian profile and any direction: `size` mm wide, `kpa` high."""
     parts = [
@@ -285,7 +329,9 @@ def fin(rng: np.random.Generator, panel: Panel) -> Scene:
     def pressure(x: Array, y: Array) -> Array:
         along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
         across = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn) - bend * along**2
-        return np.asarray(kpa * _edge(np.abs(across) - thick / 2, 2.0) * _edge(np.abs(along) - half, 4.0))
+        return np.asarray(
+            kpa * _edge(np.abs(across) - thick / 2, 2.0) * _edge(np.abs(along) - half, 4.0)
+        )
 
     return Scene("fin", pressure, _none)
 
@@ -316,7 +362,9 @@ def bubbles(rng: np.random.Generator, panel: Panel) -> Scene:
 
 
 def apart(rng: np.random.Generator, panel: Panel, make: Callable[[], Scene], label: str) -> Scene:
-    """Two of a kind that stand clear by 4 mm, drawn until they do. Raises ValueError where a panel has no room."""
+    """Two of a kind that stand clear by 4 mm, drawn until they do. Raises ValueError where a panel
+    has no room.
+    """
     for _ in range(5000):
         record = make()
         two = make()
@@ -338,7 +386,9 @@ MAKERS: dict[str, Callable[[np.random.Generator, Panel], Scene]] = {
     "rod": rod,
     "two rods": lambda rng, panel: apart(rng, panel, lambda: rod(rng, panel, 35), "two rods"),
     "hand": hand,
-    "rock": lambda rng, panel: Scene("rock", blobs(rng, panel, int(rng.integers(1, 7)), (5, 30), (1, 60)), _none),
+    "rock": lambda rng, panel: Scene(
+        "rock", blobs(rng, panel, int(rng.integers(1, 7)), (5, 30), (1, 60)), _none
+    ),
     "fin": fin,
     "fish": fish,
     "bubbles": bubbles,
@@ -349,22 +399,42 @@ MAKERS: dict[str, Callable[[np.random.Generator, Panel], Scene]] = {
 MOUTHS = tuple(kind for kind in MAKERS if "mouth" in kind)
 
 
-def cells(rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array) -> Array:
-    """(frames, rows, columns) ohm; courses (frames, 2): factors of contact and suction, zero where unloaded."""
+def cells(
+    rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array
+) -> Array:
+    """(frames, rows, columns) ohm; courses (frames, 2): factors of contact and suction, zero where
+    unloaded.
+    """
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * film_.patch_mm
-    inside = np.hypot(*np.meshgrid(offset, offset)) < (film_.patch_mm / 2 if film_.round else np.inf)
+    inside = np.hypot(*np.meshgrid(offset, offset)) < (
+        film_.patch_mm / 2 if film_.round else np.inf
+    )
     across, down = panel.centres_mm()
-    x = across[None, :, None, None] + np.broadcast_to(offset, (GRID, GRID)) + np.zeros((panel.rows, 1, 1, 1))
-    y = down[:, None, None, None] + np.broadcast_to(offset[:, None], (GRID, GRID)) + np.zeros((1, panel.columns, 1, 1))
-    contact, suction = (part(x, y)[..., inside].mean(axis=-1) for part in (scene.contact, scene.suction))
+    x = (
+        across[None, :, None, None]
+        + np.broadcast_to(offset, (GRID, GRID))
+        + np.zeros((panel.rows, 1, 1, 1))
+    )
+    y = (
+        down[:, None, None, None]
+        + np.broadcast_to(offset[:, None], (GRID, GRID))
+        + np.zeros((1, panel.columns, 1, 1))
+    )
+    contact, suction = (
+        part(x, y)[..., inside].mean(axis=-1) for part in (scene.contact, scene.suction)
+    )
     resting = 3050 * np.exp(film_.spread * rng.standard_normal(panel.shape))
     answer = film_.bent * np.exp(film_.scatter * rng.standard_normal(panel.shape))
     pressure = courses[:, :1, None] * contact + courses[:, 1:, None] * suction
     return np.asarray(resting * np.exp(answer * np.log(ratio_from_pressure(pressure))))
 
 
-def recorded(rng: np.random.Generator, resistance: Array, real: bool, time: Array) -> tuple[Array, Array]:
-    """(two-point resistances without the 140 ohm in series, σ) ohm, from a divider of 1 kohm, 10 bit, 20 readings."""
+def recorded(
+    rng: np.random.Generator, resistance: Array, real: bool, time: Array
+) -> tuple[Array, Array]:
+    """(two-point resistances without the 140 ohm in series, σ) ohm, from a divider of 1 kohm, 10
+    bit, 20 readings.
+    """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * (0.01 / 60 if real else 0.0)
     total = two_point_resistance(resistance * np.exp(drift * time[:, None, None])) + 140.0

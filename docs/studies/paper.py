@@ -13,22 +13,34 @@ from lampest.studies.paper import MEASURED, TIME, Published, Side, paper_study, 
 
 
 def its_solver(panel: Side, published: Published) -> Side:
-    """Return the side that the paper's solver leaves; times are evaluations, at the time that one took the paper."""
+    """Return the side that the paper's solver leaves; times are evaluations, at the time that one
+    took the paper.
+    """
     changes = {}
     steps = {}
-    methods = ({record.method for record in published.ranges} | {record.method for record in published.errors}) - {
-        MEASURED
-    }
-    for method, number in (*((method, 0) for method in sorted(methods)), (published.mouth_method, 1)):
+    methods = (
+        {record.method for record in published.ranges}
+        | {record.method for record in published.errors}
+    ) - {MEASURED}
+    for method, number in (
+        *((method, 0) for method in sorted(methods)),
+        (published.mouth_method, 1),
+    ):
         mouth = panel.mouths[number]
         frames = mouth.recorded[mouth.measured_frames()]
         results = left_by_solver(method, mouth.scene.panel, unloaded(mouth), frames)
         changes[method, number] = results.change
-        parts = {"initial": slice(1), "following": slice(1, None)} if results.joint else {"all": slice(None)}
+        parts = (
+            {"initial": slice(1), "following": slice(1, None)}
+            if results.joint
+            else {"all": slice(None)}
+        )
         for name, part in parts.items() if not number else ():
             figures = statistics(results.data_error[part], "data error {} [%]", "mean", "sd")
             # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
-            steps[method, name] = figures | {TIME[3]: 16.45 / 10_100 * float(results.evaluations[part].mean())}
+            steps[method, name] = figures | {
+                TIME[3]: 16.45 / 10_100 * float(results.evaluations[part].mean())
+            }
     return shown(replace(panel, name="its solver", word="solver", changes=changes, steps=steps))
 
 

@@ -1,11 +1,16 @@
-"""Which scene gives the paper's numbers: twelve ranges of figure 8 and seven mean errors of table I, found by search.
+"""Which scene gives the paper's numbers: twelve ranges of figure 8 and seven mean errors of table
+I, found by search.
 
-Fitted are the measured map, LSR-CR, LSR-ΔCR and the error of LSM; predicted are both methods with a gradient and the
-range of LSM. The rise of both relative methods has to be within the disc, as section VI.A says. Frames are simulated as
-`lampest simulate` does and solved as the paper did (`lsqnonlin` in kind).
+Fitted are the measured map, LSR-CR, LSR-ΔCR and the error of LSM; predicted are both methods with a
+gradient and the range of LSM. The rise of both relative methods has to be within the disc, as
+section VI.A says. Frames are simulated as `lampest simulate` does and solved as the paper did
+(`lsqnonlin` in kind).
 
-    python -m docs.studies.paper_panel --seconds 900 --seed 1      # search; prints every better scene
-    python -m docs.studies.paper_panel --check configs/paper_35mm.yaml --seeds 20      # a scene with other seeds
+    python -m docs.studies.paper_panel --seconds 900 --seed 1
+    python -m docs.studies.paper_panel --check configs/paper_35mm.yaml --seeds 20
+
+The first command searches and prints every better scene, the second one tries a scene with other
+seeds.
 """
 
 import argparse
@@ -65,7 +70,12 @@ def simulation_of(numbers: Mapping[str, float], seed: int, frames: int = 2) -> S
         tilt_direction_deg=60.0,
     )
     edge = 300.0
-    body = Block(centre_mm=(45.0, 45.0), length_mm=edge, width_mm=edge, mass_g=numbers["body_kpa"] * edge**2 / 9.80665)
+    body = Block(
+        centre_mm=(45.0, 45.0),
+        length_mm=edge,
+        width_mm=edge,
+        mass_g=numbers["body_kpa"] * edge**2 / 9.80665,
+    )
     return Simulation(
         schema=1,
         seed=seed,
@@ -96,18 +106,28 @@ def inside(mouth: OralDisc, panel: Panel) -> NDArray[np.bool_]:
     return np.asarray(distance < mouth.diameter_mm / 2 - mouth.rim_width_mm)
 
 
-def figures_of(simulation: Simulation, weights: Weights, methods: Sequence[str]) -> dict[tuple[str, str], float]:
-    """(method, 'low', 'high', 'all', 'initial', 'following' or their 'sd') → ours, in the units of the paper."""
+def figures_of(
+    simulation: Simulation, weights: Weights, methods: Sequence[str]
+) -> dict[tuple[str, str], float]:
+    """(method, 'low', 'high', 'all', 'initial', 'following' or their 'sd') → ours, in the units of
+    the paper.
+    """
     recording = simulate(simulation)
     resting = recording.recorded[recording.role == UNLOADED].mean(axis=0)
     frames = recording.recorded[recording.role == MEASURED]
     measured = 100 * (frames[0] / resting - 1)
-    results = {("measured", "low"): float(measured.min()), ("measured", "high"): float(measured.max())}
+    results = {
+        ("measured", "low"): float(measured.min()),
+        ("measured", "high"): float(measured.max()),
+    }
     for method in methods:
         if method == "measured":
             continue
         left = left_by_solver(method, simulation.scene.panel, resting, frames, weights)
-        results[method, "low"], results[method, "high"] = float(left.change[0].min()), float(left.change[0].max())
+        results[method, "low"], results[method, "high"] = (
+            float(left.change[0].min()),
+            float(left.change[0].max()),
+        )
         if left.joint:
             within = inside(mouth_of(simulation), simulation.scene.panel)
             results[method, "inside"] = float(left.change[0][within].max(initial=-100.0))
@@ -117,7 +137,10 @@ def figures_of(simulation: Simulation, weights: Weights, methods: Sequence[str])
             else {"all": left.data_error}
         )
         for steps, error in parts.items():
-            results[method, steps], results[method, f"{steps} sd"] = float(error.mean()), float(error.std(ddof=1))
+            results[method, steps], results[method, f"{steps} sd"] = (
+                float(error.mean()),
+                float(error.std(ddof=1)),
+            )
         results[method, "evaluations"] = float(left.evaluations.mean())
     return results
 
@@ -131,12 +154,16 @@ def published() -> dict[tuple[str, str], float]:
         if METHODS.get(record.method, ("", False))[1]:
             results[record.method, "inside"] = record.high
     for row in numbers.errors:
-        results[row.method, row.steps], results[row.method, f"{row.steps} sd"] = row.error_percent, row.error_sd_percent
+        results[row.method, row.steps], results[row.method, f"{row.steps} sd"] = (
+            row.error_percent,
+            row.error_sd_percent,
+        )
     return results
 
 
 def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
-    """How far off the numbers of these methods are, in quarters of the published one; deviations count half.
+    """How far off the numbers of these methods are, in quarters of the published one; deviations
+    count half.
 
     Without both gradient methods, what is to be predicted is left out.
     """
@@ -158,7 +185,9 @@ def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
 
 def reproduced(ours: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], bool]:
     """Which of the nineteen numbers lie within a quarter of the published one."""
-    requested = {key: value for key, value in published().items() if not key[1].endswith(("sd", "inside"))}
+    requested = {
+        key: value for key, value in published().items() if not key[1].endswith(("sd", "inside"))
+    }
     return {key: abs(ours[key] - value) <= 0.25 * abs(value) for key, value in requested.items()}
 
 
@@ -166,7 +195,9 @@ def numbers_at(place: Array) -> dict[str, float]:
     """Numbers of a place in the unit cube."""
     results = {}
     for part, (name, (least, most, logarithmic)) in zip(place, BOX.items(), strict=True):
-        results[name] = float(least * (most / least) ** part if logarithmic else least + (most - least) * part)
+        results[name] = float(
+            least * (most / least) ** part if logarithmic else least + (most - least) * part
+        )
     return results
 
 
@@ -175,7 +206,11 @@ def place_of(numbers: Mapping[str, float]) -> Array:
     results = []
     for name, (least, most, logarithmic) in BOX.items():
         value = numbers[name]
-        part = np.log(value / least) / np.log(most / least) if logarithmic else (value - least) / (most - least)
+        part = (
+            np.log(value / least) / np.log(most / least)
+            if logarithmic
+            else (value - least) / (most - least)
+        )
         results.append(part)
     return np.clip(np.array(results), 0, 1)
 
@@ -196,8 +231,12 @@ def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
     return float(np.mean(means))
 
 
-def search(seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Mapping[str, float]]) -> None:
-    """Random places, then differences and small steps of the best ones; prints what is better than all before."""
+def search(
+    seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Mapping[str, float]]
+) -> None:
+    """Random places, then differences and small steps of the best ones; prints what is better than
+    all before.
+    """
     rng = np.random.default_rng(seed)
     started = time.monotonic()
     pool: list[tuple[float, Array]] = []
@@ -212,21 +251,33 @@ def search(seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Map
         elif tried <= 60 and not first:
             place = rng.random(len(BOX))
         else:
-            record, two, three = (pool[min(int(rng.exponential(3)), len(pool) - 1)][1] for _ in range(3))
+            record, two, three = (
+                pool[min(int(rng.exponential(3)), len(pool) - 1)][1] for _ in range(3)
+            )
             step = rng.normal(0, 0.08 * rng.random(), len(BOX)) * (rng.random(len(BOX)) < 0.4)
             place = record + 0.6 * (two - three) * (rng.random() < 0.7) + step
-            place = np.clip(np.where(place < 0, -place, np.where(place > 1, 2 - place, place)), 0, 1)
+            place = np.clip(
+                np.where(place < 0, -place, np.where(place > 1, 2 - place, place)), 0, 1
+            )
         bound = pool[min(7, len(pool) - 1)][0] if pool else 12.0
         pool.append((distance(place, fitted, bound), place))
         pool.sort(key=lambda entry: entry[0])
         del pool[PARENTS:]
         if pool[0][1] is place:
             numbers = {name: float(f"{value:.4g}") for name, value in numbers_at(place).items()}
-            print(tried, f"{time.monotonic() - started:.0f} s", f"{pool[0][0]:.3f}", json.dumps(numbers), flush=True)
+            print(
+                tried,
+                f"{time.monotonic() - started:.0f} s",
+                f"{pool[0][0]:.3f}",
+                json.dumps(numbers),
+                flush=True,
+            )
 
 
 def check(file: Path, seeds: int, weights: Weights) -> None:
-    """Every number of a shipped scene with its own seed, median and range over others; and what each effect does."""
+    """Every number of a shipped scene with its own seed, median and range over others; and what
+    each effect does.
+    """
     ((_, stated),) = read_simulations(file)
     stated = dataclasses.replace(stated, frames=min(stated.frames, 3))
     runs = _seeds(stated, weights, seeds)
@@ -235,21 +286,29 @@ def check(file: Path, seeds: int, weights: Weights) -> None:
         within = np.mean([abs(other - target) <= 0.25 * abs(target) for other in others])
         spread = f"{np.median(others):9.4g} ({min(others):.4g} to {max(others):.4g})"
         print(
-            f"{method:9} {what:13} paper {target:9.5g} own seed {own:9.4g} others {spread} within {100 * within:.0f} %"
+            f"{method:9} {what:13} paper {target:9.5g} own seed {own:9.4g} others {spread} within "
+            f"{100 * within:.0f} %"
         )
     print("evaluations:", {method: runs[0][method, "evaluations"] for method in METHODS})
     print("within a quarter, of 19:", [sum(reproduced(run).values()) for run in runs])
     for name, (simulation, with_weights) in _without(stated, weights).items():
         varied = _seeds(simulation, with_weights, min(seeds, 4))
         counts = [sum(reproduced(run).values()) for run in varied]
-        lost = [" ".join(key) for key, good in reproduced(varied[0]).items() if not good and reproduced(runs[0])[key]]
+        lost = [
+            " ".join(key)
+            for key, good in reproduced(varied[0]).items()
+            if not good and reproduced(runs[0])[key]
+        ]
         print(f"{name}: {counts}; lost with its own seed: {', '.join(lost) or 'none'}", flush=True)
 
 
 def _seeds(told: Simulation, weights: Weights, seeds: int) -> list[dict[tuple[str, str], float]]:
     """Its own seed first."""
     methods = ("measured", *METHODS)
-    return [figures_of(dataclasses.replace(told, seed=told.seed + more), weights, methods) for more in range(seeds + 1)]
+    return [
+        figures_of(dataclasses.replace(told, seed=told.seed + more), weights, methods)
+        for more in range(seeds + 1)
+    ]
 
 
 def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, Weights]]:
@@ -258,13 +317,23 @@ def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, 
     mouth = mouth_of(told)
     changed: dict[str, Unmodelled] = {
         "no static error": dataclasses.replace(hidden, reading_error=0.0),
-        "static error twice": dataclasses.replace(hidden, reading_error=2 * (hidden.reading_error or 0.0)),
-        "no series resistance": dataclasses.replace(hidden, series_resistance_ohm=0.0, channel_spread_ohm=0.0),
+        "static error twice": dataclasses.replace(
+            hidden, reading_error=2 * (hidden.reading_error or 0.0)
+        ),
+        "no series resistance": dataclasses.replace(
+            hidden, series_resistance_ohm=0.0, channel_spread_ohm=0.0
+        ),
         "140 ohm in series": dataclasses.replace(hidden, series_resistance_ohm=140.0),
         "noise 10 times instead": dataclasses.replace(hidden, reading_error=0.0, noise_factor=10.0),
     }
-    varied = {name: (dataclasses.replace(told, unmodelled=record), weights) for name, record in changed.items()}
-    varied["cells alike (spread 0.2)"] = dataclasses.replace(told, cells=Cells(3050.0, 0.2)), weights
+    varied = {
+        name: (dataclasses.replace(told, unmodelled=record), weights)
+        for name, record in changed.items()
+    }
+    varied["cells alike (spread 0.2)"] = (
+        dataclasses.replace(told, cells=Cells(3050.0, 0.2)),
+        weights,
+    )
     varied["nothing on the other cells"] = dataclasses.replace(told, loads=(mouth,)), weights
     for name, relative in (("changes in percent: 10", 10.0), ("100 outside the square: 0.1", 0.1)):
         varied[f"weight on {name}"] = told, dataclasses.replace(weights, relative=relative)
@@ -273,18 +342,27 @@ def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, 
 
 def main() -> None:
     """Search or check."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=900.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--all", action="store_true", help="fit on all numbers instead of some")
-    parser.add_argument("--first", type=json.loads, default=[], help="scenes to begin with, as printed, in a list")
+    parser.add_argument(
+        "--first", type=json.loads, default=[], help="scenes to begin with, as printed, in a list"
+    )
     parser.add_argument("--check", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
     requested = parser.parse_args()
     if requested.check:
         check(requested.check, requested.seeds, WEIGHTS)
     else:
-        search(requested.seconds, requested.seed, ("measured", *METHODS) if requested.all else FITTED, requested.first)
+        search(
+            requested.seconds,
+            requested.seed,
+            ("measured", *METHODS) if requested.all else FITTED,
+            requested.first,
+        )
 
 
 if __name__ == "__main__":

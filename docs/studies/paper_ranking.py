@@ -1,11 +1,12 @@
-"""What methods are good for, as the paper asks: the look of a map. Size and alarm: docs/studies/mouths.md.
+"""What methods are good for, as the paper asks: the look of a map. Size and alarm:
+docs/studies/mouths.md.
 
     lampest run configs/real_run.yaml
     python -m docs.studies.paper_ranking results/real_run
 
-Look: correlation of the map as the paper draws it, clipped at ±100 %, with the truth drawn so; median over loaded
-frames. The clean recordings and those of a panel like the paper's (real_*) have a table each; those without a truth are
-left out.
+Look: correlation of the map as the paper draws it, clipped at ±100 %, with the truth drawn so;
+median over loaded frames. The clean recordings and those of a panel like the paper's (real_*) have
+a table each; those without a truth are left out.
 """
 
 import argparse
@@ -24,7 +25,9 @@ MEASURED = "measured"
 def likeness(change: Array, truth: Array) -> Array:
     """Correlation of clipped maps, frame by frame."""
     drawn, true = (np.clip(maps, -100, 100).reshape(len(maps), -1) for maps in (change, truth))
-    return np.array([np.corrcoef(record, other)[0, 1] for record, other in zip(drawn, true, strict=True)])
+    return np.array(
+        [np.corrcoef(record, other)[0, 1] for record, other in zip(drawn, true, strict=True)]
+    )
 
 
 def looks(results: Results, recordings: Sequence[str]) -> dict[str, list[float]]:
@@ -38,7 +41,9 @@ def looks(results: Results, recordings: Sequence[str]) -> dict[str, list[float]]
         )
         for case in cases:
             good = case.solved
-            estimates.setdefault(case.estimator, []).extend(likeness(case.relative_change[good], truth[good]))
+            estimates.setdefault(case.estimator, []).extend(
+                likeness(case.relative_change[good], truth[good])
+            )
     return estimates
 
 
@@ -48,8 +53,12 @@ def _true_change(case: CaseResult) -> Array:
 
 
 def main() -> None:
-    """Two tables for each folder of results: clean recordings, and those of a panel like the paper's."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Two tables for each folder of results: clean recordings, and those of a panel like the
+    paper's.
+    """
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folders", type=Path, nargs="+")
     for folder in parser.parse_args().folders:
         results = read_results(folder / "results.h5")

@@ -1,11 +1,12 @@
 """How late a published message is: from the last byte of a frame to a listener in another process.
 
-python -m docs.studies.publish                       # every way, 600 frames of 10 × 10 at 30 a second
+python -m docs.studies.publish        # every way, 600 frames of 10 × 10 at 30 a second
 python -m docs.studies.publish --kind mqtt --frames 300 --broker 127.0.0.1:1883
 
-Frames come from a recording, at 30 a second and against the clock, as a board's would; a frame counts as arrived when
-the source hands it over. mqtt needs a broker. Prints median, 99th percentile and largest latency in ms, how many of the
-frames came through, and of ways with JSON how much of it was the solve. --estimator is one of `lampest live`.
+Frames come from a recording, at 30 a second and against the clock, as a board's would; a frame
+counts as arrived when the source hands it over. mqtt needs a broker. Prints median, 99th percentile
+and largest latency in ms, how many of the frames came through, and of ways with JSON how much of it
+was the solve. --estimator is one of `lampest live`.
 """
 
 import argparse
@@ -46,7 +47,9 @@ def long_recording(path: Path, frames: int) -> None:
     course = np.arange(first, len(lamprey.recorded))
     course = np.concatenate([course, course[-2:0:-1]])
     taken = np.concatenate([np.arange(first), course[np.arange(frames) % len(course)]])
-    sigma = lamprey.sigma if lamprey.sigma is None or lamprey.sigma.ndim == 2 else lamprey.sigma[taken]
+    sigma = (
+        lamprey.sigma if lamprey.sigma is None or lamprey.sigma.ndim == 2 else lamprey.sigma[taken]
+    )
     replace(
         lamprey,
         recorded=lamprey.recorded[taken],
@@ -61,13 +64,21 @@ def long_recording(path: Path, frames: int) -> None:
 
 
 def heard(kind: str, where: str, seconds: float) -> None:
-    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end; run in a process of its own."""
+    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end; run in a process
+    of its own.
+    """
     came: list[tuple[int, float, float]] = []
 
     def on_text(text: str | bytes) -> None:
         now = time.time()
         stated = json.loads(text)
-        came.append((stated["sequence"], now - stated["health"]["arrived"], stated["health"]["solve_seconds"]))
+        came.append(
+            (
+                stated["sequence"],
+                now - stated["health"]["arrived"],
+                stated["health"]["solve_seconds"],
+            )
+        )
 
     until = time.monotonic() + seconds
     address, _, topic = where.partition("://")[2].partition("/")
@@ -97,11 +108,15 @@ def heard(kind: str, where: str, seconds: float) -> None:
         from pythonosc.dispatcher import Dispatcher
         from pythonosc.osc_server import BlockingOSCUDPServer
 
-        # A bundle does not carry when its frame arrived; this clock and the recording's differ by a constant.
+        # A bundle does not carry when its frame arrived; this clock and the recording's differ by a
+        # constant.
         dispatcher = Dispatcher()
         number = [0]
         dispatcher.map("/lampest/sequence", lambda _, value: number.__setitem__(0, value))
-        dispatcher.map("/lampest/time", lambda _, value: came.append((number[0], time.monotonic() - value, nan)))
+        dispatcher.map(
+            "/lampest/time",
+            lambda _, value: came.append((number[0], time.monotonic() - value, nan)),
+        )
         with BlockingOSCUDPServer((host, int(port)), dispatcher) as server:
             server.timeout = 0.2
             while time.monotonic() < until:
@@ -126,10 +141,23 @@ def measured(kind: str, where: str, frames: int, estimator: str) -> np.ndarray:
         path = Path(folder) / "long.h5"
         long_recording(path, WARM + frames)
         seconds = (WARM + frames) / RATE + 12
-        command = [sys.executable, "-m", "docs.studies.publish", "--listen", kind, where, str(seconds)]
+        command = [
+            sys.executable,
+            "-m",
+            "docs.studies.publish",
+            "--listen",
+            kind,
+            where,
+            str(seconds),
+        ]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
             time.sleep(2)
-            live(Replay(path), chosen(estimator, None), Outlets("127.0.0.1:0", publish=(where,)), WARM + frames)
+            live(
+                Replay(path),
+                chosen(estimator, None),
+                Outlets("127.0.0.1:0", publish=(where,)),
+                WARM + frames,
+            )
             came = json.loads(listener.communicate()[0])
     return 1e3 * np.array([times for sequence, *times in came if sequence > WARM])
 
@@ -152,7 +180,8 @@ def main() -> None:
             median, most = np.percentile(late, [50, 99])
             solve = np.percentile(solves, [50, 99])
             print(
-                f"{kind:10} {len(late)}/{given.frames} frames: median {median:.1f} ms, p99 {most:.1f} ms, largest "
+                f"{kind:10} {len(late)}/{given.frames} frames: median {median:.1f} ms, p99 "
+                f"{most:.1f} ms, largest "
                 f"{late.max():.1f} ms; the solve alone {solve[0]:.1f} and {solve[1]:.1f} ms",
                 flush=True,
             )

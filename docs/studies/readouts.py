@@ -1,4 +1,5 @@
-"""Every circuit through its own converter: what noise does to cells, how far off they are, whether bars hold them.
+"""Every circuit through its own converter: what noise does to cells, how far off they are, whether
+bars hold them.
 
 Run it with: python -m docs.studies.readouts --draws 200 --seed 101
 """
@@ -30,14 +31,25 @@ SERIES = SeriesPerLine(70.0, 72.0)
 CIRCUITS: dict[str, tuple[Readout, float | SeriesPerLine]] = {
     "two_point": (TwoPointReadout(**CONVERTER), SERIES),
     "loaded_columns": (LoadedColumnsReadout(load_ohm=10_000, drive_ohm=1080, **CONVERTER), 0.0),
-    "loaded_columns, diode": (LoadedColumnsReadout(load_ohm=3300, drive_ohm=100, diode=Diode(), **CONVERTER), 0.0),
+    "loaded_columns, diode": (
+        LoadedColumnsReadout(load_ohm=3300, drive_ohm=100, diode=Diode(), **CONVERTER),
+        0.0,
+    ),
     "loaded_columns, pull-ups": (
-        LoadedColumnsReadout(load_ohm=35_000, drive_ohm=30, polarity="down", driven="columns", **CONVERTER),
+        LoadedColumnsReadout(
+            load_ohm=35_000, drive_ohm=30, polarity="down", driven="columns", **CONVERTER
+        ),
         0.0,
     ),
     "grounded, all": (GroundedReadout(load_ohm=1000, drive_ohm=70, **CONVERTER), 0.0),
-    "grounded, one": (GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=70, sense="one", **CONVERTER), 0.0),
-    "virtual_ground": (VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER), 0.0),
+    "grounded, one": (
+        GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=70, sense="one", **CONVERTER),
+        0.0,
+    ),
+    "virtual_ground": (
+        VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER),
+        0.0,
+    ),
 }
 METHODS = {
     "LSM": (Misfit(weighting="noise"),),
@@ -46,16 +58,22 @@ METHODS = {
 
 
 def measured(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
-    """Frames (frames, rows, columns) of cells as the converter gives them, the first one unloaded."""
+    """Frames (frames, rows, columns) of cells as the converter gives them, the first one
+    unloaded.
+    """
     readout = scene.circuit
     volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
     codes = readout.code_from_volt(volt + readout.noise_volt() * rng.standard_normal(volt.shape))
     role = np.minimum(np.arange(len(cells)), 1).astype(np.uint8)
-    return Recording(scene, readout.recorded_from_sums(codes, 1), np.arange(float(len(cells))), role)
+    return Recording(
+        scene, readout.recorded_from_sums(codes, 1), np.arange(float(len(cells))), role
+    )
 
 
 def coverage(name: str, draws: int, seed: int) -> None:
-    """Print coverage, errors over standard deviations and relative errors of one circuit, 6 × 6 to 16 × 16."""
+    """Print coverage, errors over standard deviations and relative errors of one circuit, 6 × 6 to
+    16 × 16.
+    """
     readout, series = CIRCUITS[name]
     for method, terms in METHODS.items():
         rng = np.random.default_rng(seed)
@@ -67,7 +85,8 @@ def coverage(name: str, draws: int, seed: int) -> None:
             side = int(rng.integers(6, 17))
             cells = mouth_cells(rng, side)
             results = reconstruct(
-                measured(Scene(Panel(side, side), readout, series), cells, rng), Estimator(terms, "reduced")
+                measured(Scene(Panel(side, side), readout, series), cells, rng),
+                Estimator(terms, "reduced"),
             )
             step = results.steps[0]
             if not step.solution.solved or step.bars is None:
@@ -81,14 +100,18 @@ def coverage(name: str, draws: int, seed: int) -> None:
             errors.append(np.abs(np.expm1(error)).ravel())
         inside, size, off = (np.concatenate(part) for part in (held, sizes, errors))
         print(
-            f"{name}: {method}: {100 * inside.mean():.1f} % held, error/sd {np.sqrt(np.mean(size**2)):.2f}, "
-            f"cell error {100 * np.median(off):.2f} / {100 * np.quantile(off, 0.95):.1f} % (median / 95th), "
+            f"{name}: {method}: {100 * inside.mean():.1f} % held, error/sd "
+            f"{np.sqrt(np.mean(size**2)):.2f}, "
+            f"cell error {100 * np.median(off):.2f} / {100 * np.quantile(off, 0.95):.1f} % (median "
+            "/ 95th), "
             f"{inside.size} cells, {failed} frames failed"
         )
 
 
 def conditioning(seed: int) -> None:
-    """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes: what the converter alone does to cells of 1 to 10 kohm."""
+    """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes: what the converter alone does to cells
+    of 1 to 10 kohm.
+    """
     for name, (readout, series) in CIRCUITS.items():
         rng = np.random.default_rng(seed)
         deviations = []
@@ -100,11 +123,16 @@ def conditioning(seed: int) -> None:
             sigma = readout.sigma_of_reading(recorded, readout.sigma(recorded))
             factor = np.linalg.inv(network.sensitivity() / sigma.reshape(-1, 1))
             deviations.append(100 * np.sqrt(np.mean(np.sum(factor**2, axis=1))))
-        print(f"{name}: {' / '.join(f'{one:.1f}' for one in deviations)} % rms at 10, 16 and 32 lines a side")
+        print(
+            f"{name}: {' / '.join(f'{one:.1f}' for one in deviations)} % rms at 10, 16 and 32 "
+            "lines a side"
+        )
 
 
 def contrast(draws: int, seed: int) -> None:
-    """Print the cell error of plain least squares and of the naive divider on 16 × 16 cells with a contrast of 77."""
+    """Print the cell error of plain least squares and of the naive divider on 16 × 16 cells with a
+    contrast of 77.
+    """
     rng = np.random.default_rng(seed)
     readout, series = CIRCUITS["loaded_columns"]
     for middle in (3e3, 1e4, 3e4, 1e5, 3e5):
@@ -113,9 +141,13 @@ def contrast(draws: int, seed: int) -> None:
             cells = middle * np.exp(rng.uniform(-0.5, 0.5, (2, 16, 16)) * np.log(77))
             recording = measured(Scene(Panel(16, 16), readout, series), cells, rng)
             for formulation, results in off.items():
-                done = reconstruct(recording, Estimator(METHODS["LSM"], formulation, error_bars=False))
+                done = reconstruct(
+                    recording, Estimator(METHODS["LSM"], formulation, error_bars=False)
+                )
                 results.append(float(np.median(np.abs(done.cell_resistance[0] / cells[1] - 1))))
-        text = ", ".join(f"{name} {100 * np.median(results):.2f} %" for name, results in off.items())
+        text = ", ".join(
+            f"{name} {100 * np.median(results):.2f} %" for name, results in off.items()
+        )
         print(f"cells round {middle / 1e3:g} kohm: {text} off in the median cell")
 
 

@@ -1,12 +1,14 @@
-"""Real recordings: withheld readings, predicted with every penalty and rule, and by established methods.
+"""Real recordings: withheld readings, predicted with every penalty and rule, and by established
+methods.
 
 Run it with: python -m docs.studies.real [RECORDING ...] [--share 0.1] [--seed 3]
 
-A share of every frame's readings is withheld. Each method estimates the cells from the others and predicts them. The
-table has, for every recording, the median over frames of the rms error over that of interpolation, the share of the
-withheld readings within the 95 % interval of their prediction, and the processor time of a frame.
-Sources of the other methods: Medrano-Sánchez et al., IEEE Sensors J., 2019, doi 10.1109/JSEN.2019.2918592 (fixed
-point); Hansen & O'Leary, SIAM J. Sci. Comput. 14, 1993 (L-curve).
+A share of every frame's readings is withheld. Each method estimates the cells from the others and
+predicts them. The table has, for every recording, the median over frames of the rms error over that
+of interpolation, the share of the withheld readings within the 95 % interval of their prediction,
+and the processor time of a frame.
+Sources of the other methods: Medrano-Sánchez et al., IEEE Sensors J., 2019, doi
+10.1109/JSEN.2019.2918592 (fixed point); Hansen & O'Leary, SIAM J. Sci. Comput. 14, 1993 (L-curve).
 """
 
 import argparse
@@ -38,7 +40,10 @@ ESTIMATORS = {  # name → terms, and how weights are chosen
     "`log_gradient`, Huber 0.3, evidence": ((NOISE, lampest.LogGradient(loss=HUBER)), EVIDENCE),
     "`log_gradient`, misfit Student 4": ((STUDENT, lampest.LogGradient()), None),
     "`log_gradient`, misfit Student 4, evidence": ((STUDENT, lampest.LogGradient()), EVIDENCE),
-    "`log_gradient`, Huber 0.3, misfit Student 4": ((STUDENT, lampest.LogGradient(loss=HUBER)), None),
+    "`log_gradient`, Huber 0.3, misfit Student 4": (
+        (STUDENT, lampest.LogGradient(loss=HUBER)),
+        None,
+    ),
     "`gradient`": ((NOISE, lampest.Gradient()), None),
     "`gradient`, evidence": ((NOISE, lampest.Gradient()), EVIDENCE),
     "`total_variation`": ((NOISE, lampest.TotalVariation()), None),
@@ -52,7 +57,8 @@ MAX_STEPS = 1000
 # of the linearised methods; of log r in one step
 GAUSS_NEWTON_STEPS = 8
 LONGEST = 1.0
-WEIGHTS = 10.0 ** np.arange(-3, 5.1, 0.5)  # of Tikhonov's penalty on ln r, for readings in units of their noise
+# Of Tikhonov's penalty on ln r, for readings in units of their noise.
+WEIGHTS = 10.0 ** np.arange(-3, 5.1, 0.5)
 RANKS = (0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9)  # of a truncated inversion, over the number of cells
 Array = NDArray[np.float64]
 
@@ -82,7 +88,9 @@ class Withheld:
         rng = np.random.default_rng(seed)
         readings = recording.readings()
         scene = recording.scene
-        usable = readings.plain & scene.panel.present & ~impossible_readings(scene.circuit, readings)
+        usable = (
+            readings.plain & scene.panel.present & ~impossible_readings(scene.circuit, readings)
+        )
         held = np.zeros(usable.shape, dtype=bool)
         measured = recording.measured_frames()
         for frame in measured:
@@ -93,7 +101,9 @@ class Withheld:
         return cls(recording, remaining, held, measured[enough[measured]])
 
     def shown(self, readings: Array) -> Array:
-        """Readings on the scale of their noise: codes within the rails; without a readout, percent."""
+        """Readings on the scale of their noise: codes within the rails; without a readout,
+        percent.
+        """
         scene = self.whole.scene
         recorded = scene.circuit.to_recorded(readings, scene)
         if scene.readout is None:
@@ -102,10 +112,17 @@ class Withheld:
         return np.asarray(scene.readout.volt_from_recorded(within) / scene.readout.lsb_volt)
 
     def errors(self, predicted: Array) -> Array:
-        """Rms error of the withheld readings of every judged frame; predicted : of all judged frames, as `shown`."""
+        """Rms error of the withheld readings of every judged frame; predicted : of all judged
+        frames, as `shown`.
+        """
         true = self.shown(self.whole.readings().value[self.frames])
         held = self.held[self.frames]
-        return np.array([np.sqrt(np.mean((p - t)[h] ** 2)) for p, t, h in zip(predicted, true, held, strict=True)])
+        return np.array(
+            [
+                np.sqrt(np.mean((p - t)[h] ** 2))
+                for p, t, h in zip(predicted, true, held, strict=True)
+            ]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +150,9 @@ class Frame:
         scene = study.recording.scene
         readings = study.recording.readings()[number]
         estimator = lampest.Estimator((PLAIN,), formulation="reduced")
-        return cls(study, number, estimator.data(readings.alone(), Background(scene)), readings.seen > 0)
+        return cls(
+            study, number, estimator.data(readings.alone(), Background(scene)), readings.seen > 0
+        )
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -160,7 +179,9 @@ class Frame:
     def model(self, cells: Array) -> tuple[Array, Array]:
         """(readings, their derivatives with respect to ln r of the cells that are there)."""
         network = self.data.network(0, cells)
-        return np.asarray(network.reading()), np.asarray(network.sensitivity())[:, self.present.ravel()]
+        return np.asarray(network.reading()), np.asarray(network.sensitivity())[
+            :, self.present.ravel()
+        ]
 
     @property
     def uniform(self) -> Array:
@@ -170,7 +191,9 @@ class Frame:
         return np.where(self.present, float(ratio.mean()), np.log(cells))
 
     def fitted(self, step: Callable[[Array, Array, Array], Array]) -> Array:
-        """Gauss–Newton from equal cells: step(J, misfit, u − u₀), both over the noise, gives the change of u = ln r."""
+        """Gauss–Newton from equal cells: step(J, misfit, u − u₀), both over the noise, gives the
+        change of u = ln r.
+        """
         start = position = self.uniform
         lower, upper = (np.log(bound[0]) for bound in (self.data.lower, self.data.upper))
         sigma = np.asarray(self.data.deviation[0]) * np.ones(self.known.shape)
@@ -193,7 +216,9 @@ def nearest(frame: Frame) -> Array:
     """The nearest reading in the place of a withheld one."""
     rows, columns = np.indices(frame.known.shape)
     places = np.flatnonzero(frame.known & frame.present)
-    squares = (rows.ravel()[:, None] - rows.flat[places]) ** 2 + (columns.ravel()[:, None] - columns.flat[places]) ** 2
+    squares = (rows.ravel()[:, None] - rows.flat[places]) ** 2 + (
+        columns.ravel()[:, None] - columns.flat[places]
+    ) ** 2
     values = frame.study.shown(frame.measured).ravel()[places]
     return np.asarray(values[np.argmin(squares, axis=1)].reshape(frame.known.shape))
 
@@ -204,19 +229,25 @@ def interpolation(frame: Frame) -> Array:
 
 
 def fixed_point(frame: Frame) -> Array:
-    """g ← max(g − β(G(g) − G_m), 0) from g = G_m; a cell without a reading is the mean of its neighbours."""
+    """g ← max(g − β(G(g) − G_m), 0) from g = G_m; a cell without a reading is the mean of its
+    neighbours.
+    """
     requested = 1 / frame.measured
     conductance = frame.interpolated(np.where(frame.present, requested, 0.0))
     absent = 1 / frame.data.upper[0]
     for _ in range(MAX_STEPS):
         conductance = np.where(frame.present, np.maximum(conductance, absent), absent)
         misfit = 1 / np.asarray(frame.data.network(0, 1 / conductance).reading()) - requested
-        conductance = frame.interpolated(np.where(frame.known, np.maximum(conductance - STEP * misfit, 0), conductance))
+        conductance = frame.interpolated(
+            np.where(frame.known, np.maximum(conductance - STEP * misfit, 0), conductance)
+        )
     return frame.predicted(1 / np.where(frame.present, np.maximum(conductance, absent), absent))
 
 
 def truncated(frame: Frame) -> Array:
-    """Truncated singular values; the rank predicts the withheld readings best, which nobody could know."""
+    """Truncated singular values; the rank predicts the withheld readings best, which nobody could
+    know.
+    """
 
     def step(share: float) -> Callable[[Array, Array, Array], Array]:
         def change(jacobian: Array, misfit: Array, away: Array) -> Array:
@@ -246,13 +277,17 @@ def tikhonov(frame: Frame) -> Array:
     fits = [frame.fitted(step(weight)) for weight in WEIGHTS]
     rows = frame.known & frame.present
     sigma = np.asarray(frame.data.deviation[0]) * np.ones(frame.known.shape)
-    misfits = [float(np.sum(((frame.model(r)[0] - frame.measured) / sigma)[rows] ** 2)) for r in fits]
+    misfits = [
+        float(np.sum(((frame.model(r)[0] - frame.measured) / sigma)[rows] ** 2)) for r in fits
+    ]
     sizes = [float(np.sum((np.log(r) - frame.uniform)[frame.present] ** 2)) for r in fits]
     across = np.log(misfits)
     up = np.log(sizes)
     right = np.gradient(across)
     rise = np.gradient(up)
-    curvature = (right * np.gradient(rise) - rise * np.gradient(right)) / np.maximum(np.hypot(right, rise), 0.05) ** 3
+    curvature = (right * np.gradient(rise) - rise * np.gradient(right)) / np.maximum(
+        np.hypot(right, rise), 0.05
+    ) ** 3
     return frame.predicted(fits[1 + int(np.argmax(curvature[1:-1]))])
 
 
@@ -269,9 +304,12 @@ OTHERS: dict[str, Callable[[Frame], Array]] = {
 class Row:
     """One method on one recording; NaN where it has none.
 
-    error : median over frames of the rms error of withheld readings, in codes or percent; ratio : over interpolation's.
-    covered : share of withheld readings within 1.96 standard deviations. milliseconds : of processor time, a frame.
-    weight, weight_sigma : as chosen, and the standard deviation of its logarithm. solved : share of the frames.
+    error : median over frames of the rms error of withheld readings, in codes or percent; ratio :
+        over interpolation's.
+    covered : share of withheld readings within 1.96 standard deviations. milliseconds : of
+        processor time, a frame.
+    weight, weight_sigma : as chosen, and the standard deviation of its logarithm. solved : share of
+        the frames.
     """
 
     recording: str
@@ -294,13 +332,19 @@ def rows(study: Withheld) -> Iterator[Row]:
         with np.errstate(all="ignore"):
             errors = study.errors(np.stack([method(frame) for frame in frames]))
         milliseconds = 1e3 * (process_time() - start) / len(frames)
-        yield Row(study.whole.name, name, np.median(errors), np.median(errors / without), milliseconds)
+        yield Row(
+            study.whole.name, name, np.median(errors), np.median(errors / without), milliseconds
+        )
     for name, (terms, auto_weight) in ESTIMATORS.items():
         yield _estimated(study, without, name, terms, auto_weight)
 
 
 def _estimated(
-    study: Withheld, without: Array, name: str, terms: Sequence[lampest.Term], rule: lampest.AutoWeight | None
+    study: Withheld,
+    without: Array,
+    name: str,
+    terms: Sequence[lampest.Term],
+    rule: lampest.AutoWeight | None,
 ) -> Row:
     start = process_time()
     options = {} if rule is None else {"auto_weight": rule}
@@ -317,9 +361,20 @@ def _estimated(
         inside = np.abs(true - model) <= 1.96 * sigma[judged]
         covered = float(np.mean(inside[study.held[study.frames] & np.isfinite(sigma[judged])]))
     step = results.steps[int(judged[0])]
-    weight, weight_sigma = (float(pair[1]) if len(pair) > 1 else np.nan for pair in (step.weights, step.weight_sigma))
+    weight, weight_sigma = (
+        float(pair[1]) if len(pair) > 1 else np.nan for pair in (step.weights, step.weight_sigma)
+    )
     medians = np.nanmedian(errors), np.nanmedian(errors / without)
-    return Row(study.whole.name, name, *medians, milliseconds, covered, weight, weight_sigma, float(solved.mean()))
+    return Row(
+        study.whole.name,
+        name,
+        *medians,
+        milliseconds,
+        covered,
+        weight,
+        weight_sigma,
+        float(solved.mean()),
+    )
 
 
 def _line(row: Row) -> str:
@@ -327,22 +382,30 @@ def _line(row: Row) -> str:
     weight = "" if np.isnan(row.weight) else f"{row.weight:.3g} ± {row.weight_sigma:.2f}"
     missing = "" if row.solved == 1 else f" ({100 * row.solved:.0f} % of frames)"
     return (
-        f"| {row.method}{missing} | {row.error:.0f} | {row.ratio:.2f} | {covered} | {weight} | {row.milliseconds:.3g} |"
+        f"| {row.method}{missing} | {row.error:.0f} | {row.ratio:.2f} | {covered} | {weight} | "
+        f"{row.milliseconds:.3g} |"
     )
 
 
 def main() -> None:
     """Print a table for every recording."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("recordings", nargs="*", type=Path, default=SHIPPED)
-    parser.add_argument("--share", type=float, default=0.1, help="of the readings of a frame that are withheld")
+    parser.add_argument(
+        "--share", type=float, default=0.1, help="of the readings of a frame that are withheld"
+    )
     parser.add_argument("--seed", type=int, default=3)
     chosen = parser.parse_args()
     for path in chosen.recordings:
         study = Withheld.of(lampest.Recording.load(path), chosen.share, chosen.seed)
         count = int(study.held[study.frames].sum())
         print(f"\n{study.whole.name}: {count} withheld readings of {len(study.frames)} frames\n")
-        print("| method | rms error | over interpolation | within 95 % | weight, ± of ln λ | ms a frame |")
+        print(
+            "| method | rms error | over interpolation | within 95 % | weight, ± of ln λ | ms a "
+            "frame |"
+        )
         print("|---|---|---|---|---|---|")
         for row in rows(study):
             print(_line(row), flush=True)

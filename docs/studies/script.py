@@ -18,9 +18,13 @@ from lampest.studies.study import Study
 def parser_of(description: str | None) -> ArgumentParser:
     """Return the parser of [CONFIG] [--out DIR] [--set PATH=VALUE]."""
     parser = ArgumentParser(description=description)
-    parser.add_argument("config", nargs="?", type=Path, help="YAML file of the study; the shipped one by default")
+    parser.add_argument(
+        "config", nargs="?", type=Path, help="YAML file of the study; the shipped one by default"
+    )
     parser.add_argument("--out", type=Path, help="output folder; default: results/<config>")
-    parser.add_argument("--set", dest="assigned", action="append", metavar="PATH=VALUE", help="override an entry")
+    parser.add_argument(
+        "--set", dest="assigned", action="append", metavar="PATH=VALUE", help="override an entry"
+    )
     return parser
 
 

@@ -1,9 +1,11 @@
-"""The smoother under real electronics, by an independent simulator: against LSR-ΔCR, and after `--from-recording`.
+"""The smoother under real electronics, by an independent simulator: against LSR-ΔCR, and after
+`--from-recording`.
 
-Scenes are those of `docs.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells that drift by 1 % a
-minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the scan, one wild code in ten thousand.
-All recordings of a run have the same electronics. With --loads each has so many loads, one after the other. Run it:
-python -m docs.studies.shared_errors --recordings 16 --seed 5000 --calibrate 8
+Scenes are those of `docs.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells
+that drift by 1 % a minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the
+scan, one wild code in ten thousand. All recordings of a run have the same electronics. With --loads
+each has so many loads, one after the other. Run it: python -m docs.studies.shared_errors
+--recordings 16 --seed 5000 --calibrate 8
 """
 
 import argparse
@@ -23,7 +25,16 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 
-KINDS = ("uneven mouth", "two rods", "pressed mouth", "ring", "mouth partly off", "hand", "rock", "cup")
+KINDS = (
+    "uneven mouth",
+    "two rods",
+    "pressed mouth",
+    "ring",
+    "mouth partly off",
+    "hand",
+    "rock",
+    "cup",
+)
 # EACH: frames of one load of several
 RESTING = 3
 FRAMES = 20
@@ -42,8 +53,12 @@ def recording(seed: int, channels: Array, reference: float) -> Recording:
     on = int(rng.integers(RESTING + 1, RESTING + 6))
     off = len(time) if rng.random() < 0.5 else int(rng.integers(len(time) - 6, len(time)))
     there = ((time >= on) & (time < off)).astype(float)
-    breath = 1 + rng.uniform(0, 0.12) * np.sin(2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random()))
-    courses = np.stack([there * breath, there * breath * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
+    breath = 1 + rng.uniform(0, 0.12) * np.sin(
+        2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random())
+    )
+    courses = np.stack(
+        [there * breath, there * breath * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1
+    )
     return measured(rng, mouth_scenes.cells(rng, panel, load, film, courses), channels, reference)
 
 
@@ -57,7 +72,9 @@ def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recordi
     for number in range(loads):
         load = mouth_scenes.MAKERS[KINDS[(seed + number) % len(KINDS)]](rng, panel)
         on = RESTING + EACH * number + 2
-        breath = 1 + rng.uniform(0, 0.12) * np.sin(2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random()))
+        breath = 1 + rng.uniform(0, 0.12) * np.sin(
+            2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random())
+        )
         there = breath * ((time >= on) & (time < on + 5))
         courses = np.stack([there, there * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
         alone = mouth_scenes.cells(np.random.default_rng([seed, 1]), panel, load, film, courses)
@@ -65,7 +82,9 @@ def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recordi
     return measured(rng, cells, channels, reference)
 
 
-def measured(rng: np.random.Generator, cells: Array, channels: Array, reference: float) -> Recording:
+def measured(
+    rng: np.random.Generator, cells: Array, channels: Array, reference: float
+) -> Recording:
     """Cells (frames, rows, columns) ohm that drift, as the board reads them."""
     time = np.arange(len(cells), dtype=float)
     panel = Panel(SIDE, SIDE)
@@ -83,7 +102,9 @@ def measured(rng: np.random.Generator, cells: Array, channels: Array, reference:
 
 
 def measure(made: Recording, method: str) -> Array:
-    """Median error of cells and of changes, rms error of changes, percent; coverage of cells and of changes."""
+    """Median error of cells and of changes, rms error of changes, percent; coverage of cells and of
+    changes.
+    """
     results = reconstruct(made, Estimator(*METHODS[method]))
     assert made.truth_cell_resistance is not None and results.relative_change_lower is not None
     assert results.cell_resistance_lower is not None and results.cell_resistance_upper is not None
@@ -93,15 +114,23 @@ def measure(made: Recording, method: str) -> Array:
     solved = results.solved
     change = 100 * (cells / resting - 1)
     error = np.log(results.cell_resistance / cells)[solved]
-    of_change = (np.log(results.cell_resistance / results.baseline_resistance) - np.log(cells / resting))[solved]
-    inside = ((results.cell_resistance_lower <= cells) & (cells <= results.cell_resistance_upper))[solved]
-    cached = ((results.relative_change_lower <= change) & (change <= results.relative_change_upper))[solved]
+    of_change = (
+        np.log(results.cell_resistance / results.baseline_resistance) - np.log(cells / resting)
+    )[solved]
+    inside = ((results.cell_resistance_lower <= cells) & (cells <= results.cell_resistance_upper))[
+        solved
+    ]
+    cached = (
+        (results.relative_change_lower <= change) & (change <= results.relative_change_upper)
+    )[solved]
     sizes = np.median(np.abs(error)), np.median(np.abs(of_change)), np.sqrt(np.mean(of_change**2))
     return 100 * np.array([*sizes, inside.mean(), cached.mean()])
 
 
 def study(count: int, seed: int, calibrate: int, loads: int) -> None:
-    """Print both methods on `count` recordings, and again once `calibrate` further ones have calibrated the scene."""
+    """Print both methods on `count` recordings, and again once `calibrate` further ones have
+    calibrated the scene.
+    """
 
     def made(number: int) -> Recording:
         return recording(number, *board) if loads == 1 else in_turn(number, *board, loads)
@@ -114,7 +143,10 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     def told(name: str, rows: Array) -> None:
         ratios = rows[:, :3] / of_paper[:, :3]
         shown = "; ".join(f"{np.median(ratio):.2f} / {ratio.max():.2f}" for ratio in ratios.T)
-        print(f"{name:22} {rows.mean(axis=0).round(2)}; over LSR-dCR, median / worst: {shown}", flush=True)
+        print(
+            f"{name:22} {rows.mean(axis=0).round(2)}; over LSR-dCR, median / worst: {shown}",
+            flush=True,
+        )
 
     told("LSR-dCR", of_paper)
     told("smoother", np.stack([measure(record, "smoother") for record in every]))
@@ -123,7 +155,10 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     results = calibrate_channels([made(seed + 10_000 + number) for number in range(calibrate)])
     off = (results.errors[1:] - board[0]).reshape(2, SIDE)
     left = np.sqrt(np.sum((off - off.mean(axis=1, keepdims=True)) ** 2) / (2 * SIDE - 2))
-    print(f"{results.summary}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
+    print(
+        f"{results.summary}; truly off by {left:.2f} ohm; the reference was off by "
+        f"{100 * board[1]:+.2f} %"
+    )
     again = [replace(record, scene=results.scene) for record in every]
     for method in ("LSR-dCR", "smoother"):
         told(f"{method}, calibrated", np.stack([measure(record, method) for record in again]))

@@ -1,7 +1,9 @@
-"""Processor time of a frame of many modules: python -m docs.studies.square_metre [MODULES ...] [--frames 8]
+"""Processor time of a frame of many modules: python -m docs.studies.square_metre [MODULES ...]
+[--frames 8]
 
---weights: instead, errors of cells with one weight for all modules over those with a weight for each.
---disk: instead, `lampest run` of recordings of so many frames of 100 modules, from disk to disk in one process.
+--weights: instead, errors of cells with one weight for all modules over those with a weight for
+each. --disk: instead, `lampest run` of recordings of so many frames of 100 modules, from disk to
+disk in one process.
 """
 
 import argparse
@@ -32,7 +34,9 @@ METHODS: dict[str, tuple[lampest.Term, ...]] = {
 
 @dataclass(frozen=True)
 class Took:
-    """Processor time, ms: of what comes before the first frame, of that, and the median of later ones; and statuses."""
+    """Processor time, ms: of what comes before the first frame, of that, and the median of later
+    ones; and statuses.
+    """
 
     before: float
     first: float
@@ -45,8 +49,12 @@ class Took:
 
 
 def recording_of(modules: int, frames: int) -> lampest.Recording:
-    """A mouth for every ten modules of 10 × 10 cells, as nearly square as it goes; 0: one panel of 100 × 100."""
-    rows = max(n for n in range(1, max(modules, 1) + 1) if modules % n == 0 and n * n <= max(modules, 1))
+    """A mouth for every ten modules of 10 × 10 cells, as nearly square as it goes; 0: one panel of
+    100 × 100.
+    """
+    rows = max(
+        n for n in range(1, max(modules, 1) + 1) if modules % n == 0 and n * n <= max(modules, 1)
+    )
     layout = Modules(rows, max(modules, 1) // rows, EachModule(10, 10))
     panel = lampest.Panel(modules=layout) if modules else lampest.Panel(100, 100)
     readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
@@ -64,11 +72,15 @@ def recording_of(modules: int, frames: int) -> lampest.Recording:
     )
     scene = lampest.Scene(panel, readout, 140.0)
     return lampest.simulate(
-        lampest.Simulation(schema=1, seed=3, scene=scene, frames=frames, frame_period_s=0.02, loads=mouths)
+        lampest.Simulation(
+            schema=1, seed=3, scene=scene, frames=frames, frame_period_s=0.02, loads=mouths
+        )
     )
 
 
-def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bool, alone: bool = False) -> Took:
+def took(
+    recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bool, alone: bool = False
+) -> Took:
     """Of one method; alone : every module by the solver for single panels."""
     estimator = lampest.Estimator((lampest.Misfit(), *terms), "reduced", error_bars=bars)
     readings = recording.readings()
@@ -82,30 +94,43 @@ def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bo
     for frame in recording.measured_frames():
         begin = time.process_time()
         if alone and layout is not None:
-            steps = [part.push(readings[frame].of_module(layout, number)) for number, part in enumerate(parts)]
+            steps = [
+                part.push(readings[frame].of_module(layout, number))
+                for number, part in enumerate(parts)
+            ]
             parts = [part for part, _ in steps]
             statuses += [step.status for _, step in steps]
         else:
-            stream, step = stream.push(lampest.Readings.of(recording.scene, recording.recorded[frame]))
+            stream, step = stream.push(
+                lampest.Readings.of(recording.scene, recording.recorded[frame])
+            )
             statuses.append(step.status)
         spent.append(1e3 * (time.process_time() - begin))
     return Took(1e3 * before, spent[0], float(np.median(spent[2:])), tuple(statuses))
 
 
 def with_one_weight(penalty: lampest.Term, seed: int) -> str:
-    """How own weights scatter, and the median error of cells with a shared one over theirs: of all, of one module."""
+    """How own weights scatter, and the median error of cells with a shared one over theirs: of all,
+    of one module.
+    """
     layout = Modules(3, 4, EachModule(10, 10)) if seed != 2 else Modules(2, 3, EachModule(6, 4))
     panel = lampest.Panel(modules=layout)
     random = np.random.default_rng(seed)
     readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
     (_, wide), (_, high) = panel.extents_mm
     rods = tuple(
-        lampest.Rod(centre_mm=(random.uniform(10, wide), random.uniform(10, high)), diameter_mm=30, mass_g=500)
+        lampest.Rod(
+            centre_mm=(random.uniform(10, wide), random.uniform(10, high)),
+            diameter_mm=30,
+            mass_g=500,
+        )
         for _ in range(3)
     )
     channels = lampest.Unmodelled(channel_spread_ohm=3.0 if seed == 3 else 0.0)
     scene = lampest.Scene(panel, readout, 140.0)
-    made = lampest.Simulation(schema=1, seed=seed, scene=scene, frames=3, loads=rods, unmodelled=channels)
+    made = lampest.Simulation(
+        schema=1, seed=seed, scene=scene, frames=3, loads=rods, unmodelled=channels
+    )
     recording = lampest.simulate(made)
     readings = recording.readings()
     truth = recording.truth_cell_resistance
@@ -118,7 +143,9 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
         resting = baseline_readings(part, read)
         frame = deciding_frames(part, read, resting)[0]
         assert own is not None
-        weighted = with_chosen_weights(estimator, own, deciding_data(estimator, own, resting, read[frame]), None)
+        weighted = with_chosen_weights(
+            estimator, own, deciding_data(estimator, own, resting, read[frame]), None
+        )
         chosen.append(float(weighted.terms[1].weight))
         networks.append((weighted, own, resting))
     errors = []
@@ -133,7 +160,10 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
         errors.append(np.stack(found))
     alone, shared = (np.median(layout.split(each), axis=(0, 2, 3)) for each in errors)
     whole = np.median(errors[1]) / np.median(errors[0])
-    return f"weights × {max(chosen) / min(chosen):4.0f}   all {whole:.3f}   worst module {(shared / alone).max():.3f}"
+    return (
+        f"weights × {max(chosen) / min(chosen):4.0f}   all {whole:.3f}   worst module "
+        f"{(shared / alone).max():.3f}"
+    )
 
 
 ESTIMATORS = {
@@ -141,11 +171,22 @@ ESTIMATORS = {
     "cell_resistance": "{terms: {misfit: {}, cell_resistance: {weight: auto}}, error_bars: false}",
     "plain, error bars": "{terms: {misfit: {}}}",
 }
-RUN = [sys.executable, "-c", "from lampest.cli import main; main()", "run", "run.yaml", "--jobs", "1", "--out"]
+RUN = [
+    sys.executable,
+    "-c",
+    "from lampest.cli import main; main()",
+    "run",
+    "run.yaml",
+    "--jobs",
+    "1",
+    "--out",
+]
 
 
 def from_disk_to_disk(frames: int) -> dict[str, tuple[float, float]]:
-    """Method → (s of processor time, MB of peak memory) of the command on a recording of 100 modules."""
+    """Method → (s of processor time, MB of peak memory) of the command on a recording of 100
+    modules.
+    """
     found = {}
     with TemporaryDirectory() as folder:
         recording_of(100, frames).save(Path(folder, "metre.h5"))
@@ -153,7 +194,9 @@ def from_disk_to_disk(frames: int) -> dict[str, tuple[float, float]]:
             text = f"schema: 1\nrecordings: [metre.h5]\nestimators: {{one: {estimator}}}\n"
             Path(folder, "run.yaml").write_text(text)
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            subprocess.run([*RUN, name.replace(", ", "_").replace(" ", "_")], cwd=folder, check=True)
+            subprocess.run(
+                [*RUN, name.replace(", ", "_").replace(" ", "_")], cwd=folder, check=True
+            )
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
             found[name] = spent, after.ru_maxrss / 1024
@@ -170,10 +213,17 @@ def main() -> None:
     given = parser.parse_args()
     runs = {frames: from_disk_to_disk(frames) for frames in given.disk}
     for name in ESTIMATORS if runs else ():
-        (few, (short, _)), (many, (long, memory)) = ((frames, runs[frames][name]) for frames in (min(runs), max(runs)))
+        (few, (short, _)), (many, (long, memory)) = (
+            (frames, runs[frames][name]) for frames in (min(runs), max(runs))
+        )
         each = (long - short) / max(many - few, 1)
-        message = f"{1e3 * each:5.0f} ms a frame, {short - few * each:5.1f} s once, peak {memory:.0f} MB"
-        print(f"{name:20} {few} frames {short:5.1f} s, {many} frames {long:5.1f} s: {message}", flush=True)
+        message = (
+            f"{1e3 * each:5.0f} ms a frame, {short - few * each:5.1f} s once, peak {memory:.0f} MB"
+        )
+        print(
+            f"{name:20} {few} frames {short:5.1f} s, {many} frames {long:5.1f} s: {message}",
+            flush=True,
+        )
     if given.disk:
         return
     for seed in (1, 2, 3) if given.weights else ():
@@ -187,7 +237,10 @@ def main() -> None:
         for name, terms in METHODS.items():
             print(f"{modules:4} modules {name:20}{took(recording, terms, False)}", flush=True)
         if modules:
-            print(f"{modules:4} modules {'plain, error bars':20}{took(recording, (), True)}", flush=True)
+            print(
+                f"{modules:4} modules {'plain, error bars':20}{took(recording, (), True)}",
+                flush=True,
+            )
     if 0 in given.modules:
         return
     four = recording_of(4, given.frames)

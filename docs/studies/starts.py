@@ -1,6 +1,7 @@
 """How often a sequence's own start reaches the best minimum that random starts find.
 
-Run it with: python -m docs.studies.starts [RUN] [--random 20] [--seed 0] [--out DIR] [--set PATH=VALUE]
+Run it with: python -m docs.studies.starts [RUN] [--random 20] [--seed 0] [--out DIR] [--set
+PATH=VALUE]
 """
 
 from collections.abc import Iterator
@@ -21,10 +22,12 @@ from lampest.studies.study import Cases, Study, of_cases
 
 @dataclass(frozen=True)
 class Tally:
-    """Of one case: frames solved, frames at the best known objective, the worst excess, and distinct minima in a frame.
+    """Of one case: frames solved, frames at the best known objective, the worst excess, and
+    distinct minima in a frame.
 
-    A frame is at the best known objective φ where no random start ended more than 1e-6 below it, in units of φ plus the
-    cost of a cell without a model. random_solved : of `random` solves from random starts.
+    A frame is at the best known objective φ where no random start ended more than 1e-6 below it, in
+    units of φ plus the cost of a cell without a model. random_solved : of `random` solves from
+    random starts.
     """
 
     recording: str
@@ -52,12 +55,24 @@ def tally(case: Case, random_starts: int, seed: int) -> Tally:
     at_best = sum(value <= 1e-6 for value in excess)
     worst = max(excess, default=0.0)
     most = max(minima, default=0)
-    return Tally(case.recording, case.name, len(excess), at_best, worst, most, ended, random_starts * len(excess))
+    return Tally(
+        case.recording,
+        case.name,
+        len(excess),
+        at_best,
+        worst,
+        most,
+        ended,
+        random_starts * len(excess),
+    )
 
 
-def _objectives(case: Case, count: int, generator: np.random.Generator) -> Iterator[tuple[float, list[float], float]]:
-    """Of each frame of a case's sequence: where it ended, infinite where it failed; where solves from random starts
-    r = R_m·exp(uniform(0, ln 60)) end; the cost of a cell if f(r) were zero, at the least cells.
+def _objectives(
+    case: Case, count: int, generator: np.random.Generator
+) -> Iterator[tuple[float, list[float], float]]:
+    """Of each frame of a case's sequence: where it ended, infinite where it failed; where solves
+    from random starts r = R_m·exp(uniform(0, ln 60)) end; the cost of a cell if f(r) were zero, at
+    the least cells.
     """
     recording = Recording.load(case.path)
     readings = recording.readings()
@@ -68,13 +83,24 @@ def _objectives(case: Case, count: int, generator: np.random.Generator) -> Itera
         if step.solution.status in (Status.UNREAD, Status.UNRESTED):
             continue
         # Weights of `weight: auto` are the frame's.
-        cost = case.estimator.with_weights(step.weights).cost(recording.scene, len(data.measured), partial=data.partial)
+        cost = case.estimator.with_weights(step.weights).cost(
+            recording.scene, len(data.measured), partial=data.partial
+        )
         solver = named_method("reduced").solver(cost, recording.scene, case.estimator.solver, 1.0)
-        places = (np.exp(generator.uniform(0, np.log(60), data.measured.shape)) for _ in range(count))
-        ends = [solved_from(solver, evaluated(cost, data, data.apparent_resistance * place)) for place in places]
+        places = (
+            np.exp(generator.uniform(0, np.log(60), data.measured.shape)) for _ in range(count)
+        )
+        ends = [
+            solved_from(solver, evaluated(cost, data, data.apparent_resistance * place))
+            for place in places
+        ]
         least = evaluated(cost, data, data.lower)
         results = step.solution.objective if step.solution.solved else np.inf
-        yield results, [end.objective for end in ends if end.solved], least.cost_scale - least.objective
+        yield (
+            results,
+            [end.objective for end in ends if end.solved],
+            least.cost_scale - least.objective,
+        )
 
 
 SCREEN: Columns = {

@@ -20,7 +20,9 @@ from lampest.recording.recording import Recording
 # one reading in 144 to 1,024 of a recording is wild, in the third of four frames
 FRAMES = 4
 STRUCK = 2
-LOSSES: dict[str, AnyLoss] = {"squared": Squared()} | {f"huber {c:g} σ": Huber(corner=c) for c in (1.5, 3.0)}
+LOSSES: dict[str, AnyLoss] = {"squared": Squared()} | {
+    f"huber {c:g} σ": Huber(corner=c) for c in (1.5, 3.0)
+}
 PENALTIES: dict[str, tuple[Term, ...]] = {
     "LSM": (),
     "LSR-gCR": (Gradient(weight="auto"),),
@@ -31,7 +33,8 @@ PENALTIES: dict[str, tuple[Term, ...]] = {
 def recordings(count: int, seed: int) -> list[tuple[Recording, Array]]:
     """(recording, true cells), all frames of one scene with fresh noise each.
 
-    A wild reading is off by a factor of e^±0.2 to e^±2, either way. 6 × 6 to 16 × 16 cells, 0.1 to 3 % noise.
+    A wild reading is off by a factor of e^±0.2 to e^±2, either way. 6 × 6 to 16 × 16 cells, 0.1 to
+    3 % noise.
     """
     rng = np.random.default_rng(seed)
     made = []
@@ -46,19 +49,30 @@ def recordings(count: int, seed: int) -> list[tuple[Recording, Array]]:
         column = rng.integers(measured.shape[2])
         measured[1 + STRUCK, row, column] *= np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 2.0))
         role = np.array(place, dtype=np.uint8)
-        whole = replace(two, recorded=measured, time=np.arange(FRAMES + 1.0), role=role, sigma=sigma[place])
+        whole = replace(
+            two, recorded=measured, time=np.arange(FRAMES + 1.0), role=role, sigma=sigma[place]
+        )
         made.append((whole, cells[place][1:]))
     return made
 
 
 def study(count: int, seed: int) -> None:
-    """Print, for every method and loss, the errors of the frame before, the frame with a wild reading, the next."""
+    """Print, for every method and loss, the errors of the frame before, the frame with a wild
+    reading, the next.
+    """
     made = recordings(count, seed)
-    print(f"{count} recordings; cell error median / 95th percentile / worst, and intervals that hold the truth")
+    print(
+        f"{count} recordings; cell error median / 95th percentile / worst, and intervals that hold "
+        "the truth"
+    )
     for name, penalties in PENALTIES.items():
         for loss_name, loss in LOSSES.items():
             terms = (Misfit(weighting="noise", loss=loss), *penalties)
-            parts: dict[int, list[tuple[Array, Array]]] = {STRUCK - 1: [], STRUCK: [], STRUCK + 1: []}
+            parts: dict[int, list[tuple[Array, Array]]] = {
+                STRUCK - 1: [],
+                STRUCK: [],
+                STRUCK + 1: [],
+            }
             for recording, cells in made:
                 results = reconstruct(recording, Estimator(terms, formulation="reduced"))
                 lower = results.cell_resistance_lower
@@ -74,7 +88,8 @@ def study(count: int, seed: int) -> None:
                 error, held = (np.concatenate(part) for part in zip(*parts[frame], strict=True))
                 median, high = np.percentile(error, [50, 95])
                 print(
-                    f"{name:8} {loss_name:12} {word:7} {median:5.2f} / {high:6.1f} / {error.max():8.3g} %, "
+                    f"{name:8} {loss_name:12} {word:7} {median:5.2f} / {high:6.1f} / "
+                    f"{error.max():8.3g} %, "
                     f"held {100 * held.mean():.1f} %, {len(parts[frame])} solved",
                     flush=True,
                 )

@@ -1,7 +1,8 @@
 """Cross-validation: withheld readings are predicted from all others, over a range of weights.
 
-Run it with: python -m docs.studies.withheld RUN [--share 0.1] [--draws 5] [--seed 0] [--out DIR] [--set PATH=VALUE]
-For recordings whose truth nobody knows. Source: Stone, J. R. Statist. Soc. B 36, 1974.
+Run it with: python -m docs.studies.withheld RUN [--share 0.1] [--draws 5] [--seed 0] [--out DIR]
+[--set PATH=VALUE] For recordings whose truth nobody knows. Source: Stone, J. R. Statist. Soc. B 36,
+1974.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,15 +28,19 @@ from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.studies import study
 
-FACTORS = (100.0, 10.0, 1.0, 0.1)  # of the estimator's weights, the heaviest first: each solve begins at the last
+# Of the estimator's weights, the heaviest first: each solve begins at the last.
+FACTORS = (100.0, 10.0, 1.0, 0.1)
 MOST_FRAMES = 10  # evenly spaced ones: neighbouring frames show the same load
 
 
 class Withheld(NamedTuple):
-    """One frame, one draw, one weight. error, interpolated : rms over the withheld readings, in LSB or percent.
+    """One frame, one draw, one weight. error, interpolated : rms over the withheld readings, in LSB
+    or percent.
 
-    readings : how many were withheld. factor : of the estimator's weights; weights : these, of the penalties.
-    hidden : median of a cell's resistance over what its own reading shows, of the readings that were used.
+    readings : how many were withheld. factor : of the estimator's weights; weights : these, of the
+        penalties.
+    hidden : median of a cell's resistance over what its own reading shows, of the readings that
+        were used.
     """
 
     recording: str
@@ -52,7 +57,9 @@ class Withheld(NamedTuple):
 
 
 def visible(scene: Scene, recorded: Array) -> Array:
-    """Recorded readings on the scale of their noise: codes within the rails; without a readout, percent."""
+    """Recorded readings on the scale of their noise: codes within the rails; without a readout,
+    percent.
+    """
     if scene.readout is None:
         return np.asarray(100 * np.log(recorded))
     within = np.clip(recorded, *scene.readout.rails())
@@ -73,59 +80,96 @@ def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array
     return filled.reshape(panel.shape)
 
 
-def predictions(recording: Recording, case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
-    """Every draw and weight of evenly spaced frames. share : of a frame's readings that are values, at least one.
+def predictions(
+    recording: Recording, case: Case, share: float, draws: int, seed: int
+) -> Iterator[Withheld]:
+    """Every draw and weight of evenly spaced frames. share : of a frame's readings that are values,
+    at least one.
 
     Readings that no cells allow are neither predicted nor used.
     """
     scene = recording.scene
     readings = recording.readings()
     rng = np.random.default_rng(seed)
-    estimator = first_stream(recording, Prepared(recording).noise.readings, case.estimator).estimator
+    estimator = first_stream(
+        recording, Prepared(recording).noise.readings, case.estimator
+    ).estimator
     unit = "percent" if scene.readout is None else "LSB"
     impossible = impossible_readings(scene.circuit, readings)
     frames = recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]
-    for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))]:
+    for frame in frames[
+        np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))
+    ]:
         plain = readings[frame].plain & scene.panel.present & ~impossible[frame]
         recorded = recording.recorded[frame]
-        sigma = None if recording.sigma is None else np.broadcast_to(recording.sigma, recording.recorded.shape)[frame]
+        sigma = (
+            None
+            if recording.sigma is None
+            else np.broadcast_to(recording.sigma, recording.recorded.shape)[frame]
+        )
         shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
         for _ in range(draws):
             held = np.zeros(plain.shape, dtype=bool)
-            held.flat[rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)] = True
+            held.flat[
+                rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)
+            ] = True
             rest = Readings.of(scene, np.where(held | impossible[frame], np.nan, recorded), sigma)
             used = rest.plain & scene.panel.present
             apparent = scene.circuit.apparent_resistance(rest.value)
             without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
             for factor, weights, cells in _estimates(estimator, scene, rest):
-                model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
+                model = scene.circuit.to_recorded(
+                    scene.circuit.exact_reading(cells, scene.wiring), scene
+                )
                 missed = ((record - shown)[held] for record in (visible(scene, model), without))
                 error, ignorant = (float(np.sqrt(np.mean(record**2))) for record in missed)
                 solved = bool(np.isfinite(cells).all())
                 hidden = float(np.median((cells / apparent)[used]))
-                about = (recording.name, case.name, unit, int(frame), factor, weights, solved, int(held.sum()))
+                about = (
+                    recording.name,
+                    case.name,
+                    unit,
+                    int(frame),
+                    factor,
+                    weights,
+                    solved,
+                    int(held.sum()),
+                )
                 yield Withheld(*about, error, ignorant, hidden)
 
 
 def _estimates(
     estimator: Estimator, scene: Scene, readings: Readings
 ) -> Iterator[tuple[float, tuple[float, ...], Array]]:
-    """(factor, weights of the penalties, cells (rows, columns) ohm) at every factor; NaN where a solve failed."""
+    """(factor, weights of the penalties, cells (rows, columns) ohm) at every factor; NaN where a
+    solve failed.
+    """
     data = estimator.data(readings.alone(), Background(scene))
     near = None
     for factor in FACTORS:
-        weights = [float(term.weight) * (1.0 if term.reads_measurement else factor) for term in estimator.terms]
+        weights = [
+            float(term.weight) * (1.0 if term.reads_measurement else factor)
+            for term in estimator.terms
+        ]
         cost = estimator.with_weights(weights).cost(scene, 1, partial=data.partial)
         results = best_solution(ProjectedNewton(cost, estimator.solver), data, near)
         near = results.cell_resistance if results.solved else near
         of_penalties = zip(weights, estimator.terms, strict=True)
         cells = results.cell_resistance[0] if results.solved else np.full(scene.panel.shape, np.nan)
-        yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
+        yield (
+            factor,
+            tuple(weight for weight, term in of_penalties if not term.reads_measurement),
+            cells,
+        )
 
 
-def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[Run, study.Cases[Withheld]]:
-    """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share < 1."""
+def withheld_study(
+    share: float, draws: int = 5, seed: int = 0
+) -> study.Study[Run, study.Cases[Withheld]]:
+    """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share
+    < 1.
+    """
     if not 0 < share < 1:
         raise InputError("--share must lie between 0 and 1, such as 0.1")
 
@@ -137,7 +181,10 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
             return "without a penalty, it leaves a cell open whose reading is withheld"
         if recording.scene.panel.modules is not None:
             return "its panel is one of modules"
-        return list(predictions(recording, case, share, draws, seed)) or "too little was read of every frame"
+        return (
+            list(predictions(recording, case, share, draws, seed))
+            or "too little was read of every frame"
+        )
 
     return study.Study(
         "withheld",
@@ -153,7 +200,11 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
 
 def _row(records: Sequence[Withheld]) -> study.Row:
     """Of a case at one weight: medians over frames and draws."""
-    solved = [(record.error, record.error / record.interpolated, record.hidden) for record in records if record.solved]
+    solved = [
+        (record.error, record.error / record.interpolated, record.hidden)
+        for record in records
+        if record.solved
+    ]
     error, ratio, hidden = np.median(solved or [(np.nan,) * 3], axis=0).tolist()
     return study.Row(
         recording=records[0].recording,
@@ -170,7 +221,9 @@ def _row(records: Sequence[Withheld]) -> study.Row:
     )
 
 
-withheld_rows = study.rows_by(lambda record: (record.recording, record.estimator, record.factor), _row)
+withheld_rows = study.rows_by(
+    lambda record: (record.recording, record.estimator, record.factor), _row
+)
 SCREEN: Columns = {
     "recording": "{recording}",
     "estimator": "{estimator}",
@@ -187,7 +240,9 @@ SCREEN: Columns = {
 
 if __name__ == "__main__":
     parser = script.parser_of(__doc__)
-    parser.add_argument("--share", type=float, default=0.1, help="share of the readings of a frame to withhold")
+    parser.add_argument(
+        "--share", type=float, default=0.1, help="share of the readings of a frame to withhold"
+    )
     parser.add_argument("--draws", type=int, default=5, help="random draws of withheld readings")
     parser.add_argument("--seed", type=int, default=0, help="random seed of the draws")
     script.main(lambda options: withheld_study(options.share, options.draws, options.seed), parser)

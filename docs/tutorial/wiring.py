@@ -1,4 +1,6 @@
-"""The wiring of the tutorial: python docs/tutorial/wiring.py. Pins are those of firmware/lampest_board/pins.h."""
+"""The wiring of the tutorial: python docs/tutorial/wiring.py. Pins are those of
+firmware/lampest_board/pins.h.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
-STYLE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "lampest", "font.family": "sans-serif", "font.size": 9}
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "lampest",
+    "font.family": "sans-serif",
+    "font.size": 9,
+}
 POWER = "#c0392b"
 GROUND = "#222222"
 SIGNAL = "#1f6fb2"
@@ -18,8 +25,17 @@ LINES = 8
 
 def box(axes: Axes, corner: tuple[float, float], size: tuple[float, float], name: str) -> None:
     """A part with its name on top."""
-    axes.add_patch(FancyBboxPatch(corner, *size, boxstyle="round,pad=0.02", fc="#f4f4f4", ec="#444444", lw=1.2))
-    axes.text(corner[0] + size[0] / 2, corner[1] + size[1] + 0.12, name, ha="center", va="bottom", weight="bold")
+    axes.add_patch(
+        FancyBboxPatch(corner, *size, boxstyle="round,pad=0.02", fc="#f4f4f4", ec="#444444", lw=1.2)
+    )
+    axes.text(
+        corner[0] + size[0] / 2,
+        corner[1] + size[1] + 0.12,
+        name,
+        ha="center",
+        va="bottom",
+        weight="bold",
+    )
 
 
 def wire(axes: Axes, colour: str, *points: tuple[float, float]) -> None:
@@ -42,7 +58,9 @@ def panel(axes: Axes) -> None:
         wire(axes, LINE, (7.2, y), (11.7, y))
         wire(axes, LINE, (x, 2.2), (x, 6.4))
         for other in range(LINES):
-            axes.add_patch(Rectangle((8.4 + 0.43 * other - 0.09, y - 0.09), 0.18, 0.18, fc="#555555", zorder=4))
+            axes.add_patch(
+                Rectangle((8.4 + 0.43 * other - 0.09, y - 0.09), 0.18, 0.18, fc="#555555", zorder=4)
+            )
     axes.text(7.25, 6.42, "rows", ha="left", va="bottom", fontsize=8)
     axes.text(11.55, 2.6, "columns", ha="left", va="center", fontsize=8)
 
@@ -59,7 +77,9 @@ def multiplexers(axes: Axes) -> None:
 
 
 def board(axes: Axes) -> None:
-    """The Mega, its supply, ground, selecting pins and the analog input with the reference resistor."""
+    """The Mega, its supply, ground, selecting pins and the analog input with the reference
+    resistor.
+    """
     box(axes, (0.6, 0.6), (2.2, 6.0), "Arduino Mega 2560")
     for y, name in ((6.2, "5V"), (5.2, "D22–D25"), (1.75, "D26–D29"), (1.25, "A0"), (0.85, "GND")):
         pin(axes, (2.8, y), name, "right")
@@ -81,7 +101,13 @@ def board(axes: Axes) -> None:
     for junction in ((4.2, 0.85), (6.4, 1.25), (6.4, 0.2)):
         axes.plot(*junction, marker="o", color=GROUND, ms=4, zorder=6)
     axes.text(
-        4.2, 6.3, "supply, also to VCC\nof the other multiplexer", color=POWER, ha="center", va="bottom", fontsize=8
+        4.2,
+        6.3,
+        "supply, also to VCC\nof the other multiplexer",
+        color=POWER,
+        ha="center",
+        va="bottom",
+        fontsize=8,
     )
     axes.text(4.0, 1.83, "selects the column", color=SIGNAL, ha="left", va="bottom", fontsize=8)
     axes.text(3.0, 5.28, "selects the row", color=SIGNAL, ha="left", va="bottom", fontsize=8)

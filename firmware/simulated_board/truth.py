@@ -1,4 +1,6 @@
-"""The truth of a recording as the text that simulated_board reads: python truth.py RECORDING > truth.txt"""
+"""The truth of a recording as the text that simulated_board reads: python truth.py RECORDING >
+truth.txt
+"""
 
 import sys
 from pathlib import Path

@@ -1,1 +1,4 @@
-"""What recordings say about scenes: the verdict on the circuit, effects, the health of the panel, and advice."""
+"""What recordings say about scenes.
+
+This is the verdict on the circuit, effects, the health of the panel, and advice.
+"""

@@ -1,6 +1,7 @@
-"""Advice: what a recording suggests beyond its scene, each with its evidence and the line of the scene that says so.
+"""Advice: what a recording suggests beyond its scene.
 
-Advice is made of what the estimates of a recording have determined, and of the health of the panel. No estimate uses
+Each suggestion comes with its evidence and the line of the scene that says so. Advice is made of
+what the estimates of a recording have determined, and of the health of the panel. No estimate uses
 it.
 """
 
@@ -63,12 +64,20 @@ class Audit:
         if scene.readout is None:
             return
         if scene.readout.noise_specified and noise.sigma_factor != 1:
-            evidence = f"readings at rest scatter {noise.factor:.3g} +- {noise.factor_error:.1g} times as specified"
-            yield Finding("noise", "the noise is another one", evidence, "readout: {noise_lsb: estimated}")
+            evidence = (
+                f"readings at rest scatter {noise.factor:.3g} +- {noise.factor_error:.1g} "
+                "times as specified"
+            )
+            yield Finding(
+                "noise", "the noise is another one", evidence, "readout: {noise_lsb: estimated}"
+            )
 
 
 def entry_line(name: str) -> str:
-    """Return the line of a scene for a circuit in words, such as 'readout.sense: one, drive_ohm near 50'."""
+    """Return the line of a scene for a circuit in words.
+
+    An example is 'readout.sense: one, drive_ohm near 50'.
+    """
     content: dict[str, object] = {}
     for key, value in ENTRY.findall(name):
         path = key.split(".") if "." in key or key in OF_SCENE else ["readout", key]

@@ -1,6 +1,7 @@
-"""Effects that a recording shows and its scene does not name, each with its evidence and the line to add.
+"""Effects that a recording shows and its scene does not name.
 
-They are searched for on request, in finished readings. No estimate depends on them.
+Each comes with its evidence and the line to add. They are searched for on request, in finished
+readings. No estimate depends on them.
 """
 
 from collections.abc import Iterator
@@ -29,7 +30,8 @@ from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-MIN_SHARE_READ = 0.9  # of the unloaded readings that are values: with fewer, films look rough (tests/golden/checks.py)
+# Of the unloaded readings that are values: with fewer, films look rough (tests/golden/checks.py).
+MIN_SHARE_READ = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +76,22 @@ class Gathered:
 
 @lru_cache(maxsize=1)
 def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
-    """Return the effects that a recording shows and its scene does not name; of modules each line once."""
+    """Return the effects that a recording shows and its scene does not name.
+
+    Of modules each line is returned once.
+    """
     if prepared.layout is None:
         if prepared.cleaned.readings.sigma is None:
             return ()
-        return searched(Gathered(prepared.cleaned.recording, prepared.noise, prepared.check, prepared.effects))
+        return searched(
+            Gathered(prepared.cleaned.recording, prepared.noise, prepared.check, prepared.effects)
+        )
     findings = dict[str, Finding]()
     for number, part in enumerate(prepared.modules):
         for finding in () if part is None else unnamed_effects(part):
             what = f"module {list(prepared.layout.place(number))}: {finding.what}"
-            findings.setdefault(finding.line, replace(finding, what=what))  # a line of the scene holds for all modules
+            # a line of the scene holds for all modules
+            findings.setdefault(finding.line, replace(finding, what=what))
     return tuple(findings.values())
 
 
@@ -149,11 +157,15 @@ def _besides(evidence: Gathered) -> Iterator[Finding]:
 
 def _memory(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on a converter that remembers the channel before."""
-    if evidence.names_none("converter_memory") and memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN:
+    if (
+        evidence.names_none("converter_memory")
+        and memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN
+    ):
         found = estimated_memory(evidence.recording)
         if not isinstance(found, str):
             yield _finding(
-                f"the converter keeps {100 * found[0]:.2g} +- {100 * found[1]:.1g} % of the channel before: so fewer "
+                f"the converter keeps {100 * found[0]:.2g} +- {100 * found[1]:.1g} % of the "
+                "channel before: so fewer "
                 "cells have moved under the load",
                 "converter_memory",
                 ESTIMATED,
@@ -165,11 +177,16 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     scene = evidence.scene
     noise = evidence.noise
     unloaded = evidence.unloaded
-    if noise.readings.sigma is None or not unloaded.any() or not evidence.names_none("systematic.reading_error"):
+    if (
+        noise.readings.sigma is None
+        or not unloaded.any()
+        or not evidence.names_none("systematic.reading_error")
+    ):
         return
     known = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
     asked = replace(scene, systematic=replace(known, reading_error=ESTIMATED))
-    # without the error of the model: the same misses would count for it and for errors of the readings
+    # without the error of the model: the same misses would count for it and for errors of the
+    # readings
     readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
     resting = readings[unloaded].mean()
     loaded = None
@@ -182,7 +199,8 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if found.no_reading_error < SIGNIFICANCE:
         mean, deviation = found.sizes["reading_error"]
         yield _finding(
-            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in all frames: cells are "
+            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in "
+            "all frames: cells are "
             "rougher than those of films",
             "systematic.reading_error",
             ESTIMATED,
@@ -198,7 +216,8 @@ def _motion(evidence: Gathered) -> Iterator[Finding]:
     share = share_of_motion(evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
     if share is not None:
         yield _finding(
-            f"no cells explain frames in which loads move; a scan takes {share[0]:.2g} +- {share[1]:.1g} of the time "
+            f"no cells explain frames in which loads move; a scan takes {share[0]:.2g} +- "
+            f"{share[1]:.1g} of the time "
             "between frames",
             "motion",
             ESTIMATED,

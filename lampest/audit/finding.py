@@ -18,8 +18,8 @@ class Finding:
     Attributes
     ----------
     room : str
-        Row of the table of health or of advice: 'lines', 'cells', 'noise', 'readings', 'frames', 'times', 'order',
-        'circuit', 'effects'.
+        Row of the table of health or of advice: 'lines', 'cells', 'noise', 'readings', 'frames',
+        'times', 'order', 'circuit', 'effects'.
     what : str
         The finding, such as 'row 3 is dead'.
     evidence : str
@@ -39,20 +39,31 @@ class Finding:
     @property
     def text(self) -> str:
         """The finding in one line, ASCII."""
-        parts = (self.evidence and f": {self.evidence}", self.line and f"; add to the scene: {self.line}")
+        parts = (
+            self.evidence and f": {self.evidence}",
+            self.line and f"; add to the scene: {self.line}",
+        )
         return f"{self.what}{''.join(parts)}{self.remedy and f'; {self.remedy}'}"
 
 
 def with_line(scene: Scene, line: str) -> Scene:
-    """Return the scene with the entries of a line. Raises InputError where the scene cannot have them."""
+    """Return the scene with the entries of a line.
+
+    Raises InputError where the scene cannot have them.
+    """
     addition = parse_document(line, "the scene").content
     content = merged(_fitting(plain_content(scene), addition), addition)
     made: Scene = validated(parse_document(to_yaml(content), "the scene"), Scene)
     return replace(made, assumed=scene.assumed)
 
 
-def with_lines(scene: Scene, findings: Iterable[Finding]) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
-    """Return the scene with the lines of findings, the lines that it took, and sentences on those that it did not."""
+def with_lines(
+    scene: Scene, findings: Iterable[Finding]
+) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
+    """Return the scene with the lines of findings, and the lines that it took.
+
+    Also return sentences on those that it did not take.
+    """
     taken = list[str]()
     refused = list[str]()
     for line in dict.fromkeys(finding.line for finding in findings if finding.line):
@@ -68,16 +79,25 @@ def _fitting(content: dict[str, Any], addition: dict[str, Any]) -> dict[str, Any
     """Return a scene's content without the entries that a readout of another kind does not have."""
     readout = content.get("readout")
     kind = addition.get("readout", {}).get("kind")
-    known = {member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)}
+    known = {
+        member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)
+    }
     if readout is None or kind not in known:
         return content
-    return content | {"readout": {key: value for key, value in readout.items() if key in known[kind]}}
+    return content | {
+        "readout": {key: value for key, value in readout.items() if key in known[kind]}
+    }
 
 
 def merged(content: Any, addition: Any) -> Any:
-    """Return content with an addition: mappings are joined, lists extended by new items, other values replaced."""
+    """Return content with an addition.
+
+    Mappings are joined, lists extended by new items, other values replaced.
+    """
     if isinstance(content, Mapping) and isinstance(addition, Mapping):
-        return dict(content) | {key: merged(content.get(key), value) for key, value in addition.items()}
+        return dict(content) | {
+            key: merged(content.get(key), value) for key, value in addition.items()
+        }
     if isinstance(content, list) and isinstance(addition, list):
         return [*content, *(item for item in addition if item not in content)]
     return addition

@@ -1,6 +1,7 @@
-"""Health of a panel and of its recording, in one table: lines, cells, noise, readings, frames, times, order.
+"""Health of a panel and of its recording, in one table.
 
-All checks read the recording and its scene alone, none an estimate, so that the table is there right after an import.
+The table is on lines, cells, noise, readings, frames, times and order. All checks read the
+recording and its scene alone, none an estimate, so that the table is there right after an import.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,14 +37,18 @@ WELL = {  # what the table says of a room without a finding
 }
 OPEN_OHM = 1e9
 SHORT_OHM = 1e-3
-MAX_ASIDE = 0.12  # of the way from the voltage of a short to that of a usual cell: no load is there in every frame
-MIN_DISTANCE = 2.0  # times the noise: how far the readings of living lines lie from those of dead ones
-# Least shift in ln y that two touching lines have over single ones on a uniform panel, so that it shows; share of it
-# that is observed. Loads in the middle make two rows of a uniform film equal in every reading, and shift none.
+# Of the way from the voltage of a short to that of a usual cell: no load is there in every frame.
+MAX_ASIDE = 0.12
+# Times the noise: how far the readings of living lines lie from those of dead ones.
+MIN_DISTANCE = 2.0
+# Least shift in ln y that two touching lines have over single ones on a uniform panel, so that it
+# shows; share of it that is observed. Loads in the middle make two rows of a uniform film equal in
+# every reading, and shift none.
 MIN_SHIFT = 0.1
 MIN_SHIFT_SHARE = 0.5
 MIN_NOISE_FRAMES = 4  # unloaded frames that show whose noise is larger
-MAX_NOISE_RATIO = {"line": 2.0, "cell": 4.0}  # of a line's or a cell's standard deviation to the usual one
+# Of a line's or a cell's standard deviation to the usual one.
+MAX_NOISE_RATIO = {"line": 2.0, "cell": 4.0}
 MAX_GAP = 2.5  # median intervals between frames: beyond it frames are missing
 MAX_NAMED = 6  # places in one sentence
 
@@ -58,7 +63,8 @@ class Health:
     frames, unloaded : int
         Numbers of all and of the unloaded frames.
     missing, at_rails : float
-        Shares of the readings that are missing, and at a rail of the converter, zero or below the series resistance.
+        Shares of the readings that are missing, and at a rail of the converter, zero or below the
+        series resistance.
     """
 
     findings: tuple[Finding, ...]
@@ -69,7 +75,10 @@ class Health:
 
     @classmethod
     def of(cls, recording: Recording) -> "Health":
-        """Return the health that a recording shows. Raises InputError where readings contradict the scene."""
+        """Return the health that a recording shows.
+
+        Raises InputError where readings contradict the scene.
+        """
         view = _View(recording)
         checks = (_dead_lines, _touching_lines, _cells, _noise, _readings, _frames, _times, _order)
         found = tuple(finding for check in checks for finding in check(view))
@@ -77,7 +86,9 @@ class Health:
         missing = view.readings.missing(recording.scene)[:, asked]
         bounds = view.readings.bounds[:, asked]
         unloaded = int((recording.role == UNLOADED).sum())
-        return cls(found, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean()))
+        return cls(
+            found, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean())
+        )
 
     @property
     def well(self) -> bool:
@@ -90,7 +101,9 @@ class Health:
         rows = list[tuple[str, str]]()
         for room in ROOMS:
             texts = [finding.text for finding in self.findings if finding.room == room]
-            rows += [(room if not number else "", text) for number, text in enumerate(texts)] or [(room, WELL[room])]
+            rows += [(room if not number else "", text) for number, text in enumerate(texts)] or [
+                (room, WELL[room])
+            ]
         return tuple(rows)
 
     @property
@@ -120,7 +133,10 @@ class _View:
 
     @cached_property
     def volts(self) -> Array:
-        """Voltages at the converter, (frames, rows, columns); NaN where missing, garbled or not requested."""
+        """Voltages at the converter, (frames, rows, columns).
+
+        NaN where missing, garbled or not requested.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             volts = self.scene.circuit.volt_from_recorded(self.recording.recorded)
         known = ~np.isnan(self.recording.recorded) & ~self.garbled & self.scene.requested
@@ -139,7 +155,10 @@ class _View:
         return circuit.lsb_volt + OUTLIER_THRESHOLD * float(np.mean(circuit.sigma_volt()))
 
     def volts_of(self, cells: Array, faults: Faults | None = None) -> Array:
-        """Return the voltages of cells (rows, columns) ohm under the scene's circuit, with other faults if given."""
+        """Return the voltages of cells (rows, columns) ohm under the scene's circuit.
+
+        The circuit is taken with other faults if given.
+        """
         scene = self.scene if faults is None else replace(self.scene, faults=faults)
         circuit = scene.circuit
         exact = circuit.exact_reading(cells, scene.wiring)
@@ -148,20 +167,29 @@ class _View:
 
     @cached_property
     def usual_ohm(self) -> float:
-        """Resistance of the cells of a uniform panel whose median voltage is that of the unloaded panel, ohm."""
+        """Cell resistance of a uniform panel with the unloaded panel's median voltage, ohm."""
         target = middle(self.resting)
         ohms = np.geomspace(1e1, 1e6, 26)
-        volts = [float(np.median(self.volts_of(np.full(self.scene.panel.shape, ohm)))) for ohm in ohms]
+        volts = [
+            float(np.median(self.volts_of(np.full(self.scene.panel.shape, ohm)))) for ohm in ohms
+        ]
         return float(ohms[np.argmin(np.nan_to_num(np.abs(np.array(volts) - target), nan=np.inf))])
 
     @property
     def modelled(self) -> bool:
         """Whether the scene has the voltages of a single network."""
-        return self.scene.readout is not None and self.scene.panel.modules is None and self.scene.panel.cells is None
+        return (
+            self.scene.readout is not None
+            and self.scene.panel.modules is None
+            and self.scene.panel.cells is None
+        )
 
 
 def _dead_lines(view: _View) -> Iterator[Finding]:
-    """Find lines without a contact: no reading of theirs ever differs from that of a panel without cells."""
+    """Find lines without a contact.
+
+    No reading of theirs ever differs from that of a panel without cells.
+    """
     if not view.modelled:
         return
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
@@ -173,7 +201,11 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
         for name, axis in (("row", 1), ("column", 0)):
             dead = np.flatnonzero(bare.all(axis=axis))
             living = np.delete(away, dead, axis=1 - axis)
-            if len(dead) and len(dead) < view.scene.panel.shape[1 - axis] / 2 and living.mean() > 0.9:
+            if (
+                len(dead)
+                and len(dead) < view.scene.panel.shape[1 - axis] / 2
+                and living.mean() > 0.9
+            ):
                 plural = "s are" if len(dead) > 1 else " is"
                 numbers = first_and_more(dead.tolist(), MAX_NAMED)
                 yield Finding(
@@ -185,7 +217,10 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
 
 
 def _touching_lines(view: _View) -> Iterator[Finding]:
-    """Find rows and columns that touch: their readings are equal, and lower than those of single lines."""
+    """Find rows and columns that touch.
+
+    Their readings are equal, and lower than those of single lines.
+    """
     if not view.modelled:
         return
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
@@ -206,7 +241,10 @@ def _touching_lines(view: _View) -> Iterator[Finding]:
 
 
 def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
-    """Return whether the unloaded readings of other lines differ from each other, so that equal ones are no chance."""
+    """Return whether the unloaded readings of other lines differ from each other.
+
+    If they do, equal ones are no chance.
+    """
     lines = view.resting if name == "row" else view.resting.T
     others = np.delete(lines, group, axis=0)
     if len(others) < 2:
@@ -214,15 +252,24 @@ def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
     distances = np.sqrt(median((others[:, None] - others[None]) ** 2, 2)[:, :, 0])
     own = np.sqrt(middle((lines[list(group[1:])] - lines[group[0]]) ** 2))
     least = max(OUTLIER_THRESHOLD * own, 2 * view.scene.circuit.lsb_volt)
-    return bool(np.min(np.nan_to_num(distances, nan=np.inf)[np.triu_indices(len(others), 1)]) > least)
+    return bool(
+        np.min(np.nan_to_num(distances, nan=np.inf)[np.triu_indices(len(others), 1)]) > least
+    )
 
 
 def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
-    """Return whether the unloaded readings of lines deviate from the other ones as those of touching lines do."""
+    """Return whether the unloaded readings of lines deviate as those of touching lines do.
+
+    The deviation is that from the other ones.
+    """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     known = view.scene.faults or Faults()
     joined = (tuple(group),)
-    faults = replace(known, joined_rows=joined) if name == "row" else replace(known, joined_columns=joined)
+    faults = (
+        replace(known, joined_rows=joined)
+        if name == "row"
+        else replace(known, joined_columns=joined)
+    )
     axis = 1 if name == "row" else 0
     effects = [
         median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()
@@ -255,7 +302,10 @@ def _cells(view: _View) -> Iterator[Finding]:
 
 
 def _shorted_cells(view: _View) -> Iterator[Finding]:
-    """Find cells whose readings are those of a short circuit in every frame, and far from all others."""
+    """Find cells whose readings are those of a short circuit in every frame.
+
+    These readings are also far from all others.
+    """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     usual = middle(view.resting)
     extreme = np.argsort(-np.abs(np.nan_to_num(view.resting, nan=usual) - usual), axis=None)[:3]
@@ -284,7 +334,8 @@ def _noise(view: _View) -> Iterator[Finding]:
     unloaded = view.volts[view.recording.role == UNLOADED]
     if len(unloaded) < MIN_NOISE_FRAMES:
         return
-    # successive differences: a slow drift is no noise; n − 1 of them hold some 2/3 of the degrees of freedom of n − 1
+    # successive differences: a slow drift is no noise; n − 1 of them hold some 2/3 of the degrees
+    # of freedom of n − 1
     steps = np.diff(unloaded, axis=0)
     square = (steps**2).mean(axis=0) / 2
     lsb = 0.0 if view.scene.readout is None else view.scene.readout.lsb_volt
@@ -296,21 +347,31 @@ def _noise(view: _View) -> Iterator[Finding]:
     known = np.isfinite(square)
     noisy = {
         name: np.flatnonzero(
-            (np.sqrt((ratio.sum(axis=axis) - ratio.max(axis=axis)) / np.maximum(known.sum(axis=axis) - 1, 1)))
+            (
+                np.sqrt(
+                    (ratio.sum(axis=axis) - ratio.max(axis=axis))
+                    / np.maximum(known.sum(axis=axis) - 1, 1)
+                )
+            )
             > MAX_NOISE_RATIO["line"]
         )
         for name, axis in (("row", 1), ("column", 0))
     }
     most = view.scene.panel.shape
-    noisy = {name: lines if len(lines) <= most[name == "column"] / 3 else lines[:0] for name, lines in noisy.items()}
+    noisy = {
+        name: lines if len(lines) <= most[name == "column"] / 3 else lines[:0]
+        for name, lines in noisy.items()
+    }
     for name, lines in noisy.items():
         if len(lines):
             size = float(np.sqrt(np.mean(ratio[lines] if name == "row" else ratio[:, lines])))
             yield Finding(
                 "noise",
-                f"{name}{'s' if len(lines) > 1 else ''} {first_and_more(lines.tolist(), MAX_NAMED)} "
+                f"{name}{'s' if len(lines) > 1 else ''} "
+                f"{first_and_more(lines.tolist(), MAX_NAMED)} "
                 f"{'are' if len(lines) > 1 else 'is'} noisy",
-                f"unloaded readings scatter {size:.2g} times as much as the others: is a contact loose?",
+                f"unloaded readings scatter {size:.2g} times as much as the others: is a contact "
+                "loose?",
             )
     inside = np.zeros(square.shape, dtype=bool)
     inside[noisy["row"]] = True
@@ -321,7 +382,9 @@ def _noise(view: _View) -> Iterator[Finding]:
         places = first_and_more(np.argwhere(alone).tolist(), MAX_NAMED)
         size = float(np.sqrt(ratio[alone].max()))
         yield Finding(
-            "noise", f"readings at {places} are noisy", f"they scatter up to {size:.2g} times as much as usual"
+            "noise",
+            f"readings at {places} are noisy",
+            f"they scatter up to {size:.2g} times as much as usual",
         )
 
 
@@ -331,12 +394,19 @@ def _readings(view: _View) -> Iterator[Finding]:
     missing = view.readings.missing(view.scene)
     bounds = view.readings.bounds
     total = max(int(scene.requested.sum()) * len(missing), 1)
-    kinds = ((missing, "missing"), (bounds & scene.requested, "at a rail, zero or below the series resistance"))
+    kinds = (
+        (missing, "missing"),
+        (bounds & scene.requested, "at a rail, zero or below the series resistance"),
+    )
     for which, words in kinds:
         if which.any():
             frames = int(which.any(axis=(1, 2)).sum())
             share = float(f"{100 * which.sum() / total:.2g}")
-            yield Finding("readings", f"{share:g} % {words}", f"{int(which.sum())} in {frames} of {len(which)} frames")
+            yield Finding(
+                "readings",
+                f"{share:g} % {words}",
+                f"{int(which.sum())} in {frames} of {len(which)} frames",
+            )
 
 
 def _frames(view: _View) -> Iterator[Finding]:
@@ -344,7 +414,9 @@ def _frames(view: _View) -> Iterator[Finding]:
     garbled = garbled_lines(view.recording)
     if garbled:
         places = first_and_more([lines.name_in_words for lines in garbled], MAX_NAMED)
-        yield Finding("frames", f"garbled: {places}", "left out; they are no readings of this panel")
+        yield Finding(
+            "frames", f"garbled: {places}", "left out; they are no readings of this panel"
+        )
     repeated = repeated_frames(view.recording)
     if len(repeated):
         count = f"{len(repeated)} of {len(view.recording.role)}"
@@ -354,9 +426,10 @@ def _frames(view: _View) -> Iterator[Finding]:
 
 
 def repeated_frames(recording: Recording) -> NDArray[np.intp]:
-    """Return the frames that equal the one before in every reading where noise changes some in nearly all others.
+    """Return the frames that equal the one before in every reading.
 
-    Frames without a value are no copies.
+    They are returned where noise changes some readings in nearly all others. Frames without a value
+    are no copies.
     """
     value = recording.recorded[:, recording.scene.requested]
     known = np.isfinite(value[1:]) & np.isfinite(value[:-1])
@@ -369,7 +442,8 @@ def repeated_frames(recording: Recording) -> NDArray[np.intp]:
     others = shares[~copies & (counts > 0)]
     if not copies.any() or not len(others):
         return np.zeros(0, dtype=np.intp)
-    # probability that noise repeats all readings of a frame by chance, if the largest share of the others is usual
+    # probability that noise repeats all readings of a frame by chance, if the largest share of the
+    # others is usual
     chance = len(copies) * float(others.max()) ** int(np.median(counts))
     return np.flatnonzero(copies) + 1 if chance < SIGNIFICANCE else np.zeros(0, dtype=np.intp)
 
@@ -382,7 +456,9 @@ def _times(view: _View) -> Iterator[Finding]:
     equal = int(np.sum(steps <= 0))
     if equal:
         yield Finding(
-            "times", f"{equal} of {len(steps) + 1} frames are not later than the one before", "see their times"
+            "times",
+            f"{equal} of {len(steps) + 1} frames are not later than the one before",
+            "see their times",
         )
     usual = float(np.median(steps))
     gaps = np.flatnonzero(steps > MAX_GAP * usual) if usual > 0 else np.zeros(0, dtype=int)

@@ -1,8 +1,9 @@
-"""Order of the lines: whether neighbours on the panel change alike in the scene's order, or in another one.
+"""Order of the lines: whether neighbours on the panel change alike in the scene's order.
 
-A load covers neighbouring cells, and its crosstalk rows and columns. Lines that a program numbered otherwise, or a
-frame that was cut into rows of another length, tear its image apart; another order with much less disorder is the
-panel's.
+The question is whether they do so in this order, or in another one. A load covers neighbouring
+cells, and its crosstalk rows and columns. Lines that a program numbered otherwise, or a frame that
+was cut into rows of another length, tear its image apart; another order with much less disorder is
+the panel's.
 """
 
 from collections.abc import Iterator
@@ -17,8 +18,9 @@ from lampest.panel.panel import Array
 from lampest.recording.readings import median
 from lampest.recording.recording import UNLOADED, Recording
 
-# Ratio of the disorder in the best other order to that in the scene's. Of 500 clean recordings the smallest is 0.7; of
-# panels whose rows were cut at the wrong length nine in ten are below 0.54 (tests/oracles/test_health.py).
+# Ratio of the disorder in the best other order to that in the scene's. Of 500 clean recordings the
+# smallest is 0.7; of panels whose rows were cut at the wrong length nine in ten are below 0.54
+# (tests/oracles/test_health.py).
 MAX_RATIO = 0.5
 MIN_LINES = 4  # of each side: with fewer, another order is smoother by chance
 MIN_CHANGED = 6  # readings whose change exceeds the noise by far
@@ -58,7 +60,9 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
     serpentine = numbers.copy()
     serpentine[1::2] = serpentine[1::2, ::-1]
     yield Order(
-        "every second row reversed, as a serpentine scan delivers them", serpentine, "reverse them before import"
+        "every second row reversed, as a serpentine scan delivers them",
+        serpentine,
+        "reverse them before import",
     )
     for name, count, place in (("rows", rows, 0), ("columns", columns, 1)):
         for words, order in line_orders(count):
@@ -67,7 +71,10 @@ def orders(rows: int, columns: int) -> Iterator[Order]:
 
 
 def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
-    """Generate orders of lines: odd and even ones apart or interleaved, address bits reversed, pairs swapped."""
+    """Generate orders of lines.
+
+    In them odd and even ones are apart or interleaved, address bits reversed, or pairs swapped.
+    """
     lines = np.arange(count)
     if count < MIN_LINES:
         return
@@ -81,7 +88,10 @@ def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
     yield "with neighbours swapped", pairs
     bits = (count - 1).bit_length()
     if 2**bits == count:
-        yield "with the bits of their addresses reversed", np.array([int(f"{n:0{bits}b}"[::-1], 2) for n in lines])
+        yield (
+            "with the bits of their addresses reversed",
+            np.array([int(f"{n:0{bits}b}"[::-1], 2) for n in lines]),
+        )
 
 
 def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
@@ -105,12 +115,20 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     ]
     least, best = min(candidates, key=lambda pair: pair[0])
     if least < MAX_RATIO * as_specified:
-        evidence = f"changes are {as_specified / least:.2g} times smoother and better aligned with the lines then"
-        yield Finding("order", f"readings seem to come in another order: {best.words}", evidence, remedy=best.remedy)
+        evidence = (
+            f"changes are {as_specified / least:.2g} times smoother and better aligned with "
+            "the lines then"
+        )
+        yield Finding(
+            "order",
+            f"readings seem to come in another order: {best.words}",
+            evidence,
+            remedy=best.remedy,
+        )
 
 
 def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) -> Array:
-    """Return the changes of the voltages from the unloaded panel, in frames that change strongly."""
+    """Return changes of the voltages from the unloaded panel, in frames that change strongly."""
     change = volts[~unloaded] - median(volts[unloaded])[0]
     change = np.where(np.isfinite(change), change, 0.0)
     readout = recording.scene.readout
@@ -118,7 +136,9 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
     known = np.isfinite(steps)
     noise = float(np.sqrt(np.sum(steps[known] ** 2) / (2 * max(int(known.sum()), 1))))
     noise = max(noise, 0.0 if readout is None else readout.lsb_volt)
-    strong = (np.abs(interaction(change)) > OUTLIER_THRESHOLD * noise).sum(axis=(1, 2)) >= MIN_CHANGED
+    strong = (np.abs(interaction(change)) > OUTLIER_THRESHOLD * noise).sum(
+        axis=(1, 2)
+    ) >= MIN_CHANGED
     return np.asarray(change[strong])
 
 
@@ -134,15 +154,18 @@ def interaction(change: Array) -> Array:
 def disorder(change: Array) -> float:
     """Return how little images follow rows, columns and neighbours, for (frames, rows, columns).
 
-    It is the product of three measures: the roughness of the images, that of their interaction, and the share of the
-    interaction. Each is smaller in the panel's own order.
+    It is the product of three measures: the roughness of the images, that of their interaction, and
+    the share of the interaction. Each is smaller in the panel's own order.
     """
     own = interaction(change)
     return roughness(change) * roughness(own) * float(np.sum(own**2) / np.sum(change**2))
 
 
 def roughness(change: Array) -> float:
-    """Return the mean square difference of neighbours over the mean square, for images (frames, rows, columns)."""
+    """Return the mean square difference of neighbours over the mean square of images.
+
+    The images are (frames, rows, columns).
+    """
     down = np.diff(change, axis=1)
     across = np.diff(change, axis=2)
     neighbours = (np.sum(down**2) + np.sum(across**2)) / (down[0].size + across[0].size)

@@ -1,4 +1,4 @@
-"""The verdict on a scene: whether its circuit explains a recording, with all that speaks against it."""
+"""Verdict on a scene: whether its circuit explains a recording, with all that speaks against it."""
 
 import math
 from collections.abc import Iterator
@@ -14,7 +14,8 @@ from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
-CLEAR_LOG_ODDS = math.log(1000)  # by the readings alone, of the panel that is taken, against one that reads alike
+# By the readings alone, of the panel that is taken, against one that reads alike.
+CLEAR_LOG_ODDS = math.log(1000)
 
 
 def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None) -> ModelCheck:
@@ -52,6 +53,7 @@ def _another_panel(prepared: Prepared) -> Iterator[str]:
     if len(panels) > 1 and panels[0][0] - panels[1][0] < CLEAR_LOG_ODDS:
         taken, other = (float(np.median(cells)) for _, cells in panels[:2])
         yield (
-            f"cells of about {taken:.2g} ohm and of about {other:.2g} ohm give these readings alike, and the former are"
+            f"cells of about {taken:.2g} ohm and of about {other:.2g} ohm give these readings "
+            "alike, and the former are"
             " taken: with a smaller drive_ohm they differ"
         )

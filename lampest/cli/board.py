@@ -13,12 +13,20 @@ if TYPE_CHECKING:
     from lampest.estimate.calibration import Calibration
     from lampest.recording.board.record import Progress, Recorded
 
-PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
+PORT = (
+    "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each "
+    "module, in order."
+)
 Port = Annotated[list[str] | None, screen.option(PORT)]
-SceneFile = Annotated[Path | None, screen.option("YAML file of the scene. Default: the board's settings.")]
-Frames = Annotated[int | None, screen.option("Stop after this number of frames, such as 600.", min=1)]
+SceneFile = Annotated[
+    Path | None, screen.option("YAML file of the scene. Default: the board's settings.")
+]
+Frames = Annotated[
+    int | None, screen.option("Stop after this number of frames, such as 600.", min=1)
+]
 Period = Annotated[
-    float | None, screen.option("Seconds between frames, such as 0.1. Default: 1.", callback=screen.positive)
+    float | None,
+    screen.option("Seconds between frames, such as 0.1. Default: 1.", callback=screen.positive),
 ]
 
 
@@ -51,7 +59,10 @@ def record(
 
     if list_:
         for device in (available := ports()):
-            screen.say(f"{device.url}  {device.description}{'  (looks like an Arduino)' if device.likely else ''}")
+            screen.say(
+                f"{device.url}  "
+                f"{device.description}{'  (looks like an Arduino)' if device.likely else ''}"
+            )
         if not available:
             screen.say("there is no serial port", to=sys.stderr)
         return
@@ -59,13 +70,22 @@ def record(
         raise InputError("--out: name the new recording")
     if count is not None and seconds is not None:
         raise InputError("--count and --seconds: give one of them")
-    options: dict[str, Any] = {"frames": count, "seconds": seconds, "baseline": baseline, "period": period}
+    options: dict[str, Any] = {
+        "frames": count,
+        "seconds": seconds,
+        "baseline": baseline,
+        "period": period,
+    }
     agreed = screen.scene_of(scene, assign)
     with pressed_keys() as keys, screen.progress("waiting for the board") as show:
 
         def on_progress(at: "Progress") -> None:
             time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
-            show(at.frames, count, f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}")
+            show(
+                at.frames,
+                count,
+                f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}",
+            )
 
         done = record_board(port, out, **options, scene=agreed, on_progress=on_progress, keys=keys)
     report_recorded(done)
@@ -79,8 +99,9 @@ def calibrate(
     tolerance: float = 0.01,
     out: screen.Output = None,
 ) -> None:
-    """Calibrate the electronics with known resistors or many loads, or the film with known loads, and write a scene.
+    """Calibrate the electronics or the film, and write a scene.
 
+    The electronics are calibrated with known resistors or many loads, the film with known loads.
     Every number comes with its uncertainty.
 
     Parameters
@@ -103,7 +124,9 @@ def calibrate(
     if not 0 <= tolerance <= 0.5:
         raise InputError("--tolerance must lie between 0 and 0.5")
     if sum((loads is not None, bool(known), from_recording)) > 1:
-        raise InputError("--known, --loads and --from-recording are different calibrations: give one of them")
+        raise InputError(
+            "--known, --loads and --from-recording are different calibrations: give one of them"
+        )
     words = known or ["0"]
     if len(words) not in (1, len(files)):
         raise InputError(f"--known: give one for each of the {len(files)} files, or one for all")
@@ -120,7 +143,7 @@ def calibrate(
 def _calibrated(
     files: list[Path], words: list[str], loads: Path | None, from_recording: bool, tolerance: float
 ) -> "Calibration":
-    """Return the calibration with known loads, with ordinary recordings, or with the resistors that words name."""
+    """Return the calibration with known loads, ordinary recordings or resistors that words name."""
     from lampest.recording.recording import Recording
 
     recordings = [Recording.load(file) for file in files]
@@ -179,7 +202,8 @@ def live(
     out
         Record the board into this file as well.
     publish
-        lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest. Repeatable.
+        lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest.
+        Repeatable.
     """
     from lampest.files.process import ending_signals
     from lampest.report.live.run import LiveBoard, Outlets, Replay, chosen
@@ -189,7 +213,9 @@ def live(
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
-    source: LiveBoard | Replay = LiveBoard(tuple(port or ()), screen.scene_of(scene, None), baseline, period, out)
+    source: LiveBoard | Replay = LiveBoard(
+        tuple(port or ()), screen.scene_of(scene, None), baseline, period, out
+    )
     if recording is not None:
         source = Replay(recording, speed, baseline)
 
@@ -210,15 +236,24 @@ def report_recorded(done: "Recorded") -> None:
     Raises typer.Exit with code 130 for an interrupted recording.
     """
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
-    screen.say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
+    screen.say(
+        f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: "
+        f"{done.path}"
+    )
     jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
-    parted, behind = (f"{count} of the {done.frames} frames" for count in (done.parted, done.behind))
+    parted, behind = (
+        f"{count} of the {done.frames} frames" for count in (done.parted, done.behind)
+    )
     bare = done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm
     for true, sentence in (
-        (done.clock_jumps, f"{jumps} of the board's clock; events mark where, and time goes on by the period"),
+        (
+            done.clock_jumps,
+            f"{jumps} of the board's clock; events mark where, and time goes on by the period",
+        ),
         (
             done.clock_stopped,
-            "the board's clock stood still; an event marks since when, and time goes on by this computer's clock",
+            "the board's clock stood still; an event marks since when, and time goes on by this "
+            "computer's clock",
         ),
         (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
         *(
@@ -228,12 +263,14 @@ def report_recorded(done: "Recorded") -> None:
         (done.silent, f"no frame came in the last {done.silent:.1f} s"),
         (
             bare,
-            "no series resistance is assumed, because the scene names none; two multiplexer channels have "
+            "no series resistance is assumed, because the scene names none; two multiplexer "
+            "channels have "
             "some 140 ohm, which lampest calibrate measures",
         ),
         (
             done.ended_by,
-            f"{done.ended_by} ended the recording; {f'{behind} were' if done.behind else 'no frame was'} "
+            f"{done.ended_by} ended the recording; "
+            f"{f'{behind} were' if done.behind else 'no frame was'} "
             "still in the port then",
         ),
     ):

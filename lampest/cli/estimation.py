@@ -26,14 +26,17 @@ def init(
     columns: screen.Count = 10,
     purpose: str | None = None,
 ) -> None:
-    """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation.
+    """Write starter files for your circuit.
+
+    They are a scene, a run, a simulated recording and its simulation.
 
     Parameters
     ----------
     folder
         Folder, created if missing; existing files are kept.
     readout
-        Your circuit: two_mux, parallel_mux, pull_ups, pull_downs, grounded, grounded_one, amplifiers or diodes.
+        Your circuit: two_mux, parallel_mux, pull_ups, pull_downs, grounded, grounded_one,
+        amplifiers or diodes.
     rows
         Rows of your panel, such as 16.
     columns
@@ -49,7 +52,8 @@ def init(
     run = folder / RUN
     scene = folder / SCENE
     screen.say_text(
-        f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init --readout CIRCUIT"
+        f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init "
+        "--readout CIRCUIT"
     )
     screen.say_text(circuit.sketch)
     screen.say(f"software: {circuit.software}")
@@ -57,7 +61,8 @@ def init(
         f"\nnow: lampest run {run}                    ({RECORDING}, simulated for this circuit)"
         f"\n     lampest plot results/{run.stem}/results.h5 --show change"
         f"\nthen, with the numbers of your circuit in {scene}:"
-        f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, and mine.h5 in {run}"
+        f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, and mine.h5 "
+        f"in {run}"
     )
 
 
@@ -94,10 +99,19 @@ def run(
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
         screen.warn(f"{name}: {text} assumed; the scene does not say")
-    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), separate=limited)
+    executor = (
+        cases.executor
+        if cases.executor and not jobs
+        else local(jobs, len(cases.cases), separate=limited)
+    )
     with screen.progress("frames", counted=True) as on_frames:
-        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh=fresh, on_frames=on_frames)
-    counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
+        report = run_batch(
+            cases, out or Path("results") / config.stem, executor, fresh=fresh, on_frames=on_frames
+        )
+    counts = (
+        f"{counted(report.done, 'case')} solved, {report.skipped} were done before, "
+        f"{len(report.failed)} failed"
+    )
     screen.say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
         screen.warn(f"existing results of other cases were renamed: {report.aside}")
@@ -107,14 +121,20 @@ def run(
     for name, sentence in report.failed:
         screen.warn(f"{name} failed: {sentence}")
     if report.lost:
-        left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command to run them"
+        left = (
+            f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command "
+            "to run them"
+        )
         screen.warn(left)
     if report.failed or report.not_run:
         raise typer.Exit(screen.SOME_FAILED)
 
 
 def refuse_large(cases: "Sequence[Case]") -> None:
-    """Raise InputError where a case's first frame takes more than two minutes, or more memory than there is."""
+    """Raise InputError where a case's first frame takes more than two minutes.
+
+    Raise it also where the frame takes more memory than there is.
+    """
     from lampest.files.process import in_bytes, memory_limit
     from lampest.recording.file import recording_file
 
@@ -127,7 +147,8 @@ def refuse_large(cases: "Sequence[Case]") -> None:
         seconds, size = case.estimator.effort(panels[case.path])
         if seconds > 120 or size > memory_limit():
             raise InputError(
-                f"{case.path}: {case.name} takes about {seconds / 60:.0f} min and {in_bytes(size)} of memory for the "
+                f"{case.path}: {case.name} takes about {seconds / 60:.0f} min and {in_bytes(size)} "
+                "of memory for the "
                 "first frame; --yes solves it, and a formulation such as linearised takes less"
             )
 
@@ -216,7 +237,9 @@ def import_(
     }
     replaced = out.is_file()
     with screen.progress("reading"):
-        recording, notes = import_file(file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options)
+        recording, notes = import_file(
+            file, rows, columns, agreed, unit, baseline, time_unit=time_unit, **options
+        )
         recording.save(out)
     for line in understood_lines(recording, notes):
         screen.say(screen.as_options(line))
@@ -245,6 +268,11 @@ def tare(file: Path, frames: Annotated[str, screen.option()], out: screen.NewFil
     made, change = tared(recording, named)
     replaced = out.is_file()
     made.save(out)
-    screen.say(f"unloaded: frames {named[0]} to {named[-1]}: {screen.written(out, replaced=replaced)}")
+    screen.say(
+        f"unloaded: frames {named[0]} to {named[-1]}: {screen.written(out, replaced=replaced)}"
+    )
     if change > MIN_CHANGE:
-        screen.warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")
+        screen.warn(
+            f"readings change by up to {100 * change:.1f} % within these frames; did a load come "
+            "or go?"
+        )

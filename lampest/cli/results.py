@@ -18,11 +18,16 @@ if TYPE_CHECKING:
     from lampest.report.detect.pressed import PressedCells
     from lampest.report.detect.visits import Visit
 
-FramesNamed = Annotated[str | None, screen.option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
+FramesNamed = Annotated[
+    str | None, screen.option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")
+]
 
 
 def _frames(text: str | None) -> range | None:
-    """Return the frames that an screen.option names, or None for all. Raises InputError unless it names some."""
+    """Return the frames that an option names, or None for all.
+
+    Raises InputError unless it names some.
+    """
     from lampest.recording.tare import frames_named
 
     return None if text is None else frames_named(text)
@@ -35,7 +40,9 @@ def compare(
     frames: FramesNamed = None,
     published: bool = False,
 ) -> None:
-    """Compare methods over recordings: frames solved, time, data error, and cell error where the truth is known.
+    """Compare methods over recordings.
+
+    They are compared by frames solved, time, data error, and cell error where the truth is known.
 
     Parameters
     ----------
@@ -83,8 +90,8 @@ def plot(
     out
         Output folder, or one picture such as x.svg. Default: beside the results.
     show
-        contours, change, resistance, residuals, pressure, certainty, sweep, or an added plot. Default: contours, of
-        sweeps errors.
+        contours, change, resistance, residuals, pressure, certainty, sweep, or an added plot.
+        Default: contours, of sweeps errors.
     frame
         Frame index, such as 12. Default: a frame of strong change.
     recording
@@ -94,9 +101,14 @@ def plot(
     """
     from lampest.report.plots import plot_results
 
-    chosen: dict[str, Any] = {"estimators": tuple(estimator or ()), "recordings": tuple(recording or ())}
+    chosen: dict[str, Any] = {
+        "estimators": tuple(estimator or ()),
+        "recordings": tuple(recording or ()),
+    }
     with screen.progress("pictures") as shown:
-        files = plot_results(results, out, show, on_picture=shown, frame=frame, frames=_frames(frames), **chosen)
+        files = plot_results(
+            results, out, show, on_picture=shown, frame=frame, frames=_frames(frames), **chosen
+        )
     for path in files:
         screen.say(path)
 
@@ -113,7 +125,9 @@ def export(
     milliseconds: screen.Amount = None,
     processor: str | None = None,
 ) -> None:
-    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, or an estimator to a microcontroller.
+    """Export results to pandas and R, MATLAB and Octave, xarray or NWB.
+
+    Or export an estimator to a microcontroller.
 
     Parameters
     ----------
@@ -130,7 +144,8 @@ def export(
     estimator
         Estimator for c, such as LSM. Default: the first.
     within
-        For c: largest deviation from the optimum in the median frame, in standard deviations of the cells, such as 0.1.
+        For c: largest deviation from the optimum in the median frame, in standard deviations of the
+        cells, such as 0.1.
     milliseconds
         For c: longest time of a frame on --processor, such as 20.
     processor
@@ -138,7 +153,9 @@ def export(
     """
     if to == "c":
         if start is not None or frames is not None:
-            raise InputError("--to c takes no --start and no --frames: it exports an estimator, not frames")
+            raise InputError(
+                "--to c takes no --start and no --frames: it exports an estimator, not frames"
+            )
         _export_sketch(results, out, recording, estimator, (within, milliseconds, processor))
         return
     if any(value is not None for value in (estimator, within, milliseconds, processor)):
@@ -180,17 +197,19 @@ def detect(
     estimator: str | None = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Detect contacts: since when, where, how large, and whether one sucks. One sentence per recording, then events.
+    """Detect contacts: since when, where, how large, and whether one sucks.
 
-    Writes detections.h5, visits.csv with one row for each visit, visits.png and a timeline of each recording; of
-    results with pressures also pressed.csv with every frame.
+    The output is one sentence per recording, then events. Writes detections.h5, visits.csv with one
+    row for each visit, visits.png and a timeline of each recording; of results with pressures also
+    pressed.csv with every frame.
 
     Parameters
     ----------
     files
         Recordings, results files, or folders of recordings.
     out
-        Output folder. Default: results/<recording>, of several results/visits, or beside the results.
+        Output folder. Default: results/<recording>, of several results/visits, or beside the
+        results.
     json_
         Print the answers as JSON, and write no files.
     all_
@@ -203,7 +222,12 @@ def detect(
         Estimator whose force and area are printed, such as LSM. Default: the first.
     """
     from lampest.files.hdf5 import format_of
-    from lampest.report.detect.detection import detect_recording, detect_results, named_apart, recordings_in
+    from lampest.report.detect.detection import (
+        detect_recording,
+        detect_results,
+        named_apart,
+        recordings_in,
+    )
     from lampest.report.detect.pressed import pressed
     from lampest.runs.results import read_results
 
@@ -219,7 +243,9 @@ def detect(
             if of_results:
                 results = read_results(source, frames=_frames(frames))
                 answers += detect_results(results, patch, threshold, on_case)
-                loads += pressed(results.named("estimator", (estimator or results.estimators()[0],)))
+                loads += pressed(
+                    results.named("estimator", (estimator or results.estimators()[0],))
+                )
             else:
                 answers.append(detect_recording(source, patch, _frames(frames), threshold, on_case))
     answers = named_apart(answers)
@@ -232,37 +258,60 @@ def detect(
         _tell(answers, loads, folder if out is None else out, everything=all_)
 
 
-def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, *, everything: bool) -> None:
+def _tell(
+    answers: "Sequence[Detected]",
+    loads: "Sequence[PressedCells]",
+    folder: Path,
+    *,
+    everything: bool,
+) -> None:
     """Write the files of the answers, and print their sentences and tables."""
     from lampest.files.whole import refuse_inputs
     from lampest.report.detect import visits
-    from lampest.report.detect.answer import FILE, event_table, headline, load_table, write_detections
+    from lampest.report.detect.answer import (
+        FILE,
+        event_table,
+        headline,
+        load_table,
+        write_detections,
+    )
     from lampest.report.detect.pressed import FILE as PRESSED
     from lampest.report.detect.pressed import pressed_table, write_pressed
 
     season = visits.visits_of(answers)
     written = [FILE, visits.FILE, *([PRESSED] if loads else [])]
     refuse_inputs([folder / name for name in written])
-    files = [write_detections(folder / FILE, answers), visits.write_visits(folder / visits.FILE, season)]
+    files = [
+        write_detections(folder / FILE, answers),
+        visits.write_visits(folder / visits.FILE, season),
+    ]
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
     drawing = find_spec("matplotlib") is not None
     files += _draw(answers, season, folder) if drawing else []
     if len(answers) > 1:
         screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
     for answer in answers:
-        screen.say(f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence)
-    screen.print_notes(f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings)
+        screen.say(
+            f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence
+        )
+    screen.print_notes(
+        f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings
+    )
     screen.print_table(event_table(answers))
     if len(season) > 1:
         screen.print_table(visits.count_table(answers, season))
     if everything:
         screen.print_table(load_table(answers))
         screen.print_table(pressed_table(loads))
-        screen.print_notes(tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes))
+        screen.print_notes(
+            tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes)
+        )
     for path in files:
         screen.say(path)
     if not drawing:
-        screen.print_notes(["no pictures: matplotlib is not installed; pip install 'lampest[plots]' brings it"])
+        screen.print_notes(
+            ["no pictures: matplotlib is not installed; pip install 'lampest[plots]' brings it"]
+        )
 
 
 def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path) -> list[Path]:
@@ -272,7 +321,9 @@ def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path
     from lampest.report.plots.season import plot_season
     from lampest.report.plots.timeline import plot_timelines, timeline_files
 
-    refuse_inputs([*timeline_files(answers, folder), *([folder / visits.PICTURE] if season else [])])
+    refuse_inputs(
+        [*timeline_files(answers, folder), *([folder / visits.PICTURE] if season else [])]
+    )
     with screen.progress("pictures") as on_picture:
         files = [*plot_timelines(answers, folder, on_picture)]
     return files + ([plot_season(folder / visits.PICTURE, season)] if season else [])
@@ -290,7 +341,9 @@ def terms() -> None:
             for field in dataclasses.fields(term)
             if field.name != "kind"
         )
-        rows.append((kind, " ".join((term.__doc__ or "").split("\n\n")[0].split()), term.unit, options))
+        rows.append(
+            (kind, " ".join((term.__doc__ or "").split("\n\n")[0].split()), term.unit, options)
+        )
     screen.print_table(Table(("term", "residual", "unit", "options and defaults"), tuple(rows)))
 
 
@@ -304,8 +357,8 @@ def schema() -> None:
 def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None:
     """Describe a file and draw the frame with the strongest change as a small map.
 
-    Of a recording also the health of the panel, the verdict on its circuit, and advice: what the recording suggests
-    beyond its scene, with the evidence and the line to add.
+    Of a recording also the health of the panel, the verdict on its circuit, and advice: what the
+    recording suggests beyond its scene, with the evidence and the line to add.
 
     Parameters
     ----------
@@ -328,7 +381,10 @@ def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None
         screen.say(plot_file(file, picture))
 
 
-def check(files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE...")], repair: bool = False) -> None:
+def check(
+    files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE...")],
+    repair: bool = False,
+) -> None:
     """Verify the checksums of files and name the first damaged dataset of each.
 
     Parameters
@@ -358,5 +414,8 @@ def _repaired(file: Path) -> str:
 
     frames, dropped = repair(file)
     single = dropped == 1
-    damage = f"; {dropped} damaged frame{' is' if single else 's are'} dropped and count{'s' if single else ''} as lost"
+    damage = (
+        f"; {dropped} damaged frame{' is' if single else 's are'} dropped and "
+        f"count{'s' if single else ''} as lost"
+    )
     return f"{frames} frames: {file}{damage if dropped else ''}"

@@ -33,10 +33,15 @@ def _place(value: str) -> Path:
 
 
 def _checked_place(parameter: typer.CallbackParam, value: Path | None) -> Path | None:
-    """Return an output path. Raises InputError for an empty one and for the root of the file system."""
+    """Return an output path.
+
+    Raises InputError for an empty one and for the root of the file system.
+    """
     if value is not None and value.resolve() == Path(value.resolve().anchor):
         name = parameter.opts[0]
-        raise InputError(f"{name}: output cannot be written to an empty path or to the root of the file system")
+        raise InputError(
+            f"{name}: output cannot be written to an empty path or to the root of the file system"
+        )
     return value
 
 
@@ -67,18 +72,31 @@ AssignToScene = Annotated[list[str] | None, option(OVERRIDE_SCENE, "--set", meta
 
 
 def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
-    """Return the help of a command, and its signature with the help of its options, both from its docstring.
+    """Return the help of a command, and its signature with the help of its options.
 
-    Truth values become flags without a value.
+    Both are from its docstring. Truth values become flags without a value.
     """
     about, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
-    help_of = {name: " ".join(text.split()) for name, text in re.findall(r"(?m)^(\w+)\n((?:    .*\n?)+)", section)}
+    help_of = {
+        name: " ".join(text.split())
+        for name, text in re.findall(r"(?m)^(\w+)\n((?:    .*\n?)+)", section)
+    }
     parameters = []
     for name, param in (signature := inspect.signature(command)).parameters.items():
-        kind, *notes = get_args(param.annotation) if get_origin(param.annotation) is Annotated else (param.annotation,)
+        kind, *notes = (
+            get_args(param.annotation)
+            if get_origin(param.annotation) is Annotated
+            else (param.annotation,)
+        )
         if kind is bool:
             notes = [option("", f"--{name.strip('_').replace('_', '-')}")]
-        note = copy(notes[0]) if notes else typer.Argument() if param.default is param.empty else typer.Option()
+        note = (
+            copy(notes[0])
+            if notes
+            else typer.Argument()
+            if param.default is param.empty
+            else typer.Option()
+        )
         note.help = note.help or help_of[name]
         parameters.append(param.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
@@ -117,8 +135,13 @@ def warn(sentence: object) -> None:
 
 
 def as_options(sentence: str) -> str:
-    """Return a sentence on arguments with the options of their names: `unit='mV'` becomes --unit mV."""
-    return re.sub(r"`(\w+)(?:='?([^`']*)'?)?`", lambda word: f"--{word[1]} {word[2] or ''}".rstrip(), sentence)
+    """Return a sentence on arguments with the options of their names.
+
+    Thus `unit='mV'` becomes --unit mV.
+    """
+    return re.sub(
+        r"`(\w+)(?:='?([^`']*)'?)?`", lambda word: f"--{word[1]} {word[2] or ''}".rstrip(), sentence
+    )
 
 
 def say_text(text: str) -> None:
@@ -130,14 +153,23 @@ def say_text(text: str) -> None:
 def print_notes(notes: Iterable[str]) -> None:
     """Print sentences within 100 columns with hanging indents."""
     for note in notes:
-        print(fill(printable(note), WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+        print(
+            fill(
+                printable(note),
+                WIDTH,
+                subsequent_indent="    ",
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        )
 
 
 @contextmanager
 def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., None]]:
     """Show a progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
 
-    Yields a function that takes the number of finished parts, their total, and a text for the label.
+    Yields a function that takes the number of finished parts, their total, and a text for the
+    label.
 
     Parameters
     ----------
@@ -150,12 +182,18 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
     from rich.markup import escape
     from rich.progress import MofNCompleteColumn, Progress, TextColumn
 
-    columns = (*Progress.get_default_columns(), TextColumn("left"), *[MofNCompleteColumn()] * counted)
+    columns = (
+        *Progress.get_default_columns(),
+        TextColumn("left"),
+        *[MofNCompleteColumn()] * counted,
+    )
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task(label, total=None)
 
         def show(done: int, total: int | None, text: str | None = None) -> None:
-            bar.update(task, completed=done, total=total, description=text and escape(printable(text)))
+            bar.update(
+                task, completed=done, total=total, description=text and escape(printable(text))
+            )
 
         yield show
 
@@ -167,14 +205,22 @@ MIN_NAME = 12  # characters to which names in the first column are cut
 def print_table(table: "Table") -> None:
     """Print a table within 100 columns, or within the width of a wider terminal.
 
-    Empty columns and empty tables are omitted. In a table that is too wide, headers and texts are folded, figures are
-    not. If that is insufficient, rows that share the name in the first column are printed under that name.
+    Empty columns and empty tables are omitted. In a table that is too wide, headers and texts are
+    folded, figures are not. If that is insufficient, rows that share the name in the first column
+    are printed under that name.
     """
-    filled = [number for number in range(len(table.headers)) if any(cells[number] for cells in table.cells)]
+    filled = [
+        number
+        for number in range(len(table.headers))
+        if any(cells[number] for cells in table.cells)
+    ]
     if not filled:
         return
     headers = [table.headers[number] for number in filled]
-    texts = [["\n".join(map(printable, cells[number].split("\n"))) for number in filled] for cells in table.cells]
+    texts = [
+        ["\n".join(map(printable, cells[number].split("\n"))) for number in filled]
+        for cells in table.cells
+    ]
     rows = [[TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in cells] for cells in texts]
     room = max(get_terminal_size().columns if sys.stdout.isatty() else 0, WIDTH)
     if _draw(headers, rows, room, last=len(headers) < 2):
@@ -185,10 +231,11 @@ def print_table(table: "Table") -> None:
 
 
 def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
-    """Print a table and return True; return False if it does not fit, unless this is the last attempt.
+    """Print a table and return True.
 
-    The widest column is narrowed until the table fits, down to the longest word of each column. If that is
-    insufficient, the blanks between columns shrink and names in the first column are cut.
+    Return False if it does not fit, unless this is the last attempt. The widest column is narrowed
+    until the table fits, down to the longest word of each column. If that is insufficient, the
+    blanks between columns shrink and names in the first column are cut.
     """
     from rich import box
     from rich.console import Console
@@ -196,20 +243,32 @@ def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, l
 
     columns = [[text.split("\n") for text in column] for column in zip(headers, *rows, strict=True)]
     full = [max(len(line) for lines in column for line in lines) for column in columns]
-    least = [max(len(word) for lines in column for line in lines for word in line.split(" ")) for column in columns]
-    for gap, floors in ((2, least), (1, [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]])):
+    least = [
+        max(len(word) for lines in column for line in lines for word in line.split(" "))
+        for column in columns
+    ]
+    for gap, floors in (
+        (2, least),
+        (1, [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]]),
+    ):
         widths = list(full)
         beyond = sum(full) + gap * (len(full) - 1) + 2 - room
-        while beyond > 0 and (spare := [(width, at) for at, width in enumerate(widths) if width > floors[at]]):
+        while beyond > 0 and (
+            spare := [(width, at) for at, width in enumerate(widths) if width > floors[at]]
+        ):
             widths[max(spare, key=itemgetter(0))[1]] -= 1
             beyond -= 1
         if beyond <= 0:
             break
     if beyond > 0 and not last:
         return False
-    drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, gap - 1, 0, 0), pad_edge=False)  # the box adds one blank
+    # The box adds one blank.
+    drawn = RichTable(box=box.SIMPLE_HEAD, padding=(0, gap - 1, 0, 0), pad_edge=False)
     folded = [
-        ["\n".join("\n".join(wrap(line, width, break_on_hyphens=False)) for line in lines) for lines in column]
+        [
+            "\n".join("\n".join(wrap(line, width, break_on_hyphens=False)) for line in lines)
+            for lines in column
+        ]
         for column, width in zip(columns, widths, strict=True)
     ]
     for (header, *_), width in zip(folded, widths, strict=True):

@@ -13,14 +13,16 @@ if TYPE_CHECKING:
     from lampest.studies.study import Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]")]
-# Word → module of the study, and its help text. To add a study, write a module with its STUDY and add it here.
+# Word → module of the study, and its help text. To add a study, write a module with its STUDY and
+# add it here.
 STUDIES = {
     "bench": (
         "lampest.studies.bench",
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
 
-        Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
-        bench.md and bench.h5 with every frame. Cases beyond the file's limits or budget are named.
+        Writes bench.csv (a row for every panel, method, solver and first, joint or later frames),
+        growth.csv, bench.md and bench.h5 with every frame. Cases beyond the file's limits or budget
+        are named.
         """,
     ),
     "tradeoff": (
@@ -33,7 +35,8 @@ STUDIES = {
     ),
     "weights": (
         "lampest.studies.weights",
-        "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.",
+        "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's "
+        "choice.",
     ),
 }
 
@@ -53,7 +56,9 @@ def study_command(word: str) -> Callable[..., None]:
     """Return the command of a study."""
     module, about = STUDIES[word]
 
-    def command(config: Config = None, out: screen.Output = None, assign: screen.Assign = None) -> None:
+    def command(
+        config: Config = None, out: screen.Output = None, assign: screen.Assign = None
+    ) -> None:
         run_study(import_module(module).STUDY, config, out, assign)
 
     command.__name__ = word
@@ -61,7 +66,9 @@ def study_command(word: str) -> Callable[..., None]:
     return command
 
 
-def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
+def run_study(
+    study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None
+) -> None:
     """Run a study; print its tables, remarks and files, and omissions on stderr."""
     with screen.progress(study.counts) as on_step:
         reported = study.run(config, out, tuple(assign or ()), on_step)
@@ -76,11 +83,13 @@ def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, a
 
 
 def paper(
-    config: Config = None, out: screen.Output = None, jobs: Annotated[int | None, screen.option(min=1)] = None
+    config: Config = None,
+    out: screen.Output = None,
+    jobs: Annotated[int | None, screen.option(min=1)] = None,
 ) -> None:
-    """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
+    """Reproduce the paper's figures and table from shipped recordings.
 
-    Writes paper.html, numbers.csv and every figure as PNG.
+    They stand beside the published numbers. Writes paper.html, numbers.csv and every figure as PNG.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
-"""The cost function: terms over one frame, or over a baseline and its first frame jointly, with sparse derivatives.
+"""The cost function, with sparse derivatives.
 
-φ = Σ_terms weight · loss(residual). This module is symbolic; values and the way from potentials to cells are elsewhere.
+Its terms are over one frame, or over a baseline and its first frame jointly. φ = Σ_terms weight ·
+loss(residual). This module is symbolic; values and the way from potentials to cells are elsewhere.
 Weights are parameters of the compiled functions: costs that differ in nothing else share these.
 """
 
@@ -33,8 +34,8 @@ class Cost:
     panel : Panel
     terms : tuple of Term
     frames : int
-        1, or 2 for a joint solve. The first of two frames is the baseline and the previous frame of the second; terms
-        that need a previous frame skip it.
+        1, or 2 for a joint solve. The first of two frames is the baseline and the previous frame of
+        the second; terms that need a previous frame skip it.
     faulty : tuple of int
         Numbers of faulty cells; residuals that depend on them are left out.
     partial : bool
@@ -54,7 +55,10 @@ class Cost:
 
     @cached_property
     def weights(self) -> Array:
-        """Weights of the terms, in their order. Raises ValueError if a weight is still to be chosen."""
+        """Weights of the terms, in their order.
+
+        Raises ValueError if a weight is still to be chosen.
+        """
         return np.array([float(term.weight) for term in self.terms])
 
     @cached_property
@@ -65,16 +69,21 @@ class Cost:
     def symbols(self) -> "Symbols":
         """Return new symbols of all inputs of the cost except weights and duals."""
         shape = self.panel.crossings, self.frames
-        cell_resistance, reading = (casadi.SX.sym(name, *shape) for name in ("cell_resistance", "reading"))
+        cell_resistance, reading = (
+            casadi.SX.sym(name, *shape) for name in ("cell_resistance", "reading")
+        )
         return Symbols(cell_resistance, reading, Given.symbols(*shape, partial=self.partial))
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
-        """Return (number of the term, residual) pairs of expressions, frame by frame, without rows of faulty cells."""
+        """Return (number of the term, residual) pairs of expressions, frame by frame.
+
+        They are without rows of faulty cells.
+        """
         pairs = []
         for frame in range(self.frames):
             baseline = symbols.cell_resistance[:, 0] if frame else None
-            # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares with given earlier
-            # frames.
+            # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares
+            # with given earlier frames.
             known = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
             cells = symbols.cell_resistance[:, frame]
             reading = symbols.reading[:, frame]
@@ -84,7 +93,10 @@ class Cost:
                     pairs.append((number, _residual_of(term, state)))
         if not self.faulty:
             return pairs
-        return [(number, part[rows]) for (number, part), rows in zip(pairs, self._sound_rows, strict=True)]
+        return [
+            (number, part[rows])
+            for (number, part), rows in zip(pairs, self._sound_rows, strict=True)
+        ]
 
     @cached_property
     def _sound_rows(self) -> list[list[int]]:
@@ -92,7 +104,11 @@ class Cost:
         symbols = self.symbols()
         cells = casadi.vec(symbols.cell_resistance)
         # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
-        fault_columns = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
+        fault_columns = [
+            frame * self.panel.crossings + cell
+            for frame in range(self.frames)
+            for cell in self.faulty
+        ]
         rows = []
         for _, residual in replace(self, faulty=()).residuals(symbols):
             touched = set(casadi.jacobian(residual, cells)[:, fault_columns].sparsity().row())
@@ -114,24 +130,41 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
     """Return a term's residual (rows, 1). Raises InputError if it is no column, or constant."""
     name = f"term {term_kind(term)}: residual(state)"
     try:
-        with warnings.catch_warnings():  # np.log of a symbol is CasADi's; its notice of a change of types is for others
+        # np.log of a symbol is CasADi's; its notice of a change of types is for others
+        with warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"\s*casadi: a numpy function", FutureWarning)
             residual = casadi.SX(term.residual(state))
     except Exception as error:
-        hint = "" if term.needs_previous else "; a term that reads state.previous or state.baseline says needs_previous"
-        pairs = "" if state.panel.cells is None else ", and gradients of listed cells have a row for each pair"
+        hint = (
+            ""
+            if term.needs_previous
+            else "; a term that reads state.previous or state.baseline says needs_previous"
+        )
+        pairs = (
+            ""
+            if state.panel.cells is None
+            else ", and gradients of listed cells have a row for each pair"
+        )
         shape = f"fields of state are columns of {state.panel.crossings} cells{pairs}{hint}"
-        raise InputError(f"{name} raises {type(error).__name__} ({str(error).splitlines()[-1]}): {shape}") from error
+        raise InputError(
+            f"{name} raises {type(error).__name__} ({str(error).splitlines()[-1]}): {shape}"
+        ) from error
     rows, columns = residual.shape
     unknown = casadi.vertcat(state.cell_resistance, state.reading)
     if columns != 1 or (rows == 0 and len(state.panel.neighbours[2])):
         raise InputError(
-            f"{name} is {rows} × {columns}, not a column of one or more rows; fields of state are columns, "
-            "state.grid(state.cell_resistance) is the matrix of rows × columns, and casadi.vec makes a column of one"
+            f"{name} is {rows} × {columns}, not a column of one or more rows; fields of state are "
+            "columns, "
+            "state.grid(state.cell_resistance) is the matrix of rows × columns, and casadi.vec "
+            "makes a column of one"
         )
-    symbols, unknowns = ({symbol.element_hash() for symbol in casadi.symvar(part)} for part in (residual, unknown))
+    symbols, unknowns = (
+        {symbol.element_hash() for symbol in casadi.symvar(part)} for part in (residual, unknown)
+    )
     if len(state.panel.neighbours[2]) and symbols.isdisjoint(unknowns):
-        raise InputError(f"{name} is constant: it must depend on state.cell_resistance or state.reading")
+        raise InputError(
+            f"{name} is constant: it must depend on state.cell_resistance or state.reading"
+        )
     return residual
 
 
@@ -159,27 +192,38 @@ class Symbols:
     def inputs(self) -> dict[str, casadi.SX]:
         """Return name → flat symbol of the inputs of compiled functions."""
         named: dict[str, Any] = {"cell_resistance": self.cell_resistance, "reading": self.reading}
-        return {name: casadi.vec(symbol) for name, symbol in (named | dict(self.given.named())).items()}
+        return {
+            name: casadi.vec(symbol) for name, symbol in (named | dict(self.given.named())).items()
+        }
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
-        """Return a function of the inputs that an output depends on, and of the inputs `more`, by their names."""
+        """Return a function of the inputs that an output depends on, and of the inputs `more`.
+
+        It takes the inputs by their names.
+        """
         inputs = self.inputs()
         # One pass for all inputs: which of their entries the output depends on
         depends = casadi.which_depends(output, casadi.vertcat(*inputs.values(), *more.values()))
-        parts = np.split(np.array(depends), np.cumsum([symbol.numel() for symbol in inputs.values()]))
-        used = {name: inputs[name] for name, part in zip(inputs, parts, strict=False) if part.any()} | more
+        parts = np.split(
+            np.array(depends), np.cumsum([symbol.numel() for symbol in inputs.values()])
+        )
+        used = {
+            name: inputs[name] for name, part in zip(inputs, parts, strict=False) if part.any()
+        } | more
         return Compiled(casadi.Function(name, [*used.values()], [output], [*used], ["value"]))
 
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Compiled functions of the inputs that `Symbols.inputs` names, of the terms' weights and of the duals.
+    """Compiled functions of inputs, of the terms' weights and of the duals.
+
+    The inputs are those that `Symbols.inputs` names.
 
     Attributes
     ----------
     first : Compiled
-        Cost of each term, the same at readings of zero, and the gradient of Σ smooth + Σ weight·z·x with respect to
-        (cells; readings), in one call.
+        Cost of each term, the same at readings of zero, and the gradient of Σ smooth + Σ weight·z·x
+        with respect to (cells; readings), in one call.
     hessian : Compiled
         Second derivatives of the same function, sparse.
     nonsmooth, nonsmooth_jacobian : Compiled
@@ -206,7 +250,10 @@ class CostFunctions:
         weights = casadi.SX.sym("weights", len(cost.terms))
         parts = summands(cost.terms, cost.residuals(symbols), weights)
         # Σ weight·loss of each term, and the function to differentiate: Σ smooth + Σ weight·z·x
-        costs = [sum((part.cost for part in parts if part.term == n), casadi.SX(0)) for n in range(len(cost.terms))]
+        costs = [
+            sum((part.cost for part in parts if part.term == n), casadi.SX(0))
+            for n in range(len(cost.terms))
+        ]
         through_duals = [part for part in parts if not part.smooth]
         nonsmooth, slope = stacked(through_duals)
         dual = casadi.SX.sym("dual", nonsmooth.shape[0])
@@ -225,19 +272,23 @@ class CostFunctions:
             "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
         }
         compiled = {
-            name: symbols.compiled(name, output, weights=weights, dual=dual) for name, output in outputs.items()
+            name: symbols.compiled(name, output, weights=weights, dual=dual)
+            for name, output in outputs.items()
         }
         return cls(
             **compiled,
             nonsmooth_terms=np.array(
-                [part.term for part in through_duals for _ in range(part.residual.shape[0])], dtype=np.intp
+                [part.term for part in through_duals for _ in range(part.residual.shape[0])],
+                dtype=np.intp,
             ),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Places of the nonzero second derivatives with respect to (cells; readings), `count` unknowns each.
+    """Places of the nonzero second derivatives with respect to (cells; readings).
+
+    Each of the two has `count` unknowns.
 
     Attributes
     ----------
@@ -300,7 +351,10 @@ class Summand:
         if cost.shape != (1, 1):
             name = type(self.loss).__name__
             shape = "×".join(map(str, cost.shape))
-            raise InputError(f"loss {name}: cost gives {shape} numbers; it must give one, the sum over all residuals")
+            raise InputError(
+                f"loss {name}: cost gives {shape} numbers; it must give one, the sum over all "
+                "residuals"
+            )
         return self.weight * cost
 
     @property
@@ -314,9 +368,16 @@ class Summand:
         return self.loss.enters != "dual"
 
 
-def summands(terms: Sequence[Term], pairs: Iterable[tuple[int, casadi.SX]], weights: casadi.SX) -> list[Summand]:
-    """Return the summands of (number of the term, residual) pairs, in their order; weights (terms, 1)."""
-    return [Summand(number, terms[number].loss, residual, weights[number]) for number, residual in pairs]
+def summands(
+    terms: Sequence[Term], pairs: Iterable[tuple[int, casadi.SX]], weights: casadi.SX
+) -> list[Summand]:
+    """Return the summands of (number of the term, residual) pairs, in their order.
+
+    The weights are (terms, 1).
+    """
+    return [
+        Summand(number, terms[number].loss, residual, weights[number]) for number, residual in pairs
+    ]
 
 
 def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
@@ -327,8 +388,13 @@ def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
 
 
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
-    """Return the groups of summands that a program lowers together: each whole one, all with duals, each split one."""
-    smooth, dual, split = ([part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split"))
+    """Return the groups of summands that a program lowers together.
+
+    These are each whole one, all with duals, and each split one.
+    """
+    smooth, dual, split = (
+        [part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split")
+    )
     return [*([part] for part in smooth), *([dual] if dual else []), *([part] for part in split)]
 
 

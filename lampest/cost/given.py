@@ -1,6 +1,7 @@
-"""Inputs of a solve other than its unknowns, by name: arrays in data, symbols in costs and in a term's `State`.
+"""Inputs of a solve other than its unknowns, by name.
 
-A further input for new terms is one more field of `Given`, with its source and its value if absent.
+They are arrays in data, symbols in costs and in a term's `State`. A further input for new terms is
+one more field of `Given`, with its source and its value if absent.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,7 +17,10 @@ from lampest.panel.scene import Scene
 
 
 class FrameReadings(Protocol):
-    """Interface of the readings of a solve, all arrays (frames, rows, columns); `Given` describes each."""
+    """Interface of the readings of a solve, all arrays (frames, rows, columns).
+
+    `Given` describes each.
+    """
 
     @property
     def value(self) -> Array:
@@ -76,8 +80,8 @@ class Source:
     partial : bool
         Whether the field exists only if readings may be one-sided or missing.
     after : callable, or None
-        For fields of an earlier frame: function of the baseline's unknown cells (cells, 1) that returns the value for a
-        frame that is solved together with the baseline.
+        For fields of an earlier frame: function of the baseline's unknown cells (cells, 1) that
+        returns the value for a frame that is solved together with the baseline.
     """
 
     of: Callable[[FrameReadings, Background], Array | None]
@@ -87,25 +91,31 @@ class Source:
     after: Callable[[casadi.SX], casadi.SX] | None = None
 
 
-def given(of: Callable[[FrameReadings, Background], Array | None], absent: float, **more: Any) -> Any:
+def given(
+    of: Callable[[FrameReadings, Background], Array | None], absent: float, **more: Any
+) -> Any:
     """Declare a field of `Given` with the default None; the arguments are those of `Source`."""
     return field(default=None, metadata={"source": Source(of, absent, **more)})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Given:
-    """Inputs of a solve: arrays in its data, symbols in a compiled cost, columns (cells, 1) in a term's `State`.
+    """Inputs of a solve.
 
-    A field is None if it is not known.
+    They are arrays in its data, symbols in a compiled cost, and columns (cells, 1) in a term's
+    `State`. A field is None if it is not known.
 
     Attributes
     ----------
     measured, sigma
-        Readings of the network in the readout's unit, and their standard deviations; ones if unknown.
+        Readings of the network in the readout's unit, and their standard deviations; ones if
+        unknown.
     side
-        0 for a value; 1 or -1 where the truth is at least or at most the reading. None if all readings are values.
+        0 for a value; 1 or -1 where the truth is at least or at most the reading. None if all
+        readings are values.
     seen
-        1; 0 for a missing reading, and the weight of its substitute in between. None if all readings are values.
+        1; 0 for a missing reading, and the weight of its substitute in between. None if all
+        readings are values.
     previous
         r0, the cell resistance of the previous frame or of the baseline, in ohm.
     baseline
@@ -116,11 +126,17 @@ class Given:
 
     measured: Any = given(lambda readings, behind: readings.value, 1.0, per_frame=True)
     sigma: Any = given(lambda readings, behind: _noise(readings), 1.0, per_frame=True)
-    side: Any = given(lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True)
-    seen: Any = given(lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True)
+    side: Any = given(
+        lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True
+    )
+    seen: Any = given(
+        lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True
+    )
     previous: Any = given(lambda readings, behind: behind.previous, 1.0, after=lambda r: r)
     baseline: Any = given(lambda readings, behind: _baseline(behind), 1.0, after=lambda r: r)
-    previous_deviation: Any = given(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda r: 0 * r)
+    previous_deviation: Any = given(
+        lambda readings, behind: behind.previous_deviation, 0.0, after=lambda r: 0 * r
+    )
 
     @staticmethod
     @cache
@@ -131,17 +147,26 @@ class Given:
     @classmethod
     def of(cls, readings: FrameReadings, background: Background) -> Self:
         """Return the arrays of a solve from its readings and background."""
-        return cls(**{name: source.of(readings, background) for name, source in cls.sources().items()})
+        return cls(
+            **{name: source.of(readings, background) for name, source in cls.sources().items()}
+        )
 
     @classmethod
     def symbols(cls, cells: int, frames: int, *, partial: bool) -> Self:
         """Make symbols (cells, frames) of fields of every frame, and (cells, 1) of all others."""
-        names = {name: source for name, source in cls.sources().items() if partial or not source.partial}
+        names = {
+            name: source for name, source in cls.sources().items() if partial or not source.partial
+        }
         return cls(
-            **{name: casadi.SX.sym(name, cells, frames if source.per_frame else 1) for name, source in names.items()}
+            **{
+                name: casadi.SX.sym(name, cells, frames if source.per_frame else 1)
+                for name, source in names.items()
+            }
         )
 
-    def of_frame(self, frame: int, baseline: casadi.SX | None, *, looks_back: bool) -> dict[str, Any]:
+    def of_frame(
+        self, frame: int, baseline: casadi.SX | None, *, looks_back: bool
+    ) -> dict[str, Any]:
         """Return the inputs of a term in one frame, by name.
 
         Parameters
@@ -157,7 +182,9 @@ class Given:
         for name, source in self.sources().items():
             value = getattr(self, name)
             if source.after is not None:
-                value = (value if looks_back else None) if baseline is None else source.after(baseline)
+                value = (
+                    (value if looks_back else None) if baseline is None else source.after(baseline)
+                )
             elif source.per_frame and value is not None:
                 value = value[:, frame]
             parts[name] = value
@@ -165,7 +192,9 @@ class Given:
 
     def named(self) -> Iterable[tuple[str, Any]]:
         """Yield (name, value) of every field that is known."""
-        return ((name, value) for name in self.sources() if (value := getattr(self, name)) is not None)
+        return (
+            (name, value) for name in self.sources() if (value := getattr(self, name)) is not None
+        )
 
 
 def _noise(readings: FrameReadings) -> Array:

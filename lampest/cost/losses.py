@@ -1,7 +1,8 @@
-"""Losses: even functions ρ of residuals, summed. To add a loss: write its class before `AnyLoss`, and name it there.
+"""Losses: even functions ρ of residuals, summed.
 
-Every loss is zero at 0; the squared one is ρ = x², without a half. For smooth losses `cost` is enough: all other
-methods follow from it.
+To add a loss, write its class before `AnyLoss`, and name it there. Every loss is zero at 0; the
+squared one is ρ = x², without a half. For smooth losses `cost` is enough: all other methods follow
+from it.
 """
 
 from abc import abstractmethod
@@ -29,7 +30,8 @@ class Lowered:
     split : tuple of casadi.SX
         p and q, (rows, 1) each, in a unit in which they are of order one, or ().
     equation : casadi.SX, shape (rows, 1), or None
-        x/unit − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters through duals.
+        x/unit − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters
+        through duals.
     """
 
     objective: casadi.SX
@@ -69,8 +71,9 @@ class Loss(Configuration):
     Attributes
     ----------
     enters : {'whole', 'split', 'dual'}
-        Form in which solvers take the loss. 'whole': directly. 'split': an interior-point method takes `lowered`,
-        because the second derivative jumps. 'dual': Σ |x|, with duals z in place of its derivative.
+        Form in which solvers take the loss. 'whole': directly. 'split': an interior-point method
+        takes `lowered`, because the second derivative jumps. 'dual': Σ |x|, with duals z in place
+        of its derivative.
     squared : bool
         Whether the loss is Σ x².
     convex : bool
@@ -101,11 +104,17 @@ class Loss(Configuration):
         return Lowered(weight * self.cost(residual))
 
     def curvature(self, residual: Array) -> Array:
-        """Return the curvature ω = max(½ρ''(x), 0), (rows,): near x, Σ ω x² has the second derivative of the loss."""
+        """Return the curvature ω = max(½ρ''(x), 0), (rows,).
+
+        Near x, Σ ω x² has the second derivative of the loss.
+        """
         return np.asarray(np.maximum(_halves(self, residual)[1], 0.0))
 
     def stiffness(self, residual: Array) -> Array:
-        """Return ½ρ'(x)/x, ½ρ'' at 0, the weights of iteratively reweighted least squares, (rows,)."""
+        """Return the weights of iteratively reweighted least squares, (rows,).
+
+        They are ½ρ'(x)/x, ½ρ'' at 0.
+        """
         slope, second = _halves(self, residual)
         # ½ρ'(x)/x → ½ρ''(0) for x → 0
         zero = residual == 0
@@ -116,13 +125,18 @@ class Loss(Configuration):
         return self.curvature(residual)
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """Return the curvature ω of penalty rows, divided by their weight, for the scale s², (rows,)."""
+        """Return the curvature ω of penalty rows divided by their weight, for scale s², (rows,)."""
         return self.curvature(residual)
 
     def steady_pull(self, residual: Array) -> Array:
-        """Return √((½ρ'(x))² − (ω x)²), the part of the slope beyond that of the curvature ω, (rows,)."""
+        """Return the part of the slope beyond that of the curvature ω, (rows,).
+
+        It is √((½ρ'(x))² − (ω x)²).
+        """
         slope, second = _halves(self, residual)
-        return np.asarray(np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0)))
+        return np.asarray(
+            np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0))
+        )
 
     def size(self, evidence: PenaltyEvidence) -> float:
         """Return η = Σ ½ x ρ'(x) of the fixed point λ = s² γ/η.
@@ -132,14 +146,18 @@ class Loss(Configuration):
         return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """Return γ = tr(B⁺ B_t) − tr(A⁻¹ B_t) of the fixed point λ = s² γ/η: the residuals that the data determine."""
+        """Return γ, the residuals that the data determine.
+
+        It is γ = tr(B⁺ B_t) − tr(A⁻¹ B_t) of the fixed point λ = s² γ/η.
+        """
         return evidence.count - evidence.trace()
 
 
 @guarded
 def _halves(loss: "Loss", residual: Array) -> tuple[Array, Array]:
     """Return (½ρ', ½ρ'') of every residual, (rows,) each."""
-    # One evaluation of (½ρ', ½ρ'') for all residuals: CasADi maps the function over the columns of (1, rows).
+    # One evaluation of (½ρ', ½ρ'') for all residuals: CasADi maps the function over the columns of
+    # (1, rows).
     slope, second = _derivatives(loss)(residual[None])
     return np.asarray(slope).ravel(), np.asarray(second).ravel()
 
@@ -193,20 +211,28 @@ class Huber(Loss):
         return casadi.sum1(inside * (2 * residual - inside))
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """Return min over p, q ≥ 0 of Σ (x − p + q)² + 2·corner·(p + q); p and q are the part beyond the corner."""
+        """Return min over p, q ≥ 0 of Σ (x − p + q)² + 2·corner·(p + q).
+
+        Here p and q are the part beyond the corner.
+        """
         above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
         inside = residual - unit * (above - below)
         outside = 2 * self.corner * unit * casadi.sum1(above + below)
         return Lowered(weight * (casadi.sumsqr(inside) + outside), (above, below))
 
     def size(self, evidence: PenaltyEvidence) -> float:
-        """Return η = Σ x² over rows with curvature: a residual with ω = 0 does not inform the weight."""
+        """Return η = Σ x² over rows with curvature.
+
+        A residual with ω = 0 does not inform the weight.
+        """
         return float(np.sum(evidence.residual**2))
 
 
 @dataclass(frozen=True)
 class Absolute(Loss):
-    """Σ |x|; has no derivative at 0, so solvers replace it by its dual form max over |z| ≤ 1 of Σ z·x.
+    """Σ |x|, which has no derivative at 0.
+
+    Solvers therefore replace it by its dual form max over |z| ≤ 1 of Σ z·x.
 
     >>> lampest.Misfit(loss=lampest.Absolute()).loss.kind
     'absolute'
@@ -231,7 +257,10 @@ class Absolute(Loss):
         return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """Return ω/weight = w/8s² of the normal distribution with the variance 8s⁴/w² of exp(−w|x|/2s²)."""
+        """Return ω/weight = w/8s² of the normal distribution with the variance 8s⁴/w².
+
+        This is the variance of exp(−w|x|/2s²).
+        """
         return np.full_like(residual, weight / (8 * scale))
 
     def steady_pull(self, residual: Array) -> Array:
@@ -243,16 +272,22 @@ class Absolute(Loss):
         return 0.5 * evidence.magnitude
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """Return the number of all residuals: the expectation η already contains the part that data leave open."""
+        """Return the number of all residuals.
+
+        The expectation η already contains the part that data leave open.
+        """
         return evidence.count
 
 
 @dataclass(frozen=True)
 class Student(Loss):
-    """Σ c²·log(1 + (x/c)²), c the corner: x² near 0, logarithmic far out, so that outliers have little influence.
+    """Σ c²·log(1 + (x/c)²), c the corner.
 
-    −2·log of Student's t with ν degrees of freedom and scale s, where c² = ν s² and weight·c² = ν + 1; not convex
-    beyond the corner, which has the unit of the term's residual. Raises ValueError unless it is positive and finite.
+    It is x² near 0 and logarithmic far out, so that outliers have little influence.
+
+    −2·log of Student's t with ν degrees of freedom and scale s, where c² = ν s² and weight·c² = ν +
+    1; not convex beyond the corner, which has the unit of the term's residual. Raises ValueError
+    unless it is positive and finite.
     Source: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989.
 
     >>> lampest.Misfit(loss=lampest.Student(corner=3.0)).loss.corner

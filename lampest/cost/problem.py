@@ -50,9 +50,11 @@ class Data:
     parts : array of int, or None
         See `Scene.parts`.
     place : int
-        Number that differs between simultaneous solves of many panels: compiled functions store their arguments.
+        Number that differs between simultaneous solves of many panels: compiled functions store
+        their arguments.
 
-    >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
+    >>> background = lampest.cost.given.Background(recording.scene)
+    >>> data = found.estimator.data(recording.readings()[2], background)
     """
 
     given: Given
@@ -78,8 +80,16 @@ class Data:
     def of_panels(self, place: int) -> "Data":
         """Return the data with each frame as a panel of its own, and with another `place`."""
         sources = self.given.sources()
-        named = {name: value[:, None] if sources[name].per_frame else value for name, value in self.given.named()}
-        frames = replace(self, given=replace(self.given, **named), lower=self.lower[:, None], upper=self.upper[:, None])
+        named = {
+            name: value[:, None] if sources[name].per_frame else value
+            for name, value in self.given.named()
+        }
+        frames = replace(
+            self,
+            given=replace(self.given, **named),
+            lower=self.lower[:, None],
+            upper=self.upper[:, None],
+        )
         return replace(frames, place=place)
 
     def some(self, panels: Panels) -> "Data":
@@ -89,10 +99,15 @@ class Data:
 
     @cached_property
     def flat(self) -> dict[str, Array]:
-        """Arrays (…, numbers) by name for compiled functions; absent ones consist of the number of their source."""
+        """Arrays (…, numbers) by name for compiled functions.
+
+        Absent ones consist of the number of their source.
+        """
         blank = (*self.panels, self.lower[0].size)
         known = dict(self.given.named())
-        absent = {name: np.full(blank, source.absent) for name, source in self.given.sources().items()}
+        absent = {
+            name: np.full(blank, source.absent) for name, source in self.given.sources().items()
+        }
         return {name: values.reshape(*self.panels, -1) for name, values in (absent | known).items()}
 
     def limited(self, seconds: float | None) -> "Data":
@@ -116,14 +131,28 @@ class Data:
 
     @property
     def plain(self) -> NDArray[np.bool_]:
-        """Whether a reading is a value: not one-sided, missing or a substitute; boolean (frames, rows, columns)."""
+        """Whether a reading is a value: not one-sided, missing or a substitute.
+
+        It is boolean (frames, rows, columns).
+        """
         shown = np.ones(self.measured.shape, dtype=bool)
-        return np.asarray(shown & (self.given.side == 0) & (self.given.seen == 1)) if self.partial else shown
+        return (
+            np.asarray(shown & (self.given.side == 0) & (self.given.seen == 1))
+            if self.partial
+            else shown
+        )
 
     @property
     def deviation(self) -> Array:
-        """Standard deviations σ of readings, and σ/seen of substitutes; arbitrary for missing readings."""
-        return self.sigma if not self.partial else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
+        """Standard deviations σ of readings, and σ/seen of substitutes.
+
+        They are arbitrary for missing readings.
+        """
+        return (
+            self.sigma
+            if not self.partial
+            else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
+        )
 
     @property
     def partial(self) -> bool:
@@ -147,7 +176,10 @@ class Data:
 
     @cached_property
     def ties(self) -> Array:
-        """Ties of the lines to ground, (…, frames, lines) siemens; (…, frames, modules, lines) of coupled modules."""
+        """Ties of the lines to ground, (…, frames, lines) siemens.
+
+        Those of coupled modules are (…, frames, modules, lines).
+        """
         if self.panels and self.parts is None:
             return self.readout.ties(self.measured)
         frames = self.measured.reshape(-1, *self.measured.shape[-2:])
@@ -160,22 +192,29 @@ class Data:
         return self.readout.network(cell_resistance, ties, self.wiring)
 
     def networks(self, cell_resistance: Array) -> tuple[Network, ...]:
-        """Return the solved networks of all frames, each with the leading axis of cells (…, frames, rows, columns)."""
+        """Return the solved networks of all frames.
+
+        Each has the leading axis of cells (…, frames, rows, columns).
+        """
         frames = range(cell_resistance.shape[-3])
         return tuple(self.network(frame, cell_resistance[..., frame, :, :]) for frame in frames)
 
 
 @lru_cache(maxsize=256)
 def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
-    """Return a function for many panels at once; each `place` has its own, because it stores its arguments."""
+    """Return a function for many panels at once.
+
+    Each `place` has its own, because it stores its arguments.
+    """
     return function.mapped(panels)
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Cost φ and its derivatives at one point, or with a leading axis at one point of each of many panels.
+    """Cost φ and its derivatives at one point.
 
-    Attributes with plural names are arrays over the panels; those with singular names are numbers of a single panel.
+    With a leading axis they are at one point of each of many panels. Attributes with plural names
+    are arrays over the panels; those with singular names are numbers of a single panel.
 
     Attributes
     ----------
@@ -200,8 +239,12 @@ class Evaluation:
     computed: Array | None = None
 
     @classmethod
-    def at(cls, cost: Cost, data: Data, cell_resistance: Array, own_weights: Array | None = None) -> "Evaluation":
-        """Return the evaluation at a cell resistance (…, frames, rows, columns) ohm; solves the networks.
+    def at(
+        cls, cost: Cost, data: Data, cell_resistance: Array, own_weights: Array | None = None
+    ) -> "Evaluation":
+        """Return the evaluation at a cell resistance (…, frames, rows, columns) ohm.
+
+        It solves the networks.
 
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
@@ -232,7 +275,10 @@ class Evaluation:
         return self.cost.weights if self.own_weights is None else self.own_weights
 
     def call(self, function: Compiled, dual: Array | None = None) -> Array:
-        """Return the values of a compiled function at this point, (…, nonzeros); duals of None are zeros."""
+        """Return the values of a compiled function at this point, (…, nonzeros).
+
+        Duals of None are zeros.
+        """
         panels = self.data.panels
         zeros = np.zeros(len(self.cost.slope))
         values = self.data.flat | {
@@ -254,7 +300,10 @@ class Evaluation:
 
     @property
     def branch(self) -> Array:
-        """Branch of every frame's panel, (…, frames), see `lampest.panel.readouts.branches.branch`."""
+        """Branch of every frame's panel, (…, frames).
+
+        See `lampest.panel.readouts.branches.branch`.
+        """
         return np.stack([branch(network) for network in self.networks], axis=-1)
 
     @property
@@ -276,11 +325,16 @@ class Evaluation:
         """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (…, frames, rows, columns)."""
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
         # `first` = (costs of the terms, costs at y = 0, ∂φ/∂r, ∂φ/∂y)
-        both = values[..., 2 * len(self.cost.terms) :].reshape(*self.data.panels, 2, *self.cell_resistance.shape[-3:])
+        both = values[..., 2 * len(self.cost.terms) :].reshape(
+            *self.data.panels, 2, *self.cell_resistance.shape[-3:]
+        )
         return both[..., 0, :, :, :], both[..., 1, :, :, :]
 
     def log_gradient(self, dual: Array) -> Array:
-        """Return ∂φ/∂u = r·∂φ/∂r + Jᵀ ∂φ/∂y, u = log r, (…, frames, rows, columns); duals are clipped to |z| ≤ 1."""
+        """Return ∂φ/∂u = r·∂φ/∂r + Jᵀ ∂φ/∂y, u = log r, (…, frames, rows, columns).
+
+        Duals are clipped to |z| ≤ 1.
+        """
         direct, through = self.partials(np.clip(dual, -1, 1))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
@@ -297,7 +351,10 @@ class Evaluation:
 
     @cached_property
     def cost_scales(self) -> Array:
-        """Scale of the cost for tests of optimality, (…): φ at this point plus the mean φ of a cell at y = 0."""
+        """Scale of the cost for tests of optimality, (…).
+
+        It is φ at this point plus the mean φ of a cell at y = 0.
+        """
         scale = self.cell_costs + self.objectives
         return np.asarray(np.where(scale == 0, 1.0, scale))
 
@@ -313,7 +370,10 @@ class Evaluation:
 
     @cached_property
     def last_bits(self) -> Array:
-        """Rounding errors of residuals with an absolute loss, ε·(Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y|), (residuals,)."""
+        """Rounding errors of residuals with an absolute loss, (residuals,).
+
+        They are ε·(Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y|).
+        """
         rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
         slopes = self.call(self.cost.functions.nonsmooth_jacobian)
         at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
@@ -325,22 +385,36 @@ class Evaluation:
         return float(np.sum(self.cost.slope * self.last_bits)) if len(self.cost.slope) else 0.0
 
     def dual_gap(self, dual: Array) -> float:
-        """Return Σ weight·(|x| − z·x) over absolute losses, zero if z is a subgradient; rounding of x is ignored."""
+        """Return Σ weight·(|x| − z·x) over absolute losses, zero if z is a subgradient.
+
+        Rounding of x is ignored.
+        """
         # |x| − z·x is at least zero for |z| ≤ 1; differences within rounding count as zero.
         gap = np.abs(self.nonsmooth) - dual * self.nonsmooth - self.last_bits
         return float(np.sum(self.cost.slope * np.maximum(gap, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
-        """Return max |u − Π(u − ∇φ/s)| plus the dual gap φ/s; u = log r, Π onto the bounds, s = `cost_scale`.
+        """Return max |u − Π(u − ∇φ/s)| plus the dual gap φ/s.
 
-        It is zero where the first-order optimality conditions hold. `log_gradient` is ∂φ/∂u for these duals, if it is
-        already computed.
+        Here u = log r, Π is onto the bounds, and s = `cost_scale`. It is zero where the first-order
+        optimality conditions hold. `log_gradient` is ∂φ/∂u for these duals, if it is already
+        computed.
         """
         gap = self.dual_gap(np.clip(dual, -1, 1)) / self.cost_scale if len(dual) else 0.0
-        return float(self.projected_gradients(self.log_gradient(dual) if log_gradient is None else log_gradient)) + gap
+        return (
+            float(
+                self.projected_gradients(
+                    self.log_gradient(dual) if log_gradient is None else log_gradient
+                )
+            )
+            + gap
+        )
 
     def projected_gradients(self, log_gradient: Array) -> Array:
-        """Return max |u − Π(u − ∇φ/s)| of every panel, (…), for a gradient ∂φ/∂u (…, frames, rows, columns)."""
+        """Return max |u − Π(u − ∇φ/s)| of every panel, (…).
+
+        It is for a gradient ∂φ/∂u (…, frames, rows, columns).
+        """
         lower, upper = self.data.log_bounds
         # Π(u − ∇φ/s): gradient step, projected onto the bounds
         target = self.position - log_gradient / self.cost_scales[..., None, None, None]
@@ -375,7 +449,9 @@ class Part:
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
         """Return the derivatives by an input at a point, (rows, unknowns) sparse."""
         structure = self.functions[name].structure
-        return with_entries(structure, at.call(self.functions[name])) if structure.nnz else structure
+        return (
+            with_entries(structure, at.call(self.functions[name])) if structure.nnz else structure
+        )
 
 
 @dataclass(frozen=True, eq=False)

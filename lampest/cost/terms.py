@@ -1,4 +1,7 @@
-"""Terms of the cost function. To add one: write its class here, before `AnyTerm`, and name it there."""
+"""Terms of the cost function.
+
+To add one, write its class here, before `AnyTerm`, and name it there.
+"""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -27,7 +30,8 @@ Reference = Literal["baseline", "previous"]
 class State(Given):
     """State of one frame as the input of a term's residual, symbolic or numeric.
 
-    Every field is a column (cells, 1) in row-major order. For slices of rows and columns use `grid`.
+    Every field is a column (cells, 1) in row-major order. For slices of rows and columns use
+    `grid`.
 
     Attributes
     ----------
@@ -56,7 +60,10 @@ class State(Given):
         return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
 
     def log_steps(self, values: Any) -> Any:
-        """Return log(x_b/x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch; see `Panel.neighbours`."""
+        """Return log(x_b/x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch.
+
+        See `Panel.neighbours`.
+        """
         first, second, distance = neighbour_operators(self.panel)
         return casadi.log((second @ values) / (first @ values)) / distance
 
@@ -68,8 +75,8 @@ class State(Given):
     def gradient(self, values: Any) -> Any:
         """Return ∇x as one column; paper, section IV.D.
 
-        Of a full rectangle (2·cells, 1): the row part, then the column part. Of listed cells (pairs, 1): the difference
-        of each pair of `Panel.neighbours` over its distance.
+        Of a full rectangle (2·cells, 1): the row part, then the column part. Of listed cells
+        (pairs, 1): the difference of each pair of `Panel.neighbours` over its distance.
         """
         if self.panel.cells is None:
             return gradient_operator(*self.panel.shape) @ values
@@ -80,20 +87,28 @@ class State(Given):
 @cache
 def gradient_operator(rows: int, columns: int) -> casadi.DM:
     """Return the panel's finite differences of row-major columns, sparse (2·cells, cells)."""
-    along_rows, along_columns = (casadi.sparsify(casadi.DM(difference_matrix(length))) for length in (rows, columns))
+    along_rows, along_columns = (
+        casadi.sparsify(casadi.DM(difference_matrix(length))) for length in (rows, columns)
+    )
     # (D ⊗ 1; 1 ⊗ D): D differences along a column, and along a row, of row-major values
     return casadi.vertcat(
-        casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
+        casadi.kron(along_rows, casadi.DM.eye(columns)),
+        casadi.kron(casadi.DM.eye(rows), along_columns),
     )
 
 
 @cache
 def neighbour_operators(panel: Panel) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
-    """Return selections of first and second cells of all pairs of neighbours, sparse (pairs, cells), and distances."""
+    """Return selections of first and second cells of all pairs of neighbours, and distances.
+
+    The selections are sparse (pairs, cells).
+    """
     *cells, distance = panel.neighbours
     pairs = range(len(distance))
     first, second = (
-        casadi.DM.triplet(list(pairs), numbers.tolist(), casadi.DM.ones(len(pairs)), len(pairs), panel.crossings)
+        casadi.DM.triplet(
+            list(pairs), numbers.tolist(), casadi.DM.ones(len(pairs)), len(pairs), panel.crossings
+        )
         for numbers in cells
     )
     return first, second, casadi.DM(distance)
@@ -121,8 +136,8 @@ class Term(Configuration):
     convex_in_log : bool
         Whether the term is convex in log r for given previous frame and baseline.
 
-    Raises ValueError unless the weight is finite and not negative, and for a class without a unit or with the `kind` of
-    another term.
+    Raises ValueError unless the weight is finite and not negative, and for a class without a unit
+    or with the `kind` of another term.
 
     >>> issubclass(lampest.Misfit, lampest.Term)
     True
@@ -145,14 +160,16 @@ class Term(Configuration):
     def residual(self, state: State) -> Any:
         """Return the residuals in `unit` as one column, (rows, 1) with any number of rows.
 
-        Every row is a function of `state.cell_resistance` or `state.reading`. A matrix becomes a column by
-        `casadi.vec`.
+        Every row is a function of `state.cell_resistance` or `state.reading`. A matrix becomes a
+        column by `casadi.vec`.
         """
 
 
 @dataclass(frozen=True)
 class Misfit(Term):
-    """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'; paper, equation (11).
+    """f(r) − R_m in the readout's unit, or (f(r) − R_m)/σ where weighting is 'noise'.
+
+    See the paper, equation (11).
 
     >>> lampest.Misfit().unit
     'ohm'
@@ -168,7 +185,8 @@ class Misfit(Term):
         """Return modelled minus measured readings, (cells, 1); zero for a bound that holds."""
         difference = state.reading - state.measured
         if state.side is not None:
-            # Values: f(r) − R_m. Bounds: min(f(r) − R_m, 0) for side 1, max(f(r) − R_m, 0) for side −1. Missing: 0.
+            # Values: f(r) − R_m. Bounds: min(f(r) − R_m, 0) for side 1, max(f(r) − R_m, 0) for side
+            # −1. Missing: 0.
             beyond = state.side * casadi.fmin(state.side * difference, 0)
             difference = state.seen * ((1 - state.side**2) * difference + beyond)
         return difference / state.sigma if self.weighting == "noise" else difference
@@ -248,7 +266,8 @@ class GradientOfRelativeChange(Term):
 class TotalVariation(Term):
     """100·log(r_b/r_a) in percent per pitch, over all pairs a, b of neighbours.
 
-    With its absolute loss the anisotropic total variation of log r. Source: Rudin, Osher & Fatemi, Physica D 60, 1992.
+    With its absolute loss the anisotropic total variation of log r. Source: Rudin, Osher & Fatemi,
+    Physica D 60, 1992.
 
     >>> lampest.TotalVariation().loss.kind
     'absolute'
@@ -267,7 +286,9 @@ class TotalVariation(Term):
 
 @dataclass(frozen=True)
 class LogGradient(Term):
-    """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch: scale-free, for panels whose unloaded cells are open.
+    """ln(r_b/r_a) over all pairs a, b of neighbours, per pitch.
+
+    It is scale-free, for panels whose unloaded cells are open.
 
     >>> lampest.LogGradient().weight
     'auto'
@@ -284,10 +305,12 @@ class LogGradient(Term):
 
 @dataclass(frozen=True)
 class LogRatio(Term):
-    """100·log(r/r0) in percent, r0 the baseline or the previous frame; weighs suction and pressure alike.
+    """100·log(r/r0) in percent, r0 the baseline or the previous frame.
 
-    Squared, a Gaussian prior of log r; with its absolute loss few cells change, by any amount. Source: Tarantola,
-    Inverse Problem Theory, 2005 (positive parameters by their logarithms).
+    It weighs suction and pressure alike.
+
+    Squared, a Gaussian prior of log r; with its absolute loss few cells change, by any amount.
+    Source: Tarantola, Inverse Problem Theory, 2005 (positive parameters by their logarithms).
 
     >>> lampest.LogRatio(weight=1.0).kind
     'log_ratio'
@@ -308,9 +331,10 @@ class LogRatio(Term):
 
 @dataclass(frozen=True)
 class TotalVariationOfChange(Term):
-    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours; r0 of the `reference`.
+    """100·log((r/r0)_b/(r/r0)_a) in percent per pitch, over all pairs a, b of neighbours.
 
-    With its absolute loss the anisotropic total variation of log r/r0; see `TotalVariation`.
+    Here r0 is that of the `reference`. With its absolute loss the anisotropic total variation of
+    log r/r0; see `TotalVariation`.
 
     >>> lampest.TotalVariationOfChange().loss.kind
     'absolute'
@@ -331,14 +355,17 @@ class TotalVariationOfChange(Term):
 
 @dataclass(frozen=True)
 class Arrival(Term):
-    """(log r − log r0)/√(sd0² + q²), r0 the previous frame and sd0 the standard deviation of its logarithm.
+    """(log r − log r0)/√(sd0² + q²), r0 the previous frame.
 
-    walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in percent, without
-    steps that all readings share (`Readout.common_step`). An extended Kalman filter with bounds, of whose covariance it
-    reads the diagonal; Huber's loss lets cells jump. With misfit.weighting: noise a weight of one is right, with plain
-    readings that all have the noise σ, one of σ² ohm². Raises ValueError unless q is positive and finite.
-    Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Masreliez & Martin, IEEE Trans.
-    Automat. Contr. 22, 1977 (robust Kalman filter).
+    Here sd0 is the standard deviation of the logarithm of r0.
+
+    walk_percent : q, the standard deviation of a cell's own change from one frame to the next, in
+    percent, without steps that all readings share (`Readout.common_step`). An extended Kalman
+    filter with bounds, of whose covariance it reads the diagonal; Huber's loss lets cells jump.
+    With misfit.weighting: noise a weight of one is right, with plain readings that all have the
+    noise σ, one of σ² ohm². Raises ValueError unless q is positive and finite.
+    Sources: Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48, 2003 (arrival cost); Masreliez &
+    Martin, IEEE Trans. Automat. Contr. 22, 1977 (robust Kalman filter).
 
     >>> lampest.Arrival(weight=1.0).kind
     'arrival'
@@ -383,11 +410,15 @@ AnyTerm = Annotated[
 def _check_class(term: type[Term]) -> None:
     """Raise ValueError unless a class of terms has a unit, and a `kind` that no other term has."""
     if not isinstance(getattr(term, "unit", None), str):
-        raise ValueError(f"{term.__name__} has no unit: declare it in the class, such as unit: ClassVar[str] = 'ohm'")
+        raise ValueError(
+            f"{term.__name__} has no unit: declare it in the class, such as unit: ClassVar[str] = "
+            "'ohm'"
+        )
     for member in shipped(AnyTerm):
         if member is not term and not set(kinds_of(member)).isdisjoint(kinds_of(term)):
             raise ValueError(
-                f"{term.__name__} has the kind '{kinds_of(member)[0]}' of {member.__name__}: choose another"
+                f"{term.__name__} has the kind '{kinds_of(member)[0]}' of {member.__name__}: "
+                "choose another"
             )
 
 
@@ -397,7 +428,9 @@ def term_kind(term: Term) -> str:
 
 
 def term_types() -> dict[str, type[Term]]:
-    """Return kind → class for every member of the union in its order, then for those of installed packages.
+    """Return kind → class for every member of the union in its order.
+
+    Then come those of installed packages.
 
     >>> sorted(lampest.term_types())[:2]
     ['arrival', 'cell_resistance']

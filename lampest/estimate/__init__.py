@@ -1,1 +1,1 @@
-"""Methods of estimation: estimators, choice of weights, streams of frames, whole recordings, checks."""
+"""Methods of estimation: estimators, choice of weights, frame streams, whole recordings, checks."""

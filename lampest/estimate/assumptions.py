@@ -22,10 +22,11 @@ class Assumptions:
     jump : float
         Change between frames under a load, and value of a cell that no reading determines.
     scatter, scatter_factor : float
-        Scatter s of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4. The prior of ln s has mean
-        ln scatter and standard deviation ln scatter_factor.
+        Scatter s of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4. The
+        prior of ln s has mean ln scatter and standard deviation ln scatter_factor.
     channel_ohm : float
-        Resistance of a multiplexer's channel, ohm (CD74HC4067, data sheet: any two differ by 10 ohm).
+        Resistance of a multiplexer's channel, ohm (CD74HC4067, data sheet: any two differ by 10
+        ohm).
     """
 
     common_change: float = 0.05

@@ -1,4 +1,7 @@
-"""Frames of many streams at once: in batches over a leading axis where possible, all others one by one."""
+"""Frames of many streams at once.
+
+They are taken in batches over a leading axis where possible, all others one by one.
+"""
 
 import os
 from collections.abc import Hashable, Iterator, Sequence
@@ -27,7 +30,8 @@ from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
-MAX_BLOCK_CELLS = 400  # of a network: with more, inverse Hessians cost more than they save (docs/studies/speed.md)
+# Of a network: with more, inverse Hessians cost more than they save (docs/studies/speed.md).
+MAX_BLOCK_CELLS = 400
 
 
 def push_streams(
@@ -41,25 +45,34 @@ def push_streams(
     readings : Readings
         One frame of each stream, (streams, rows, columns).
     inverses : InverseHessians
-        Inverse Hessians of the streams by number, from solves of earlier frames; they are updated in place.
+        Inverse Hessians of the streams by number, from solves of earlier frames; they are updated
+        in place.
     """
     # Weights first; then batches; whatever a batch does not solve is pushed alone.
     streams = _weighed(streams, readings)
     solved = _solved_together(streams, readings, inverses)
-    single = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
+    single = {
+        n: stream.push(readings[n])
+        for n, stream in enumerate(streams)
+        if stream is not None and n not in solved
+    }
     return [(solved | single).get(number, (None, None)) for number in range(len(streams))]
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
     """Return the streams with weights; streams of one group choose them together.
 
-    A group has one estimator, converter and faults. If the frame of any of its streams is due to choose weights, the
-    streams with the largest change from rest choose them for all.
+    A group has one estimator, converter and faults. If the frame of any of its streams is due to
+    choose weights, the streams with the largest change from rest choose them for all.
     """
     weighed = list(streams)
     groups = dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
-        if stream is None or not stream.chooses_weights or not (stream.rested or not stream.estimator.relative):
+        if (
+            stream is None
+            or not stream.chooses_weights
+            or not (stream.rested or not stream.estimator.relative)
+        ):
             continue
         if readings[number].enough(stream.scene):
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
@@ -72,20 +85,24 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
             pairs = [group[number].given(readings[number]) for number in numbers]
             first = pairs[0][0].limited(stream.estimator.solver.time_limit_s)
             further = [data for data, _ in pairs[1:]]
-            objective = with_chosen_weights(stream.estimator, stream.scene, first, pairs[0][1], further)
+            objective = with_chosen_weights(
+                stream.estimator, stream.scene, first, pairs[0][1], further
+            )
             weights = tuple(float(term.weight) for term in objective.terms)
             for number, stream in group.items():
                 sigma = objective.weight_sigma
-                weighed[number] = replace(stream, weights=weights, weight_sigma=sigma, weighed_at=max(changes))
+                weighed[number] = replace(
+                    stream, weights=weights, weight_sigma=sigma, weighed_at=max(changes)
+                )
     return weighed
 
 
 def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
     """Generate the stream after each of its next frames, with the frame's step.
 
-    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis, all from the last
-    estimate on. Frames that the batch does not solve are pushed alone. Where no block is possible, a single frame is
-    pushed.
+    Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis,
+    all from the last estimate on. Frames that the batch does not solve are pushed alone. Where no
+    block is possible, a single frame is pushed.
 
     Parameters
     ----------
@@ -99,29 +116,41 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
         count = min(len(readings.value), MAX_BLOCK_FRAMES)
     if count > 1:
-        solved = _solved_together([stream] * count, readings[:count], InverseHessians.nothing(count, size))
+        solved = _solved_together(
+            [stream] * count, readings[:count], InverseHessians.nothing(count, size)
+        )
     for number in range(count):
         stream, step = solved.get(number) or stream.push(readings[number])
         yield stream, step
 
 
 def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
-    """Return every stream with its baseline, solved with weights that streams of one group choose together."""
+    """Return every stream with its solved baseline.
+
+    It is solved with weights that streams of one group choose together.
+    """
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
     unweighed = [stream and replace(stream, weights=None) for stream in streams]
     pairs = zip(streams, _weighed(unweighed, resting[0].together(*resting[1:])), strict=True)
-    known = [stream and chosen and replace(stream, estimator=chosen.weighted).with_rest() for stream, chosen in pairs]
+    known = [
+        stream and chosen and replace(stream, estimator=chosen.weighted).with_rest()
+        for stream, chosen in pairs
+    ]
     pairs = zip(streams, known, strict=True)
-    return [stream and rested and replace(rested, estimator=stream.estimator) for stream, rested in pairs]
+    return [
+        stream and rested and replace(rested, estimator=stream.estimator)
+        for stream, rested in pairs
+    ]
 
 
 def _solved_together(
     streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
 ) -> dict[int, tuple[Stream, Step]]:
-    """Return the streams after their frame and the frame's step by number, of those that batches can solve.
+    """Return the streams after their frame and the frame's step by number.
 
-    Streams with the same cost are one batch; large batches are split among threads.
+    They are those that batches can solve. Streams with the same cost are one batch; large batches
+    are split among threads.
     """
     groups = dict[Hashable, list[int]]()
     batchable = dict[int, Stream]()
@@ -131,7 +160,8 @@ def _solved_together(
             kind = _unweighted(stream.estimator), stream.scene.faults, partial[number]
             groups.setdefault(kind, []).append(number)
             batchable[number] = stream
-    cores = 1 if parent_process() else len(os.sched_getaffinity(0))  # of several processes each has one
+    # Of several processes each has one.
+    cores = 1 if parent_process() else len(os.sched_getaffinity(0))
     blocks = list[NDArray[np.intp]]()
     for group in groups.values():
         # Frames of one stream stay in one thread, however many cores there are.
@@ -148,14 +178,18 @@ def _solved_together(
     if len(blocks) < 2:
         return solved(0) if blocks else {}
     with ThreadPoolExecutor(len(blocks)) as pool:
-        return {number: pair for part in pool.map(solved, range(len(blocks))) for number, pair in part.items()}
+        return {
+            number: pair
+            for part in pool.map(solved, range(len(blocks)))
+            for number, pair in part.items()
+        }
 
 
 def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     """Return whether a batch can solve a stream's frame.
 
-    A batch continues from an earlier estimate and has the reduced formulation, unwired two-point readouts, the
-    solver's default limits and known weights.
+    A batch continues from an earlier estimate and has the reduced formulation, unwired two-point
+    readouts, the solver's default limits and known weights.
     """
     estimator = stream.estimator
     method = stream.estimator.method
@@ -163,9 +197,19 @@ def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
     reduced = isinstance(method, OptimalMethod) and method.kind in ("reduced", "auto")
     unwired = isinstance(stream.scene.circuit, TwoPointReadout) and stream.scene.wiring is None
     unlimited = settings.time_limit_s is None and settings.starts is None
-    weighted = not estimator.weighs_previous and (not estimator.automatic or estimator.auto_weight.per == "recording")
+    weighted = not estimator.weighs_previous and (
+        not estimator.automatic or estimator.auto_weight.per == "recording"
+    )
     complete = not partial or (stream.track is None and bool(readings.enough(stream.scene)))
-    return stream.rested and not stream.first and reduced and unwired and unlimited and weighted and complete
+    return (
+        stream.rested
+        and not stream.first
+        and reduced
+        and unwired
+        and unlimited
+        and weighted
+        and complete
+    )
 
 
 @lru_cache(maxsize=256)
@@ -181,7 +225,9 @@ def _solved_batch(
     numbers: NDArray[np.intp],
     place: int,
 ) -> dict[int, tuple[Stream, Step]]:
-    """Return the streams of one batch after their frame, and the frame's step, by number; only verified minima.
+    """Return the streams of one batch after their frame, and the frame's step, by number.
+
+    Only verified minima are returned.
 
     Parameters
     ----------
@@ -208,7 +254,9 @@ def _solved_batch(
     if not serves(cost, data):
         return {}
     data = data.of_panels(place)
-    weights = np.array([[float(term.weight) for term in stream.weighted.terms] for stream in streams])
+    weights = np.array(
+        [[float(term.weight) for term in stream.weighted.terms] for stream in streams]
+    )
     start = Evaluation.at(cost, data, np.clip(previous[:, None], data.lower, data.upper), weights)
     ended = solve(start, inverses, numbers, estimator.solver)
     seconds = (perf_counter() - begin) / len(numbers)
@@ -222,7 +270,9 @@ def _solved_batch(
         status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
         iterations = int(ended.iterations[row])
         outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=stream.prepared)
-        solution = replace(solution_at(at, float(points.residual[row]), outcome, status), solver=NAME)
+        solution = replace(
+            solution_at(at, float(points.residual[row]), outcome, status), solver=NAME
+        )
         step = Step(solution, seconds, stream_weights, weight_sigma=stream.weighted.weight_sigma)
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after

@@ -1,8 +1,9 @@
 """Least-squares fit of the cells to one frame under a given circuit.
 
-A frame has as many cells as readings, so a misfit remains only where cells would have to be negative. Over the cone
-g ≥ 0 the misfit is χ² with one degree of freedom for each cell at the boundary of the cone, and smaller where the truth
-lies inside (chi-bar-squared; Shapiro, Biometrika 72, 1985).
+A frame has as many cells as readings, so a misfit remains only where cells would have to be
+negative. Over the cone g ≥ 0 the misfit is χ² with one degree of freedom for each cell at the
+boundary of the cone, and smaller where the truth lies inside (chi-bar-squared; Shapiro, Biometrika
+72, 1985).
 """
 
 from collections.abc import Sequence
@@ -31,13 +32,17 @@ from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.solution import Settings
 
 EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
-FIT = LevenbergMarquardt(evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5)
-# Fits with cells at the boundary r = 0 take some 20 iterations, circuits that cannot explain the readings hundreds.
+FIT = LevenbergMarquardt(
+    evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5
+)
+# Fits with cells at the boundary r = 0 take some 20 iterations, circuits that cannot explain the
+# readings hundreds.
 BRIEF = Settings(max_iterations=25)
-# Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is smaller than that.
+# Factor on the lower bound that estimates have: a short behind a drive resistor of a kilo-ohm is
+# smaller than that.
 MIN_CELL_FACTOR = 1e-3
-# χ² for each reading that noise never reaches: a circuit is given up above it. Without it checks take four times as
-# long.
+# χ² for each reading that noise never reaches: a circuit is given up above it. Without it checks
+# take four times as long.
 MAX_CHI_SQUARE = 10.0
 CELL_PRECISION = UNKNOWN_SD**-2  # prior precision of log r of a cell that no reading determines
 
@@ -48,12 +53,16 @@ def cells_alone() -> Estimator:
 
     Its creation looks for installed methods, which must not happen at import.
     """
-    return Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
+    return Estimator(
+        (Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellsFit(SumOfSquares):
-    """Fit of the cells to one frame, as a sum of squares over log r; no Jacobian on panels of more than MAX_CELLS.
+    """Fit of the cells to one frame, as a sum of squares over log r.
+
+    It has no Jacobian on panels of more than MAX_CELLS.
 
     Attributes
     ----------
@@ -78,7 +87,12 @@ class CellsFit(SumOfSquares):
 
     @classmethod
     def at(
-        cls, scene: Scene, data: Data, measured: Readings, cells: Array, effects: Sequence[Effect] = ()
+        cls,
+        scene: Scene,
+        data: Data,
+        measured: Readings,
+        cells: Array,
+        effects: Sequence[Effect] = (),
     ) -> "CellsFit":
         """Return the fit of given cells, (rows, columns) ohm, to readings of a frame."""
         unaffected = data.network(0, cells)
@@ -91,7 +105,9 @@ class CellsFit(SumOfSquares):
         jacobian: Array = np.zeros((missed.size, 0))
         if missed.size <= MAX_CELLS:
             weight = np.where(counted, 1 / sigma, 0.0)
-            jacobian = network.sensitivity() * weight.reshape(-1, 1) * (data.lower < data.upper).ravel()
+            jacobian = (
+                network.sensitivity() * weight.reshape(-1, 1) * (data.lower < data.upper).ravel()
+            )
         residual = np.where(counted, missed, 0.0).ravel()
         return cls(
             residual=residual,
@@ -104,7 +120,10 @@ class CellsFit(SumOfSquares):
         )
 
     def refitted(self, measured: Readings, effects: tuple[Effect, ...]) -> "CellsFit | None":
-        """Return the fit to other readings or effects, from these cells on; None where no fit is found."""
+        """Return the fit to other readings or effects, from these cells on.
+
+        None where no fit is found.
+        """
         return fitted(self.scene, measured, self.cells, patient=True, effects=effects)
 
     @property
@@ -122,7 +141,9 @@ class CellsFit(SumOfSquares):
         """Degrees of freedom of χ²: the readings less those that the cells follow; at least 1."""
         # Σ s²/(1 + s²) over the singular values s of J/σ
         followed = np.linalg.eigvalsh(self.normal) - self.ridge
-        return max(float(np.sum(self.readings.seen)) - float(np.sum(followed / (1 + followed))), 1.0)
+        return max(
+            float(np.sum(self.readings.seen)) - float(np.sum(followed / (1 + followed))), 1.0
+        )
 
     @property
     def tail(self) -> float:
@@ -138,15 +159,20 @@ class CellsFit(SumOfSquares):
     def gain(self) -> Array:
         """K (cells, readings): derivative of the fitted log cells with respect to the readings."""
         # K = (J̃ᵀ J̃ + ridge)⁻¹ J̃ᵀ/σ, with J̃ = ∂y/∂log r / σ
-        return np.asarray(np.linalg.solve(self.normal, self.jacobian.T / self.readings.known_sigma.ravel()))
+        return np.asarray(
+            np.linalg.solve(self.normal, self.jacobian.T / self.readings.known_sigma.ravel())
+        )
 
     def response(self, errors: Array) -> Array:
-        """Return K U, the change of the log cells (cells, n) by errors U of the readings (n, rows, columns)."""
+        """Return K U, the change of the log cells (cells, n) by errors U of the readings.
+
+        The errors U are (n, rows, columns).
+        """
         return np.asarray(self.gain @ errors.reshape(len(errors), self.cells.size).T)
 
     @cached_property
     def offset(self) -> Array:
-        """Change of the readings by all effects together, (rows, columns), in the readout's unit."""
+        """Change of readings by all effects together, (rows, columns), in the readout's unit."""
         return effect_on_readings(self.effects, self.scene, self.network)
 
     def more(self, effect: Effect) -> Array:
@@ -157,10 +183,12 @@ class CellsFit(SumOfSquares):
     def amplification(self) -> Array:
         """Factor of the readings' noise once the effects are taken off, (rows, columns).
 
-        It is the standard deviation of the readings that the cells would give without effects, in units of σ.
+        It is the standard deviation of the readings that the cells would give without effects, in
+        units of σ.
         """
         dry = self.network.sensitivity() / self.readings.known_sigma.reshape(-1, 1)
-        # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the log cells
+        # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the
+        # log cells
         variance = np.sum((dry @ self.covariance) * dry, axis=1)
         return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.cells.shape)
 
@@ -173,7 +201,9 @@ def fitted(
     patient: bool = False,
     effects: Sequence[Effect] = (),
 ) -> CellsFit | None:
-    """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where the solver or arithmetic fails.
+    """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0.
+
+    None where the solver or arithmetic fails.
 
     Parameters
     ----------
@@ -183,10 +213,11 @@ def fitted(
     near : array, shape (rows, columns), optional
         Cells in ohm to begin at; by default the readout's start.
     patient : bool
-        Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed, and a fit far from
-        noise is given up.
+        Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed,
+        and a fit far from noise is given up.
     effects : sequence of Effect
-        Effects in the network beside its circuit. With effects the fit that the first loop reaches is returned.
+        Effects in the network beside its circuit. With effects the fit that the first loop reaches
+        is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = cells_alone().data(readings.alone(), Background(scene))
@@ -194,23 +225,30 @@ def fitted(
         start = convex_cells(data, None)[0] if near is None else near
 
         def model(position: Array) -> CellsFit:
-            return CellsFit.at(scene, data, readings, np.exp(position).reshape(start.shape), effects)
+            return CellsFit.at(
+                scene, data, readings, np.exp(position).reshape(start.shape), effects
+            )
 
-        # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is usual; large
-        # panels are not iterated.
+        # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
+        # usual; large panels are not iterated.
         loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
         bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-        _, fit = loop.minimum(model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE)
+        _, fit = loop.minimum(
+            model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE
+        )
         if fit.chi_square <= EXACT_CHI_SQUARE or effects:
             return fit
         if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
             return None
-        # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the minimum.
+        # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
+        # minimum.
         estimator = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
         solver = estimator.problem(scene, 1, float("inf"), partial=data.partial)
         begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
         previous = None if near is None else near[None]
-        solution = best_solution(solver, data, previous) if begun is None else solved_from(solver, begun)
+        solution = (
+            best_solution(solver, data, previous) if begun is None else solved_from(solver, begun)
+        )
         if solution.solved:
             return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
     return None

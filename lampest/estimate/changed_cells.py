@@ -1,13 +1,14 @@
 """Selection of changed cells with a spike-and-slab prior.
 
-Log changes d of cells that stand still are N(0, P⁻¹). A cell moved with odds of one to four, and then by N(0, 1). The
-changes of the moved cells M are integrated out:
+Log changes d of cells that stand still are N(0, P⁻¹). A cell moved with odds of one to four, and
+then by N(0, 1). The changes of the moved cells M are integrated out:
 
     −2 ln evidence = dᵀ P d + MOVED_COST |M| + ln |P_MM + 1| − s_Mᵀ (P_MM + 1)⁻¹ s_M,   s = P d
 
-The search adds or removes one cell at a time, each time the one that lowers −2 ln evidence most. The sweep operator
-updates all gains after an exchange in O(cells²).
-Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician 33, 1979.
+The search adds or removes one cell at a time, each time the one that lowers −2 ln evidence most.
+The sweep operator updates all gains after an exchange in O(cells²).
+Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician
+33, 1979.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +23,8 @@ from lampest.panel.panel import Array
 from lampest.posterior.covariance import inverse_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
-PARAMETER_COST = 12.0  # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
+# −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
+PARAMETER_COST = 12.0
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
 
 Chosen = NDArray[np.bool_]
@@ -34,9 +36,10 @@ def mostly_still(moved: NDArray[np.bool_]) -> bool:
 
 
 def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the still cells of all frames without the neighbours of moved cells, as the skirt of a load moves these.
+    """Return the still cells of all frames without the neighbours of moved cells.
 
-    Where less than MIN_STILL_SHARE of the cells would remain, all still cells are returned.
+    The skirt of a load moves these neighbours. Where less than MIN_STILL_SHARE of the cells would
+    remain, all still cells are returned.
 
     Parameters
     ----------
@@ -56,7 +59,9 @@ def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Changes of the log cells between frames, d = A z + noise over still cells, with errors z ~ N(0, 1).
+    """Changes of the log cells between frames, d = A z + noise over still cells.
+
+    The errors are z ~ N(0, 1).
 
     Attributes
     ----------
@@ -82,7 +87,9 @@ class Changes:
         """C⁻¹ (n, n) and ln |C⁻¹|."""
         return inverse_and_volume(self.covariance)
 
-    def selected(self, starts: Sequence[Chosen], loaded: Chosen | None = None) -> tuple[float, Chosen]:
+    def selected(
+        self, starts: Sequence[Chosen], loaded: Chosen | None = None
+    ) -> tuple[float, Chosen]:
         """Return −2 ln evidence and the moved cells (n,), see `select_changed`."""
         precision, volume = self.inverse_and_volume
         slope = precision @ self.change
@@ -104,7 +111,10 @@ class Changes:
         return chosen.misfit + float(np.linalg.slogdet(chosen.covariance)[1])
 
     def posterior(self, still: Chosen) -> tuple[Array, Array]:
-        """Return mean (errors,) and covariance (errors, errors) of z given the changes d_s of the still cells."""
+        """Return mean and covariance of z given the changes d_s of the still cells.
+
+        They are (errors,) and (errors, errors).
+        """
         part = self.columns[still]
         # mean A_sᵀ C_ss⁻¹ d_s, covariance 1 − A_sᵀ C_ss⁻¹ A_s
         weight = np.linalg.solve(self.covariance[np.ix_(still, still)], part)
@@ -112,9 +122,16 @@ class Changes:
 
 
 def usual_starts(change: Array) -> list[Chosen]:
-    """Return the sets of moved cells that a search begins with: none, all, and the half that changed most."""
+    """Return the sets of moved cells that a search begins with.
+
+    They are none, all, and the half that changed most.
+    """
     deviation = np.abs(change - np.median(change))
-    return [np.zeros(len(change), dtype=bool), np.ones(len(change), dtype=bool), deviation > np.median(deviation)]
+    return [
+        np.zeros(len(change), dtype=bool),
+        np.ones(len(change), dtype=bool),
+        deviation > np.median(deviation),
+    ]
 
 
 def select_changed(
@@ -146,7 +163,9 @@ def select_changed(
     return min(ends, key=lambda selection: selection[0])
 
 
-def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple[float, Chosen]:
+def _exchange_cells(
+    slope: Array, slab: Array, moved: Chosen, fixed: Chosen
+) -> tuple[float, Chosen]:
     """Exchange single cells until no exchange lowers −2 ln evidence; fixed cells stay moved.
 
     Parameters
@@ -159,20 +178,22 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
     """
     inside = np.flatnonzero(moved)
     outside = np.flatnonzero(~moved)
-    # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM + 1)⁻¹, the last
-    # column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
+    # Table of the sweep operator [P + 1 | s], swept by the moved cells M: block (M, M) is −(P_MM +
+    # 1)⁻¹, the last column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
     moved = moved.copy()
     inverse = np.linalg.inv(slab[np.ix_(inside, inside)])
     table = np.ascontiguousarray(np.column_stack([slab, slope]))
     pulled = inverse @ table[inside]
     across = slab[np.ix_(outside, inside)]
-    cost = MOVED_COST * len(inside) - float(np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1])
+    cost = MOVED_COST * len(inside) - float(
+        np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1]
+    )
     table[outside] -= across @ pulled
     table[inside], table[np.ix_(inside, inside)] = pulled, -inverse
     table[np.ix_(outside, inside)] = pulled[:, outside].T
     for _ in range(4 * len(slope)):
-        # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p; if it is removed:
-        # MOVED_COST − s²/|p| − ln |p|.
+        # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
+        # if it is removed: MOVED_COST − s²/|p| − ln |p|.
         pivots = np.maximum(np.abs(np.diag(table)), 1e-300)
         gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
         cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
@@ -184,11 +205,12 @@ def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> 
 
 
 def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array:
-    """Return −2 ln evidence with one further error, separately for each of several errors, (errors,).
+    """Return −2 ln evidence with one further error, (errors,).
 
-    The change of still cells is d = a θ + noise with θ ~ N(0, 1): the precision P becomes
-    P − P a aᵀ P/(1 + aᵀ P a). Compared with no error, −2 ln evidence has ln(1 + aᵀ P a) more. The selection of moved
-    cells is greedy: cells are only added.
+    It is returned separately for each of several errors. The change of still cells is d = a θ +
+    noise with θ ~ N(0, 1): the precision P becomes P − P a aᵀ P/(1 + aᵀ P a). Compared with no
+    error, −2 ln evidence has ln(1 + aᵀ P a) more. The selection of moved cells is greedy: cells are
+    only added.
 
     Parameters
     ----------
@@ -219,8 +241,8 @@ def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array
 def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Array]) -> Array:
     """Return the total decrease of −2 ln evidence by greedily added cells, (hypotheses,).
 
-    All hypotheses are treated at once. The matrices P + 1 are factored by pivoted Cholesky, one column for each added
-    cell, so that they are never stored.
+    All hypotheses are treated at once. The matrices P + 1 are factored by pivoted Cholesky, one
+    column for each added cell, so that they are never stored.
 
     Parameters
     ----------
@@ -229,12 +251,14 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     size : array, shape (hypotheses, cells)
         Diagonal of each P + 1.
     column : callable
-        Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each hypothesis, (hypotheses,).
+        Returns one column of each P + 1, (hypotheses, cells), for one cell's number of each
+        hypothesis, (hypotheses,).
     """
     index = np.arange(len(vector))
     total = np.zeros(len(vector))
     taken = np.zeros(vector.shape, dtype=bool)
-    rows = np.zeros((len(vector), 0, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
+    # Of the pivoted Cholesky factors of the cells taken.
+    rows = np.zeros((len(vector), 0, vector.shape[1]))
     for _ in range(vector.shape[1]):
         pivots = np.maximum(size, 1e-300)
         gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
@@ -244,8 +268,8 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         if not active.any():
             break
         total, taken[index[active], cells[active]] = total + np.where(active, largest, 0.0), True
-        # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p, and the diagonal
-        # loses l².
+        # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p,
+        # and the diagonal loses l².
         added = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]
         pivot = np.where(active, added[index, cells], 1.0)[:, None]
         added = np.where(active[:, None], added, 0.0)

@@ -1,15 +1,18 @@
-"""Estimation of contact resistances by variable projection, together with the unloaded panel or the joint first pair.
+"""Estimation of contact resistances by variable projection.
+
+They are estimated together with the unloaded panel or the joint first pair.
 
     minimise φ(u, c) + s² Σ ((c − mean)/sd)²   over u = log r and the contacts c
 
-For given contacts the cells are solved as usual. A Gauss-Newton step in c then includes the response of the cells. With
-E = ∂x/∂c, the Jacobian J, the curvature Ω of the data term and the gain K of the cells
+For given contacts the cells are solved as usual. A Gauss-Newton step in c then includes the
+response of the cells. With E = ∂x/∂c, the Jacobian J, the curvature Ω of the data term and the gain
+K of the cells
 
     S = Eᵀ Ω (E − J K E) + s²/sd²,   step = −S⁻¹ (½ ∂φ/∂c + s² (c − mean)/sd²),   cov c = s² S⁻¹.
 
-S is the Schur complement of the cells; it is computed as a sum of squares to avoid cancellation. Later frames take c as
-known, with cov c as an error that all readings share. Plain least squares fits any contacts, so that they stay at their
-prior there.
+S is the Schur complement of the cells; it is computed as a sum of squares to avoid cancellation.
+Later frames take c as known, with cov c as an error that all readings share. Plain least squares
+fits any contacts, so that they stay at their prior there.
 Source: Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973.
 """
 
@@ -27,13 +30,16 @@ from lampest.posterior.covariance import errors_of
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.recording.readings import Readings
 
-# Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the accuracy of the cells.
+# Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the
+# accuracy of the cells.
 FIT = LevenbergMarquardt(evaluations=20, settled=1e-6, damping=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedContacts:
-    """The cells solved for given contacts, as a sum of squares over the contacts with the normal matrix S/s².
+    """The cells solved for given contacts, as a sum of squares over the contacts.
+
+    The sum has the normal matrix S/s².
 
     Attributes
     ----------
@@ -59,7 +65,12 @@ class SolvedContacts:
         if self.step.surroundings() is None:
             return np.inf
         deviation = self.ohm - self.mean
-        return float(self.step.solution.objective / self.scale + (self.precision * deviation) @ deviation) / 2
+        return (
+            float(
+                self.step.solution.objective / self.scale + (self.precision * deviation) @ deviation
+            )
+            / 2
+        )
 
     @cached_property
     def _model(self) -> LinearModel:
@@ -75,7 +86,9 @@ class SolvedContacts:
     @cached_property
     def gradient(self) -> Array:
         """Gradient of the cost with respect to the contacts, (lines,)."""
-        slope = self._response.T @ self._model.at.partials(np.clip(self._model.dual, -1, 1))[1].ravel()
+        slope = (
+            self._response.T @ self._model.at.partials(np.clip(self._model.dual, -1, 1))[1].ravel()
+        )
         return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
 
     @cached_property
@@ -89,19 +102,26 @@ class SolvedContacts:
         full = model.over_all(follow)
         left = rows - errors.forward(full)
         charged = model.penalty_jacobian @ full
-        # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but without cancellation
-        schur = left.T @ (model.data_curvature[:, None] * left) + IGNORANCE * model.scale * follow.T @ follow
+        # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but
+        # without cancellation
+        schur = (
+            left.T @ (model.data_curvature[:, None] * left)
+            + IGNORANCE * model.scale * follow.T @ follow
+        )
         schur += charged.T @ (model.penalty_curvature[:, None] * charged)
         return np.asarray(schur / self.scale + np.diag(self.precision))
 
 
 def with_contacts(
-    state: AnyState, readings: Readings, solved: Step, solve: Callable[[SequenceState, Readings, Array], Step]
+    state: AnyState,
+    readings: Readings,
+    solved: Step,
+    solve: Callable[[SequenceState, Readings, Array], Step],
 ) -> tuple[AnyState, Step]:
     """Return the state with estimated contacts, and the step that was solved for them.
 
-    Both are unchanged where the scene names no contacts, or where the estimate has no error bars: these determine how
-    well the contacts are known.
+    Both are unchanged where the scene names no contacts, or where the estimate has no error bars:
+    these determine how well the contacts are known.
 
     Parameters
     ----------
@@ -123,12 +143,15 @@ def with_contacts(
     sought = deviation > 0
     scale = model.scale
     seconds = [solved.seconds]
-    precision = np.where(sought, deviation, 1.0) ** -2.0  # contacts without a deviation stay where bounds hold them
+    # Contacts without a deviation stay where bounds hold them.
+    precision = np.where(sought, deviation, 1.0) ** -2.0
 
     def at(ohm: Array) -> SolvedContacts:
         if np.array_equal(ohm, mean):
             return SolvedContacts(solved, mean, scale, mean, precision)
-        trying = replace(state, scene=replace(state.scene, contacts=Contacts.of(ohm, deviation, shape[0])))
+        trying = replace(
+            state, scene=replace(state.scene, contacts=Contacts.of(ohm, deviation, shape[0]))
+        )
         trial = solve(trying, readings, solved.solution.cell_resistance)
         seconds.append(trial.seconds)
         return SolvedContacts(trial, ohm, scale, mean, precision)
@@ -136,7 +159,9 @@ def with_contacts(
     _, fit = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean)))
     covariance = np.zeros(fit.normal.shape)
     covariance[np.ix_(sought, sought)] = np.linalg.inv(fit.normal[np.ix_(sought, sought)])
-    scene = replace(state.scene, contacts=Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0]))
+    scene = replace(
+        state.scene, contacts=Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0])
+    )
     vectors, squares = np.linalg.eigh(covariance)[::-1]
     root = vectors * np.sqrt(np.maximum(squares, 0.0))
     shared = state.track.shared and replace(state.track.shared, scene=scene, contact_root=root)

@@ -20,11 +20,13 @@ def baseline_readings(recording: Recording, readings: Readings) -> Readings:
     return mean if mean.enough(recording.scene) or not len(usable) else readings[usable[:1]].mean()
 
 
-def deciding_frames(recording: Recording, readings: Readings, resting: Readings) -> NDArray[np.intp]:
+def deciding_frames(
+    recording: Recording, readings: Readings, resting: Readings
+) -> NDArray[np.intp]:
     """Return the measured frame that differs most from rest, and frames that decide with it.
 
-    These are spread evenly over the frames that differ half as far from rest. Frames without enough readings are left
-    out.
+    These are spread evenly over the frames that differ half as far from rest. Frames without enough
+    readings are left out.
     """
     frames = recording.measured_frames()
     frames = frames[readings.enough(recording.scene)[frames]]

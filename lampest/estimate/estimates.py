@@ -27,18 +27,22 @@ from lampest.solvers.solution import Status
 
 OVERRULED_MISFIT = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 AT_RAILS = {  # in place of the solver's own sentence where readings are at or beyond a rail
-    Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are missed",
+    Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are "
+    "missed",
     Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
-    Status.FAINT: "an optimum, but readings at or beyond {} determine some cells so weakly that they may still move",
-    Status.UNREAD: "too few of the frame's readings are values: the others are missing, or at or beyond {}",
+    Status.FAINT: "an optimum, but readings at or beyond {} determine some cells so weakly that "
+    "they may still move",
+    Status.UNREAD: "too few of the frame's readings are values: the others are missing, or at or "
+    "beyond {}",
 }
 
 
 def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
-    """Return the error bars by name, as the properties of `Estimates` have them, (frames, rows, columns) each.
+    """Return the error bars by name, as the properties of `Estimates` have them.
 
-    σ_r = r·σ(log r), and the interval reaches from r·exp(−below) to r·exp(above). `ratio_lower` and `ratio_upper` are
-    the interval of r/r0. In a frame without error bars they are infinite, and shares are 0.
+    Each is (frames, rows, columns). σ_r = r·σ(log r), and the interval reaches from r·exp(−below)
+    to r·exp(above). `ratio_lower` and `ratio_upper` are the interval of r/r0. In a frame without
+    error bars they are infinite, and shares are 0.
 
     Parameters
     ----------
@@ -77,10 +81,15 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
 
 
 class Barred(property):
-    """A property (frames, rows, columns) of estimates with error bars; None for estimates without."""
+    """A property (frames, rows, columns) of estimates with error bars.
+
+    None for estimates without.
+    """
 
     def __init__(self, part: str, about: str) -> None:
-        super().__init__(lambda estimates: (getattr(estimates, part) or {}).get(self._name), doc=about)
+        super().__init__(
+            lambda estimates: (getattr(estimates, part) or {}).get(self._name), doc=about
+        )
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -91,7 +100,9 @@ class Barred(property):
             """Return the error bar of the estimates."""
 
 
-def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array | None) -> dict[str, Array]:
+def frame_misfit(
+    model: Array, measured: Array, sigma: Array, resolution: Array | None
+) -> dict[str, Array]:
     """Return the misfit χ² = Σ ((model − measured)/σ)² of every frame with its significance.
 
     Parameters
@@ -104,18 +115,24 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
     Returns
     -------
     dict of array, shape (frames,)
-        NaN where a frame failed. chi_square; degrees_of_freedom = readings − tr A and tail = P(χ² ≥ chi_square), both
-        NaN without `resolution`; worst_row and worst_column, the lines with the largest parts of χ²; worst_row_share
-        and worst_column_share, these parts.
+        NaN where a frame failed. chi_square; degrees_of_freedom = readings − tr A and tail = P(χ² ≥
+        chi_square), both NaN without `resolution`; worst_row and worst_column, the lines with the
+        largest parts of χ²; worst_row_share and worst_column_share, these parts.
     """
     squares = ((model - measured) / sigma) ** 2
     squares[np.isinf(sigma) & np.isfinite(model).any(axis=(1, 2), keepdims=True)] = 0.0
     chi_square = squares.sum(axis=(1, 2))
     readings = np.isfinite(sigma).sum(axis=(1, 2))
     # degrees of freedom: readings − tr A, at least 1
-    followed = np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
+    followed = (
+        np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
+    )
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
-    figures = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
+    figures = {
+        "chi_square": chi_square,
+        "degrees_of_freedom": degrees,
+        "tail": chi_square_tail(chi_square, degrees),
+    }
     for name, lines in (("row", squares.sum(axis=2)), ("column", squares.sum(axis=1))):
         solved = ~np.isnan(chi_square)
         worst = np.where(solved, np.argmax(lines, axis=1), np.nan)
@@ -126,11 +143,12 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimates:
-    """Cell resistances of a recording's measured frames, with their error bars, changes and pressures.
+    """Cell resistances of a recording's measured frames, with error bars, changes and pressures.
 
-    Values of cells are (frames, rows, columns) over the measured frames, NaN where a frame failed. Properties that need
-    error bars are None where there are none: the noise is unknown, the panel is large, or the method ends at no
-    optimum. If a single frame has no error bars, its values are infinite.
+    Values of cells are (frames, rows, columns) over the measured frames, NaN where a frame failed.
+    Properties that need error bars are None where there are none: the noise is unknown, the panel
+    is large, or the method ends at no optimum. If a single frame has no error bars, its values are
+    infinite.
 
     Parameters
     ----------
@@ -140,8 +158,8 @@ class Estimates:
     frame : integer array, shape (frames,)
         Indices of the measured frames in the recording.
     readings, resting : Readings
-        Readings of the frames (frames, rows, columns), and of the unloaded panel (rows, columns): values, bounds, or
-        missing.
+        Readings of the frames (frames, rows, columns), and of the unloaded panel (rows, columns):
+        values, bounds, or missing.
     baseline_resistance : array, shape (rows, columns)
         Cells of the unloaded panel, ohm.
     baseline : Step
@@ -153,7 +171,8 @@ class Estimates:
     joint_start : bool
         Whether the first frame was solved together with the baseline.
     prepared : Prepared
-        Preparation of the recording; for a part of a long recording that of the frames which represent it.
+        Preparation of the recording; for a part of a long recording that of the frames which
+        represent it.
     contacts : Contacts or None
         Estimated contacts of the lines; None where the scene names none.
     automatic : bool
@@ -192,17 +211,26 @@ class Estimates:
 
     @property
     def measured(self) -> Array:
-        """Readings in the readout's unit, less the series resistance, (frames, rows, columns); NaN where missing."""
+        """Readings in the readout's unit, less the series resistance, (frames, rows, columns).
+
+        NaN where missing.
+        """
         return self.readings.shown
 
     @property
     def measured_baseline(self) -> Array:
-        """Mean of the unloaded readings in the same unit, (rows, columns); without any, the first readable frame."""
+        """Mean of the unloaded readings in the same unit, (rows, columns).
+
+        Without any, it is the first readable frame.
+        """
         return self.resting.shown
 
     @property
     def sigma(self) -> Array | None:
-        """Standard deviation of `measured`, infinite for bounds and missing readings; None where unknown."""
+        """Standard deviation of `measured`, infinite for bounds and missing readings.
+
+        None where unknown.
+        """
         return self.readings.sigma_of_values
 
     @property
@@ -212,12 +240,15 @@ class Estimates:
 
     @property
     def missing_readings(self) -> NDArray[np.int64]:
-        """Number of missing readings, (frames,), without those that the scene's faults make blind."""
+        """Number of missing readings, (frames,), without those the scene's faults make blind."""
         return np.asarray(self.readings.missing(self.recording.scene).sum(axis=(1, 2)))
 
     @property
     def bound_readings(self) -> NDArray[np.int64]:
-        """Number of readings at a rail of the converter, zero, or below the series resistance, (frames,)."""
+        """Number of readings at a rail of the converter, zero, or below the series resistance.
+
+        Shape (frames,).
+        """
         return np.asarray(self.readings.bounds.sum(axis=(1, 2)))
 
     @property
@@ -227,7 +258,10 @@ class Estimates:
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Outcome of each solve in a sentence, (frames,); it names rails of the converter that leave cells open."""
+        """Outcome of each solve in a sentence, (frames,).
+
+        It names rails of the converter that leave cells open.
+        """
         readout = self.recording.scene.readout
         messages = []
         if readout is None or self.recording.scene.panel.modules is not None:
@@ -257,50 +291,81 @@ class Estimates:
     @property
     def open_cell(self) -> NDArray[np.bool_]:
         """Whether a cell cannot be distinguished from an open one, (frames, rows, columns)."""
-        return np.stack([step.solution.open_cell[-1] for step in self.steps]) & self.recording.scene.panel.present
+        return (
+            np.stack([step.solution.open_cell[-1] for step in self.steps])
+            & self.recording.scene.panel.present
+        )
 
     @property
     def at_lower_bound(self) -> NDArray[np.bool_]:
         """Whether a cell is at its lower bound, (frames, rows, columns)."""
         return np.stack([step.solution.at_lower[-1] for step in self.steps])
 
-    cell_resistance_errors = Barred("_bars", "Standard deviation of r, ohm; infinite where a cell may be open.")
+    cell_resistance_errors = Barred(
+        "_bars", "Standard deviation of r, ohm; infinite where a cell may be open."
+    )
     cell_resistance_lower = Barred("_bars", "Lower end of the 95 % interval of r, ohm.")
-    cell_resistance_upper = Barred("_bars", "Upper end of the 95 % interval of r, ohm; infinite where it may be open.")
+    cell_resistance_upper = Barred(
+        "_bars", "Upper end of the 95 % interval of r, ohm; infinite where it may be open."
+    )
     relative_change_errors = Barred("_bars", "Standard deviation of the relative change, percent.")
-    relative_change_lower = Barred("_bars", "Lower end of the 95 % interval of the relative change, percent.")
-    relative_change_upper = Barred("_bars", "Upper end of the 95 % interval of the relative change, percent.")
-    resolution = Barred("_bars", "Diagonal of the averaging kernel: 1 where readings decide a cell, 0 elsewhere.")
-    data_share = Barred("_bars", "Row sums of the averaging kernel: share of an estimate that comes from the data.")
+    relative_change_lower = Barred(
+        "_bars", "Lower end of the 95 % interval of the relative change, percent."
+    )
+    relative_change_upper = Barred(
+        "_bars", "Upper end of the 95 % interval of the relative change, percent."
+    )
+    resolution = Barred(
+        "_bars", "Diagonal of the averaging kernel: 1 where readings decide a cell, 0 elsewhere."
+    )
+    data_share = Barred(
+        "_bars", "Row sums of the averaging kernel: share of an estimate that comes from the data."
+    )
     sigma_own = Barred("_bars", "Standard deviation of log r: of each cell's own error.")
-    sigma_common = Barred("_bars", "Standard deviation of log r: of what all cells share, or those of a line.")
-    pressure = Barred("_pressed", "Pressure of the load, kPa, suction negative; of films with a response in the scene.")
+    sigma_common = Barred(
+        "_bars", "Standard deviation of log r: of what all cells share, or those of a line."
+    )
+    pressure = Barred(
+        "_pressed",
+        "Pressure of the load, kPa, suction negative; of films with a response in the scene.",
+    )
     pressure_errors = Barred("_pressed", "Standard deviation of the pressure, kPa.")
-    pressure_own = Barred("_pressed", "Standard deviation of the pressure, kPa: of each cell's own error.")
-    pressure_common = Barred("_pressed", "Standard deviation of the pressure, kPa: of what cells share.")
+    pressure_own = Barred(
+        "_pressed", "Standard deviation of the pressure, kPa: of each cell's own error."
+    )
+    pressure_common = Barred(
+        "_pressed", "Standard deviation of the pressure, kPa: of what cells share."
+    )
     pressure_lower = Barred("_pressed", "Lower end of the 95 % interval of the pressure, kPa.")
     pressure_upper = Barred("_pressed", "Upper end of the 95 % interval of the pressure, kPa.")
     saturated = Barred("_pressed", "Whether the response does not determine the pressure.")
-    pressing = Barred("_pressed", "Whether a load presses, beyond errors and the film's residue of earlier loads.")
+    pressing = Barred(
+        "_pressed", "Whether a load presses, beyond errors and the film's residue of earlier loads."
+    )
 
     @property
     def reading_sigma(self) -> Array | None:
-        """Posterior predictive standard deviation of every reading, (frames, rows, columns) in the readout's unit.
+        """Posterior predictive standard deviation of every reading, (frames, rows, columns).
 
-        It includes the errors of the cells, the noise and the model's error, and exists for missing readings, too.
-        None without error bars; NaN in a frame without.
+        It is in the readout's unit. It includes the errors of the cells, the noise and the model's
+        error, and exists for missing readings, too. None without error bars; NaN in a frame
+        without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
         noise = self.readings.sigma
         scene = self.prepared.recording.scene
         if self._bars is None or noise is None or all(frame is None for frame in deviation):
             return None
-        of_cells = np.stack([np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation])
+        of_cells = np.stack(
+            [np.full(scene.panel.shape, np.nan) if frame is None else frame for frame in deviation]
+        )
         if scene.readout is not None:
             model = np.stack([step.solution.reading[-1] for step in self.steps])
-            # σ² = σ² of the cells' errors + noise², with the noise of bounds and missing readings at the model's
-            # reading
-            at_model = self.noise.sigma_factor * scene.readout.sigma(scene.circuit.to_recorded(model, scene))
+            # σ² = σ² of the cells' errors + noise², with the noise of bounds and missing readings
+            # at the model's reading
+            at_model = self.noise.sigma_factor * scene.readout.sigma(
+                scene.circuit.to_recorded(model, scene)
+            )
             noise = np.where(self.readings.plain, noise, at_model)
         return np.asarray(np.hypot(of_cells, noise))
 
@@ -317,7 +382,10 @@ class Estimates:
 
     @property
     def tared(self) -> tuple[str, ...] | None:
-        """Reason for a new zero of pressures after each frame, (frames,); '' without; None without `Estimator.tare`."""
+        """Reason for a new zero of pressures after each frame, (frames,).
+
+        It is '' without one, and None without `Estimator.tare`.
+        """
         return None if self._load is None or self.estimator.tare is None else self._load.tared
 
     @property
@@ -327,17 +395,26 @@ class Estimates:
         number = self.prepared.recording.number
         if not self._is_part or number is None:
             return check
-        message = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
+        message = (
+            f"; of a long recording {len(number)} frames between {number[0]} and "
+            f"{number[-1]} were asked"
+        )
         return replace(check, sentence=check.sentence + message)
 
     @property
     def noise(self) -> NoiseEstimate:
-        """Noise of the recording's readings; it includes the model's error where readings show one."""
+        """Noise of the recording's readings.
+
+        It includes the model's error where readings show one.
+        """
         return self.prepared.noise
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
-        """Doubts about the estimates, one line each: failed frames, weights, roles and units, circuit, noise."""
+        """Doubts about the estimates, one line each.
+
+        They are on failed frames, weights, roles and units, circuit, noise.
+        """
         failed = unsolved(self.solved, self.status)
         return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings)))
 
@@ -348,7 +425,10 @@ class Estimates:
 
     @property
     def _overruled(self) -> str:
-        """The misfit in words where penalties with chosen weights make it large against the noise; else ''."""
+        """Misfit in words where penalties with chosen weights make it large against the noise.
+
+        Else it is ''.
+        """
         chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
         known = np.isfinite(chi_square)
         if self.sigma is None or not known.any():
@@ -358,25 +438,36 @@ class Estimates:
         factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
         if factor < OVERRULED_MISFIT:
             return ""
-        terms = " and ".join(term_kind(term) for term in self.estimator.terms if not term.reads_measurement)
+        terms = " and ".join(
+            term_kind(term) for term in self.estimator.terms if not term.reads_measurement
+        )
         return (
-            f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} times their noise in the "
+            f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} "
+            "times their noise in the "
             "median frame: give a smaller weight, or leave the term out"
         )
 
     @cached_property
     def film(self) -> FilmKnown | None:
-        """Strengths of the film's memory; None where the scene names no film, or nothing has error bars.
+        """Strengths of the film's memory.
 
-        Strengths that the scene leaves open are estimated from the frames after a load was taken off.
+        None where the scene names no film, or nothing has error bars. Strengths that the scene
+        leaves open are estimated from the frames after a load was taken off.
         """
         film = self.recording.scene.film
         known = log_change(self)
-        return None if film is None or known is None else FilmKnown.specified(film).estimated(*known, self.time)
+        return (
+            None
+            if film is None or known is None
+            else FilmKnown.specified(film).estimated(*known, self.time)
+        )
 
     @property
     def misfit(self) -> dict[str, Array]:
-        """Misfit of every frame against its noise, see `frame_misfit`; empty where the noise is unknown."""
+        """Misfit of every frame against its noise, see `frame_misfit`.
+
+        It is empty where the noise is unknown.
+        """
         if self.sigma is None:
             return {}
         model = np.stack([step.solution.reading[-1] for step in self.steps])
@@ -388,7 +479,9 @@ class Estimates:
 
         In a part of a longer recording the estimates with error bars may stand in other parts.
         """
-        if self.baseline_bars is None or not (self._is_part or any(step.bars for step in self.steps)):
+        if self.baseline_bars is None or not (
+            self._is_part or any(step.bars for step in self.steps)
+        ):
             return None
         return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
 
@@ -397,24 +490,37 @@ class Estimates:
         load = None if self.recording.scene.response is None else self._load
         if load is None:
             return None
-        errors = {f"pressure_{part}": getattr(load, part) for part in ("errors", "own", "common", "lower", "upper")}
-        verdicts = {"saturated": load.saturated.astype(bool), "pressing": load.pressing.astype(bool)}
+        errors = {
+            f"pressure_{part}": getattr(load, part)
+            for part in ("errors", "own", "common", "lower", "upper")
+        }
+        verdicts = {
+            "saturated": load.saturated.astype(bool),
+            "pressing": load.pressing.astype(bool),
+        }
         return {"pressure": load.pressure} | errors | verdicts
 
     @cached_property
     def _load(self) -> Pressure | None:
-        """Pressures with errors; None without error bars, because the uncertainty of r/r0 is then unknown."""
+        """Pressures with errors.
+
+        None without error bars, because the uncertainty of r/r0 is then unknown.
+        """
         if self._bars is None:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
         ratio = self.cell_resistance / self.baseline_resistance
         individual = self._bars["change_own"]
         scene = self.recording.scene
-        return pressure_of(ratio, *interval, scene, self.time, self.film, self.estimator.tare, individual)
+        return pressure_of(
+            ratio, *interval, scene, self.time, self.film, self.estimator.tare, individual
+        )
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """Return ln(r/r0) without the common change by temperature and creep, and its deviation; None without error bars.
+    """Return ln(r/r0) without the common change by temperature and creep, and its deviation.
+
+    None without error bars.
 
     Returns
     -------

@@ -22,8 +22,9 @@ from lampest.solvers.solution import Settings, Solver
 class Estimator(Objective):
     """Terms, the method that minimises them, its settings, and bounds.
 
-    Raises InputError without a data term, for a formulation that does not exist or does not support the terms, where a
-    term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
+    Raises InputError without a data term, for a formulation that does not exist or does not support
+    the terms, where a term weighs the previous frame by its error bars and there can be none, or
+    where a part is of another class.
 
     Attributes
     ----------
@@ -33,8 +34,8 @@ class Estimator(Objective):
     solver : Settings
     bounds : Bounds
     error_bars : 'auto' or bool
-        Whether to compute error bars; 'auto': on panels of up to 600 cells, or where a term needs them. Only verified
-        optima of readings with known noise can have them.
+        Whether to compute error bars; 'auto': on panels of up to 600 cells, or where a term needs
+        them. Only verified optima of readings with known noise can have them.
     auto_weight : AutoWeight
         Choice of the weights that the terms leave open.
     tare : Tare or None
@@ -52,17 +53,27 @@ class Estimator(Objective):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed
-        for name, kind in (("solver", Settings), ("bounds", Bounds), ("auto_weight", AutoWeight), ("verify", Verify)):
+        for name, kind in (
+            ("solver", Settings),
+            ("bounds", Bounds),
+            ("auto_weight", AutoWeight),
+            ("verify", Verify),
+        ):
             if not isinstance(getattr(self, name), kind):
-                raise InputError(f"{name} must be {kind.__name__}(...), not {in_words(getattr(self, name))}")
+                raise InputError(
+                    f"{name} must be {kind.__name__}(...), not {in_words(getattr(self, name))}"
+                )
         if not isinstance(self.tare, Tare | None):
             raise InputError(f"tare must be Tare(...) or None, not {in_words(self.tare)}")
         if self.error_bars not in ("auto", True, False):
-            raise InputError(f"error_bars must be 'auto', True or False, not {in_words(self.error_bars)}")
+            raise InputError(
+                f"error_bars must be 'auto', True or False, not {in_words(self.error_bars)}"
+            )
         self.method.check(self.terms)
         if self.weighs_previous and (self.error_bars is False or not self.method.optimum):
             raise InputError(
-                "arrival weighs frames by their error bars: it needs error_bars, and an optimum to have them"
+                "arrival weighs frames by their error bars: it needs error_bars, and an optimum to "
+                "have them"
             )
         if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
             raise InputError("auto_weight.per: frame needs a formulation that ends at an optimum")
@@ -90,10 +101,10 @@ class Estimator(Objective):
         return requested and self.method.optimum and readings.sigma is not None
 
     def effort(self, panel: Panel) -> tuple[float, float]:
-        """Return the approximate time (s) and memory (bytes) of a first frame with penalties; zeros without penalties.
+        """Return the approximate time (s) and memory (bytes) of a first frame with penalties.
 
-        Calibrated on gradient penalties: 12 s and 275 MB at 100 × 100 cells, 80 s and 787 MB at 280 × 280, on one core
-        of 2026.
+        They are zeros without penalties. Calibrated on gradient penalties: 12 s and 275 MB at 100 ×
+        100 cells, 80 s and 787 MB at 280 × 280, on one core of 2026.
         """
         module = panel if panel.modules is None else panel.modules.each
         penalised = self.method.optimum and any(not term.reads_measurement for term in self.terms)
@@ -117,4 +128,6 @@ class Estimator(Objective):
         partial : bool
             Whether readings may be bounds or missing.
         """
-        return self.method.solver(self.cost(scene, frames, partial=partial), scene, self.solver, period)
+        return self.method.solver(
+            self.cost(scene, frames, partial=partial), scene, self.solver, period
+        )

@@ -1,7 +1,9 @@
-"""Estimation of the share of the channel before that a converter keeps, from the unloaded panel and a loaded frame.
+"""Estimation of the share of the channel before that a converter keeps.
 
-With a wrong share every change of a cell appears in the next channel, too, so that more cells seem to have moved. The
-evidence of the pair of frames (`lampest.estimate.nuisances`) is compared over MEMORIES, all equally probable before.
+It is estimated from the unloaded panel and a loaded frame. With a wrong share every change of a
+cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
+pair of frames (`lampest.estimate.nuisances`) is compared over MEMORIES, all equally probable
+before.
 """
 
 from dataclasses import replace
@@ -18,12 +20,16 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 KEY = "converter_memory"
 MEMORIES = np.linspace(0.0, 0.3, 16)
 FINER = 9  # points between the neighbours of the most probable one
-TRIED = (0.01, 0.02, 0.04, 0.08, 0.16)  # shares against none: one of them is near enough to the best one to show it
+# Shares against none: one of them is near enough to the best one to show it.
+TRIED = (0.01, 0.02, 0.04, 0.08, 0.16)
 MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
 
 
 def estimated_memory(recording: Recording) -> tuple[float, float] | str:
-    """Return the share and its standard deviation, or the reason why the recording cannot determine it, in words."""
+    """Return the share and its standard deviation, or why the recording cannot determine it.
+
+    The reason is in words.
+    """
     unloaded = recording.role == UNLOADED
     measured = np.flatnonzero(recording.role == MEASURED)
     if recording.scene.readout is None:
@@ -39,7 +45,8 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     costs = _costs(recording, shares)
     if not np.isfinite(costs).all():
         return "no cells explain the unloaded panel and a loaded frame"
-    # parabola through the three points around the least cost: its vertex, and 1/√(half of its curvature)
+    # parabola through the three points around the least cost: its vertex, and 1/√(half of its
+    # curvature)
     middle = int(np.clip(np.argmin(costs), 1, len(shares) - 2))
     before, at, after = costs[middle - 1 : middle + 2]
     spacing = float(shares[1] - shares[0])
@@ -53,8 +60,9 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
 def memory_gain(recording: Recording) -> float:
     """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
 
-    It is relative to the misfit of still cells, which errors that the scene does not name increase. The edge of a load
-    looks like a memory: the result is 0 unless cells that touch no moved ones show the memory, too.
+    It is relative to the misfit of still cells, which errors that the scene does not name increase.
+    The edge of a load looks like a memory: the result is 0 unless cells that touch no moved ones
+    show the memory, too.
     """
     small = recording.scene.panel.crossings <= MAX_CELLS
     if recording.scene.readout is None or not small or len(set(recording.role.tolist())) < 2:
@@ -68,7 +76,10 @@ def memory_gain(recording: Recording) -> float:
 
 
 def _costs(recording: Recording, shares: Array) -> Array:
-    """Return −2 ln density of loaded frames given the unloaded ones for each share; infinite without a fit."""
+    """Return −2 ln density of loaded frames given the unloaded ones for each share.
+
+    It is infinite without a fit.
+    """
     return np.array([_cost(explanation) for explanation in _explanations(recording, shares)])
 
 
@@ -82,16 +93,27 @@ def _explanations(recording: Recording, shares: Array) -> list[Explanation | Non
 
 
 def _cost(explanation: Explanation | None) -> float:
-    """Return −2 ln density of the loaded frames given the unloaded ones; infinite without an explanation."""
+    """Return −2 ln density of the loaded frames given the unloaded ones.
+
+    It is infinite without an explanation.
+    """
     if explanation is None or explanation.pair is None:
         return np.inf
     # p(recorded) = p(freed) |∂freed/∂recorded|, (1 − m)⁻¹ for each reading
     read = float(np.sum(explanation.fits[-1].readings.seen > 0))
-    return explanation.score + 2 * float(np.log1p(-(explanation.rival.scene.known_memory or 0.0))) * read
+    return (
+        explanation.score
+        + 2 * float(np.log1p(-(explanation.rival.scene.known_memory or 0.0))) * read
+    )
 
 
-def with_estimated_memory(recording: Recording) -> tuple[Recording, tuple[float, float] | str | None]:
-    """Return the recording with a number for `converter_memory: estimated`, and the estimate or the reason for none."""
+def with_estimated_memory(
+    recording: Recording,
+) -> tuple[Recording, tuple[float, float] | str | None]:
+    """Return the recording with a number for `converter_memory: estimated`.
+
+    Also return the estimate or the reason for none.
+    """
     if recording.scene.converter_memory != ESTIMATED:
         return recording, None
     found = estimated_memory(recording)

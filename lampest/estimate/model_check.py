@@ -1,8 +1,10 @@
-"""Check of the scene's circuit: whether it explains the readings, and which other circuit explains them better.
+"""Check of the scene's circuit: whether it explains the readings.
 
-One frame: are there positive cells that explain the readings within their noise, and do the readings satisfy the
-circuit's inequalities? Two frames: the evidence of a circuit decreases with the number of cells that must have moved
-between the unloaded panel and a loaded frame. A rival is named if its evidence is larger by MIN_EVIDENCE_GAIN.
+It also tells which other circuit explains them better. One frame: are there positive cells that
+explain the readings within their noise, and do the readings satisfy the circuit's inequalities? Two
+frames: the evidence of a circuit decreases with the number of cells that must have moved between
+the unloaded panel and a loaded frame. A rival is named if its evidence is larger by
+MIN_EVIDENCE_GAIN.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,19 +42,23 @@ from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 EXPLAINED = "the circuit explains its readings"
-# Deviation of ln of a module's median reading at rest from the other modules: none of 1,640 simulated modules whose
-# cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
+# Deviation of ln of a module's median reading at rest from the other modules: none of 1,640
+# simulated modules whose cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
-# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings with the right circuit
-# nearly all gain less (docs/theory/model_check.md).
+# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
+# with the right circuit nearly all gain less (docs/theory/model_check.md).
 DOUBTFUL_GAIN = 15.0
-MAX_MISSING = 0.1  # share of missing readings or bounds: with a fifth, moved cells can no longer be identified
-MAX_SERIES_SHARE = 0.98  # of the largest resistance in series that readings allow: all of it would short the panel
-# Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and one reading on 12 x 8
-# cells leave 1.4, and distinguishable circuits at most 0.2 (docs/studies/model_check.py).
+# Share of missing readings or bounds: with a fifth, moved cells can no longer be identified.
+MAX_MISSING = 0.1
+# Of the largest resistance in series that readings allow: all of it would short the panel.
+MAX_SERIES_SHARE = 0.98
+# Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and
+# one reading on 12 x 8 cells leave 1.4, and distinguishable circuits at most 0.2
+# (docs/studies/model_check.py).
 MAX_CELL_SD = 0.5
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
-MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)  # fractions of the channel before that a converter may keep
+# Fractions of the channel before that a converter may keep.
+MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
@@ -64,14 +70,15 @@ class ModelCheck:
     Attributes
     ----------
     explains : bool or None
-        Whether the specified circuit explains the readings and no other explains them better; None: not checked,
-        because the noise is unknown or no fit was found.
+        Whether the specified circuit explains the readings and no other explains them better; None:
+        not checked, because the noise is unknown or no fit was found.
     sentence : str
         The result in words, ASCII.
     better : str
         The circuit or the effects that explain the readings better, in the words of a scene; ''.
     noise : float
-        Factor of the unloaded frames' scatter over the specified noise; 1 where it is not significant.
+        Factor of the unloaded frames' scatter over the specified noise; 1 where it is not
+        significant.
     common_change : str
         The common change of all cells in words; '' where it is not significant.
     by_effect : bool
@@ -96,15 +103,23 @@ class ModelCheck:
 
     @property
     def mark(self) -> str:
-        """The verdict: 'yes', 'no', or 'doubtful' where the circuit was not checked or something speaks against it."""
+        """The verdict: 'yes', 'no', or 'doubtful'.
+
+        It is 'doubtful' where the circuit was not checked or something speaks against it.
+        """
         if self.explains is False:
             return "no"
         return "doubtful" if self.explains is None or self.doubts else "yes"
 
     def with_doubts(self, *doubts: str) -> "ModelCheck":
-        """Return the check with further doubts, which its sentence states; empty and known ones are ignored."""
+        """Return the check with further doubts, which its sentence states.
+
+        Empty and known ones are ignored.
+        """
         further = tuple(doubt for doubt in doubts if doubt and doubt not in self.doubts)
-        return replace(self, doubts=(*self.doubts, *further), sentence="; ".join((self.sentence, *further)))
+        return replace(
+            self, doubts=(*self.doubts, *further), sentence="; ".join((self.sentence, *further))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +129,8 @@ class Question:
     Attributes
     ----------
     specified : Rival
-        The scene's circuit, with a saturated stage where the readings show one; outliers are missing.
+        The scene's circuit, with a saturated stage where the readings show one; outliers are
+        missing.
     role : array, shape (frames,)
     resting, standing : integer array
         Numbers of the unloaded frames, and of measured frames that are equal within their noise.
@@ -133,14 +149,20 @@ class Question:
 
     @classmethod
     def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "Question":
-        """Return the frames of a recording whose noise is known; without an unloaded frame the first is used."""
+        """Return the frames of a recording whose noise is known.
+
+        Without an unloaded frame the first is used.
+        """
         role = recording.role
-        specified = Rival(recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
+        specified = Rival(
+            recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma
+        )
         readings = specified.readings()
         named = np.arange(len(role)) if recording.number is None else recording.number
         resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
         standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
-        # The most strongly loaded frame, averaged with those that are equal to it within their noise.
+        # The most strongly loaded frame, averaged with those that are equal to it within their
+        # noise.
         used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
         noise = noise_factor(used[resting])
         if len(standing):
@@ -155,7 +177,10 @@ class Question:
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
     def readings(self, rival: Rival) -> tuple[Readings, ...]:
-        """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
+        """Return the mean of the unloaded frames, and of the standing ones.
+
+        Raises InputError as `Rival.readings`.
+        """
         chosen = np.concatenate([self.resting, self.standing])
         count = len(self.resting)
         read = rival.readings(chosen)
@@ -166,7 +191,10 @@ class Question:
 
     @cached_property
     def _usable(self) -> Array:
-        """Weights, 1 or 0, of the readings that every circuit has to explain, (frames, rows, columns)."""
+        """Weights, 1 or 0, of the readings that every circuit has to explain.
+
+        Shape (frames, rows, columns).
+        """
         return self.specified.nearly_gaussian(max(len(self.resting), len(self.standing)))
 
     @cached_property
@@ -180,18 +208,31 @@ class Question:
 
     @cached_property
     def explanation(self) -> "Explanation | None":
-        """Cells that explain these frames; None without a fit, or with more than MAX_MISSING bounds."""
-        return Explanation.of(self.specified, self, patient=True) if self._shares[0] <= MAX_MISSING else None
+        """Cells that explain these frames.
+
+        None without a fit, or with more than MAX_MISSING bounds.
+        """
+        return (
+            Explanation.of(self.specified, self, patient=True)
+            if self._shares[0] <= MAX_MISSING
+            else None
+        )
 
     @cached_property
     def fault(self) -> str:
-        """The reason why the circuit cannot have made the readings, in words; '' where there is none."""
+        """The reason why the circuit cannot have made the readings, in words.
+
+        It is '' where there is none.
+        """
         unexplained = "" if self.explanation is None else _unexplained(self.explanation, self)
         return unexplained or broken_law(self.specified, self) or self.below
 
     @cached_property
     def below(self) -> str:
-        """The reading that lies significantly below its series resistance, in words; '' where there is none."""
+        """The reading that lies significantly below its series resistance, in words.
+
+        It is '' where there is none.
+        """
         scene = self.specified.scene
         readings = self.specified.readings()
         if scene.circuit.unit != "ohm" or readings.sigma is None:
@@ -202,7 +243,8 @@ class Question:
             return ""
         frame, row, column = place = np.unravel_index(np.argmax(excess), excess.shape)
         return (
-            f"the reading of row {row}, column {column} in frame {self.named[frame]} lies {-left[place]:.3g} ohm "
+            f"the reading of row {row}, column {column} in frame {self.named[frame]} lies "
+            f"{-left[place]:.3g} ohm "
             f"below its series resistance, {excess[place]:.3g} times its noise"
         )
 
@@ -216,38 +258,81 @@ class Question:
         # No fit and no contradiction: too many bounds, or the solver failed.
         if explanation is None and not fault:
             if not few_bounds:
-                lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
-                return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
-            return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
+                lawful = (
+                    f"no readings break a law of the circuit; {100 * bounded:.0f} % of them "
+                    "are bounds"
+                )
+                return ModelCheck(explains=True, sentence=lawful).with_doubts(
+                    "no cells were fitted"
+                )
+            return ModelCheck(
+                None, "the circuit was not checked: no fit of its cells was found", noise=noise
+            )
         # Rivals and effects compete by evidence if enough readings are values.
         best = BetterExplanation()
         complete = missing <= MAX_MISSING and (few_bounds or bool(self.below))
         if complete:
             best = better_rival(self, None if fault else explanation)
-            if besides.name and (besides.fits_noise or not fault) and (not best.name or besides.count < best.count):
+            if (
+                besides.name
+                and (besides.fits_noise or not fault)
+                and (not best.name or besides.count < best.count)
+            ):
                 best = besides
         # Verdict in words: the fault, the best alternative, or neither; then the noise.
         if not complete:
-            sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
+            sentence = (
+                f"{fault or EXPLAINED}; other circuits were not tried, too many readings "
+                "are missing or bounds"
+            )
         elif fault:
-            sentence = f"{fault}; {f'{best.name} does' if best.name else 'no other circuit that was tried gives them'}"
+            others = (
+                f"{best.name} does" if best.name else "no other circuit that was tried gives them"
+            )
+            sentence = f"{fault}; {others}"
         else:
-            sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
+            sentence = (
+                f"{best.name} explains the readings better: {best.reason}"
+                if best.name
+                else EXPLAINED
+            )
         named_best = bool(best.name) and best is besides
         explains = not fault and not best.name
         check = ModelCheck(
-            explains, sentence, best.name, noise, besides.common_change, named_best, besides.loaded_at_rest
+            explains,
+            sentence,
+            best.name,
+            noise,
+            besides.common_change,
+            named_best,
+            besides.loaded_at_rest,
         )
-        scatter = f"the unloaded frames scatter by {noise:.2g} times the specified noise" if noise > 1 else ""
-        nearly = f"{best.nearly} explains them about as well, or better" if explains and best.nearly else ""
+        scatter = (
+            f"the unloaded frames scatter by {noise:.2g} times the specified noise"
+            if noise > 1
+            else ""
+        )
+        nearly = (
+            f"{best.nearly} explains them about as well, or better"
+            if explains and best.nearly
+            else ""
+        )
         return check.with_doubts(scatter, nearly)
 
     def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
-        """Return the effects beside the circuit, from the frames that changed most and from the last frame."""
+        """Return the effects beside the circuit.
+
+        They are from the frames that changed most and from the last frame.
+        """
         scene = self.specified.scene
         explanation = self.explanation
         last = np.flatnonzero(self.role == MEASURED)[-1:]
-        if explanation is None or explanation.pair is None or scene.readout is None or UNLOADED not in self.role:
+        if (
+            explanation is None
+            or explanation.pair is None
+            or scene.readout is None
+            or UNLOADED not in self.role
+        ):
             return CircuitEffects()
         resting, frame = explanation.pair.frames
         pairs = [(self.loaded, explanation.pair)]
@@ -261,7 +346,9 @@ class Question:
         return replace(find_effects(pairs, kinds), loaded_at_rest=loaded)
 
 
-def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
+def check_of_modules(
+    recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]
+) -> ModelCheck:
     """Return the joint check of the modules whose readings change most.
 
     Parameters
@@ -273,17 +360,24 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
     """
     readings = recording.readings()
     # modules with the largest change of their readings, without dead and differing ones
-    change = mean_change(*map(layout.split, (readings.plain_values, baseline_readings(recording, readings).value)))
+    change = mean_change(
+        *map(layout.split, (readings.plain_values, baseline_readings(recording, readings).value))
+    )
     moved = change[recording.role == MEASURED].max(axis=0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
     living = [number for number in np.argsort(moved)[::-1].tolist() if number not in unfit]
     checks = {number: of_module(number) for number in sorted(living[: 1 + MAX_NEIGHBOURS])}
     if not checks:
-        return ModelCheck(None, "the circuit was not checked: no module is like the others and reads values")
+        return ModelCheck(
+            None, "the circuit was not checked: no module is like the others and reads values"
+        )
     explains = [check.explains for check in checks.values()]
     verdict = False if False in explains else True if True in explains else None
     agreeing = {number: check for number, check in checks.items() if check.explains is verdict}
-    sentence = "; ".join(f"module {list(layout.place(number))}: {check.sentence}" for number, check in agreeing.items())
+    sentence = "; ".join(
+        f"module {list(layout.place(number))}: {check.sentence}"
+        for number, check in agreeing.items()
+    )
     if len(checks) < layout.count:
         sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
     better = next((check.better for check in agreeing.values() if check.better), "")
@@ -294,31 +388,43 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
-    """Return the factors by which the unloaded readings of single modules differ from those of the others.
+    """Return the factors by which unloaded readings of single modules differ from the others'.
 
     Returns
     -------
     dict
-        Number of the module to its factor, NaN where no reading is a value. Modules that do not differ are left out.
+        Number of the module to its factor, NaN where no reading is a value. Modules that do not
+        differ are left out.
     """
-    readings = recording.readings()[recording.role == UNLOADED] if UNLOADED in recording.role else recording.readings()
-    values = np.moveaxis(np.log(layout.split(readings.plain_values)), 1, 0).reshape(layout.count, -1)
+    readings = (
+        recording.readings()[recording.role == UNLOADED]
+        if UNLOADED in recording.role
+        else recording.readings()
+    )
+    values = np.moveaxis(np.log(layout.split(readings.plain_values)), 1, 0).reshape(
+        layout.count, -1
+    )
     read = np.isfinite(values).any(axis=1)
     factors = dict.fromkeys(np.flatnonzero(~read).tolist(), np.nan)
     levels = np.nanmedian(values[read], axis=1)
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
-        # ln level less the median of the remaining ones, against 5 robust standard deviations of these and MIN_AWAY
+        # ln level less the median of the remaining ones, against 5 robust standard deviations of
+        # these and MIN_AWAY
         remaining = np.delete(levels, place)
         deviation = levels[place] - np.median(remaining)
         if abs(deviation) > max(
-            MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(remaining - np.median(remaining))))
+            MIN_AWAY,
+            SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(remaining - np.median(remaining)))),
         ):
             factors[number] = float(np.exp(deviation))
     return factors
 
 
 def noise_factor(resting: Readings) -> float:
-    """Return √(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean, see `noted_excess`."""
+    """Return √(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean.
+
+    See `noted_excess`.
+    """
     plain = np.all(resting.plain, axis=0)
     if resting.sigma is None:
         return 1.0
@@ -338,21 +444,31 @@ def _unexplained(explanation: "Explanation", question: Question) -> str:
     columns = squares.sum(axis=0)
     name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
     return (
-        f"no cells give the readings of {place}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} "
-        f"would be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
+        f"no cells give the readings of {place}: chi square is {fit.chi_square:.3g} where some "
+        f"{fit.degrees:.3g} "
+        f"would be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} "
+        "% of it"
     )
 
 
 def broken_law(rival: Rival, question: Question) -> str:
-    """Return the circuit's inequality that the readings violate significantly, in words; '' where there is none."""
+    """Return the circuit's inequality that the readings violate significantly, in words.
+
+    It is '' where there is none.
+    """
     readings = rival.readings()
-    sigma = replace(readings, seen=readings.seen * question.specified.nearly_gaussian(1)).sigma_of_values
+    sigma = replace(
+        readings, seen=readings.seen * question.specified.nearly_gaussian(1)
+    ).sigma_of_values
     assert sigma is not None
     for test in rival.scene.circuit.free_tests(readings.value, question.widening * sigma):
         frame = int(np.argmax(test.excess))
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
-            return f"readings of frame {question.named[frame]} break a law of the circuit by {beyond}: {test.law}"
+            return (
+                f"readings of frame {question.named[frame]} break a law of the circuit by "
+                f"{beyond}: {test.law}"
+            )
     return ""
 
 
@@ -376,7 +492,12 @@ class Explanation:
 
     @classmethod
     def of(
-        cls, rival: Rival, question: Question, near: "Explanation | None" = None, *, patient: bool = False
+        cls,
+        rival: Rival,
+        question: Question,
+        near: "Explanation | None" = None,
+        *,
+        patient: bool = False,
     ) -> "Explanation | None":
         """Return a circuit's explanation of the frames; None where no fit is found.
 
@@ -387,8 +508,8 @@ class Explanation:
         near : Explanation or None
             Explanation by a similar circuit, at whose cells the fits begin.
         patient : bool
-            Whether the fit is searched for from every start and accepted with any misfit. Otherwise the circuit is
-            given up at the first frame that it does not explain.
+            Whether the fit is searched for from every start and accepted with any misfit. Otherwise
+            the circuit is given up at the first frame that it does not explain.
         """
         fits: list[CellsFit] = []
         with suppress(InputError, *BROKEN):
@@ -408,8 +529,13 @@ class Explanation:
 
     @cached_property
     def _costs(self) -> float:
-        """Misfit χ² of each frame, and PARAMETER_COST of each bound, so that no circuit gains by bounds."""
-        return sum(fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in self.fits)
+        """Misfit χ² of each frame, and PARAMETER_COST of each bound.
+
+        Thus no circuit gains by bounds.
+        """
+        return sum(
+            fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in self.fits
+        )
 
     @cached_property
     def score(self) -> float:
@@ -423,9 +549,11 @@ class Explanation:
 
 
 def better_rival(question: Question, specified: Explanation | None) -> BetterExplanation:
-    """Return the rival that explains the readings where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN.
+    """Return the rival that explains the readings better than the scene's circuit.
 
-    Rivals under which most cells have moved do not count, because the still cells cannot be identified then.
+    It explains them where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN. Rivals
+    under which most cells have moved do not count, because the still cells cannot be identified
+    then.
 
     Parameters
     ----------
@@ -439,12 +567,21 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
             return BetterExplanation()
         if np.median([np.sqrt(np.diag(fit.covariance)) for fit in specified.fits]) > MAX_CELL_SD:
             return BetterExplanation()
-    change = changes_beyond_noise(question.specified.scene, question.specified.readings(), question.role)
-    rivals = rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
-    explanations = [Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals]
+    change = changes_beyond_noise(
+        question.specified.scene, question.specified.readings(), question.role
+    )
+    rivals = rivals_of(
+        question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0))
+    )
+    explanations = [
+        Explanation.of(rival, question) or some_in_series(rival, question) for rival in rivals
+    ]
     explanations += [some_in_series(question.specified, question)] if specified is None else []
     threshold = np.inf if specified is None else specified.score
-    likely = sorted((known for known in explanations if known and known.score < threshold), key=attrgetter("score"))
+    likely = sorted(
+        (known for known in explanations if known and known.score < threshold),
+        key=attrgetter("score"),
+    )
     likely = likely[:MAX_CANDIDATES]
     assumed = [] if specified is None else [specified]
     tried = [*likely, *(with_series(known, question) for known in (*likely, *assumed))]
@@ -454,7 +591,9 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
 
     # Among rivals a resistance in series is one more parameter.
     def cost(known: Explanation) -> float:
-        numbers = (known.rival.in_series is not None) + (known.rival.scene.converter_memory != memory)
+        numbers = (known.rival.in_series is not None) + (
+            known.rival.scene.converter_memory != memory
+        )
         return known.beyond_noise + PARAMETER_COST * numbers
 
     memory = question.specified.scene.converter_memory
@@ -467,16 +606,21 @@ def better_rival(question: Question, specified: Explanation | None) -> BetterExp
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
     if gain <= MIN_EVIDENCE_GAIN or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
-        # A resistance in series follows hidden errors of the circuit, a memory the edge of a load: alone, neither is
-        # a doubt.
+        # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
+        # alone, neither is a doubt.
         doubtful = best.rival.kind and best.rival.scene.converter_memory == memory
-        return BetterExplanation(nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and doubtful else "")
+        return BetterExplanation(
+            nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and doubtful else ""
+        )
     moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
     return BetterExplanation(best.rival.name, question.loaded, moved, as_specified)
 
 
 def some_in_series(rival: Rival, question: Question) -> Explanation | None:
-    """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series; None without any."""
+    """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series.
+
+    None without any.
+    """
     most = most_in_series(rival, question)
     points = np.linspace(0.0, most, SERIES_POINTS) if most else ()
     tried = (replace(rival.with_series(ohm), at_limit=ohm in (0.0, most)) for ohm in points)
@@ -485,7 +629,7 @@ def some_in_series(rival: Rival, question: Question) -> Explanation | None:
 
 
 def with_series(given: Explanation, question: Question) -> Explanation:
-    """Return a circuit's explanation with the most probable resistance in series, or the given one."""
+    """Return a circuit's explanation with the most probable or the given resistance in series."""
     coarse = given if given.rival.in_series is not None else some_in_series(given.rival, question)
     best = min(filter(None, (given, coarse)), key=attrgetter("score"))
     spacing = most_in_series(given.rival, question) / (SERIES_POINTS - 1)
@@ -494,7 +638,9 @@ def with_series(given: Explanation, question: Question) -> Explanation:
 
     def score(ohm: float) -> float:
         nonlocal best
-        explanation = Explanation.of(replace(given.rival.with_series(ohm), at_limit=False), question, best)
+        explanation = Explanation.of(
+            replace(given.rival.with_series(ohm), at_limit=False), question, best
+        )
         if explanation is None:
             return np.inf
         best = min(best, explanation, key=attrgetter("score"))
@@ -502,14 +648,20 @@ def with_series(given: Explanation, question: Question) -> Explanation:
 
     ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
     accuracy = SERIES_ACCURACY * spacing
-    scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": accuracy})
+    scipy.optimize.minimize_scalar(
+        score, bounds=ends, method="bounded", options={"xatol": accuracy}
+    )
     most = (SERIES_POINTS - 1) * spacing
     at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
-    return replace(best, rival=replace(best.rival, at_limit=at_limit)) if best.rival.in_series is not None else best
+    return (
+        replace(best, rival=replace(best.rival, at_limit=at_limit))
+        if best.rival.in_series is not None
+        else best
+    )
 
 
 def with_converter_memory(given: Explanation, question: Question) -> Explanation:
-    """Return a circuit's explanation with the most probable memory of the converter, or the given one.
+    """Return a circuit's explanation with the most probable or the given converter memory.
 
     A scene that states a memory keeps it.
     """
@@ -529,13 +681,18 @@ def with_converter_memory(given: Explanation, question: Question) -> Explanation
     if best is given:
         return given
     ends = coarse / 2, 2 * coarse
-    scipy.optimize.minimize_scalar(score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse})
+    scipy.optimize.minimize_scalar(
+        score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse}
+    )
     fraction = best.rival.scene.known_memory or 0.0
     return best if MEMORIES[0] / 2 * 1.1 < fraction < MEMORIES[-1] * 1.9 else given
 
 
 def most_in_series(rival: Rival, question: Question) -> float:
-    """Return the largest resistance in series that the readings allow, ohm; 0 where none is possible or known."""
+    """Return the largest resistance in series that the readings allow, ohm.
+
+    It is 0 where none is possible or known.
+    """
     if not rival.scene.circuit.series_name or len(question.standing) == 0:
         return 0.0
     without = rival.with_series(0.0)
@@ -544,5 +701,7 @@ def most_in_series(rival: Rival, question: Question) -> float:
     except (InputError, *BROKEN):
         return 0.0
     known = [(frame.value, sigma) for frame in read if (sigma := frame.sigma_of_values) is not None]
-    most = min(without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known)
+    most = min(
+        without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known
+    )
     return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0

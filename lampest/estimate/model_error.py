@@ -1,8 +1,9 @@
 """Error of the model: residuals beyond the noise that no cells explain, as a factor on σ.
 
-By default the evidence is of kinds that no penalty can imitate: laws of the circuit that readings break, in the mean of
-the unloaded frames and under load. Where nothing is unloaded, and where a scene says `model_error: estimated`, it is
-also the heavy tail of the residuals of the reference estimate (`lampest.posterior.reference`).
+By default the evidence is of kinds that no penalty can imitate: laws of the circuit that readings
+break, in the mean of the unloaded frames and under load. Where nothing is unloaded, and where a
+scene says `model_error: estimated`, it is also the heavy tail of the residuals of the reference
+estimate (`lampest.posterior.reference`).
 """
 
 from collections.abc import Iterator
@@ -29,18 +30,22 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
 KEY = "systematic.model_error"
-MIN_READINGS = 100  # their largest twentieth measures the tail; with fewer, a single outlier would decide it
+# Their largest twentieth measures the tail; with fewer, a single outlier would decide it.
+MIN_READINGS = 100
 
 
 def error_factor(scale: ErrorScale) -> float:
-    """Return the factor on σ with which 95 % of the residuals lie within 1.96 σ; 1 without strong evidence.
+    """Return the factor on σ with which 95 % of the residuals lie within 1.96 σ.
 
-    An error of all readings shows in the scale of Student's t, an error of few readings in the tail.
+    It is 1 without strong evidence. An error of all readings shows in the scale of Student's t, an
+    error of few readings in the tail.
     """
-    # In −2 ln evidence, mouths at their limits gain 23 at most where nothing is wrong; static errors of 7 % gain 76.
+    # In −2 ln evidence, mouths at their limits gain 23 at most where nothing is wrong; static
+    # errors of 7 % gain 76.
     if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
         return 1.0
-    # tail: empirical 95 % point; whole: that of Student's t, whose squared scale exceeds 1 by that of the error
+    # tail: empirical 95 % point; whole: that of Student's t, whose squared scale exceeds 1 by that
+    # of the error
     tail = scale.tail / TWO_SIDED
     widened = student_two_sided(MODEL.degrees_of_freedom) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
     factor = max(tail, float(np.hypot(1.0, widened)))
@@ -48,7 +53,10 @@ def error_factor(scale: ErrorScale) -> float:
 
 
 def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
-    """Return the noise of a single network with the model's error in σ: specified, or as the evidence shows it."""
+    """Return the noise of a single network with the model's error in σ.
+
+    The error is specified, or as the evidence shows it.
+    """
     scene = recording.scene
     specified = scene.systematic.model_error if isinstance(scene.systematic, Systematic) else None
     if noise.readings.sigma is None or specified == 0:
@@ -70,12 +78,13 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
 
 
 def broken_laws(readings: Readings, recording: Recording) -> float:
-    """Return the factor on σ with which 95 % of the readings lie within 1.96 σ of what any cells can give.
+    """Return the factor on σ with which 95 % of the readings lie within 1.96 σ.
 
-    As many cells as readings follow nearly all of them, so a reading that they miss breaks a law of the circuit. An
-    error of the mean of n unloaded frames counts as that of a frame, with its σ. Of loaded frames the median counts: a
-    single garbled one is no error of the model; neither is one that a brief fit does not come near, of which the check
-    of the circuit speaks. 1 without unloaded frames.
+    They lie within 1.96 σ of what any cells can give. As many cells as readings follow nearly all
+    of them, so a reading that they miss breaks a law of the circuit. An error of the mean of n
+    unloaded frames counts as that of a frame, with its σ. Of loaded frames the median counts: a
+    single garbled one is no error of the model; neither is one that a brief fit does not come near,
+    of which the check of the circuit speaks. 1 without unloaded frames.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -89,16 +98,22 @@ def broken_laws(readings: Readings, recording: Recording) -> float:
 
 
 def _excess(fit: CellsFit | None) -> float:
-    """Return the excess of the 95 % point of a fit's squared residuals over that of noise, in σ²; 0 without a fit."""
+    """Return the excess of the 95 % point of a fit's squared residuals over that of noise.
+
+    It is in σ², and 0 without a fit.
+    """
     counted = np.zeros(0) if fit is None else np.abs(fit.residual)[fit.readings.seen.ravel() > 0]
-    return max((float(np.quantile(counted, LEVEL)) / TWO_SIDED) ** 2 - 1, 0.0) if counted.size else 0.0
+    return (
+        max((float(np.quantile(counted, LEVEL)) / TWO_SIDED) ** 2 - 1, 0.0) if counted.size else 0.0
+    )
 
 
 def heavy_tails(readings: Readings, recording: Recording) -> float:
-    """Return the factor on σ that the residuals of loaded frames show under both descriptions of the cells.
+    """Return the factor on σ that the residuals of loaded frames show.
 
-    Each description mistakes unexpected cells for errors of the readings, so an error is accepted only if both need
-    one. The larger size is taken: errors that stay constant from frame to frame hardly show in changes.
+    They show it under both descriptions of the cells. Each description mistakes unexpected cells
+    for errors of the readings, so an error is accepted only if both need one. The larger size is
+    taken: errors that stay constant from frame to frame hardly show in changes.
     """
     factors = list[float]()
     for solves, cost in _judges(recording, readings):
@@ -119,7 +134,9 @@ def scaled(noise: NoiseEstimate, recording: Recording, factor: float) -> NoiseEs
     unloaded = recording.role == UNLOADED
     repeats = np.where(unloaded, unloaded.sum(), 1.0)[:, None, None]
     wider = sigma * np.sqrt(1 + repeats * (factor**2 - 1))
-    return replace(noise.with_sigma(wider), model_factor=factor, sigma_factor=factor * noise.sigma_factor)
+    return replace(
+        noise.with_sigma(wider), model_factor=factor, sigma_factor=factor * noise.sigma_factor
+    )
 
 
 def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Data], Cost]]:
@@ -142,7 +159,9 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
     yield posed(LogGradient(weight=1.0), Background(scene))
     fit = fitted(scene, resting, patient=True) if np.any(recording.role == UNLOADED) else None
     if fit is not None:
-        yield posed(RelativeChange(weight=1.0), Background(scene, previous=fit.cells, baseline=fit.cells))
+        yield posed(
+            RelativeChange(weight=1.0), Background(scene, previous=fit.cells, baseline=fit.cells)
+        )
 
 
 def _in_words(factor: float, used: float, scene: Scene) -> str:

@@ -12,14 +12,26 @@ from lampest.recording.recording import Recording
 MAX_NAMED = 3  # modules in one sentence
 
 
-def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
-    """Return the noise of a panel of modules from the noise of each module; None stands for a dead one."""
+def noise_of_modules(
+    recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]
+) -> NoiseEstimate:
+    """Return the noise of a panel of modules from the noise of each module.
+
+    None stands for a dead one.
+    """
     given = recording.readings()
-    readings = [given.of_module(layout, n) if noise is None else noise.readings for n, noise in enumerate(every)]
+    readings = [
+        given.of_module(layout, n) if noise is None else noise.readings
+        for n, noise in enumerate(every)
+    ]
     no_outliers = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
-    outliers = np.stack([no_outliers if noise is None else noise.outliers for noise in every], axis=-3)
+    outliers = np.stack(
+        [no_outliers if noise is None else noise.outliers for noise in every], axis=-3
+    )
     messages = [
-        f"module {list(layout.place(n))}: {noise.sentence}" for n, noise in enumerate(every) if noise and noise.warnings
+        f"module {list(layout.place(n))}: {noise.sentence}"
+        for n, noise in enumerate(every)
+        if noise and noise.warnings
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     joined = Readings.of_parts(layout, readings)
@@ -29,11 +41,15 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
         if noise
         for key, size in noise.estimated.items()
     }
-    image = NoiseEstimate(layout.joined(outliers), (), joined, of_modules=tuple(every), estimated=estimated)
+    image = NoiseEstimate(
+        layout.joined(outliers), (), joined, of_modules=tuple(every), estimated=estimated
+    )
     return image.with_warnings(*messages[:MAX_NAMED], more)
 
 
-def named_modules(layout: Modules, texts: Mapping[int, str], most: int | None = None) -> tuple[str, ...]:
+def named_modules(
+    layout: Modules, texts: Mapping[int, str], most: int | None = None
+) -> tuple[str, ...]:
     """Return sentences on modules, one for each text: 'modules [0, 1], [0, 2] and 3 more: dead'.
 
     Parameters
@@ -48,5 +64,7 @@ def named_modules(layout: Modules, texts: Mapping[int, str], most: int | None = 
     for text in dict.fromkeys(texts.values()):
         names = [str(list(layout.place(number))) for number in texts if texts[number] == text]
         more = f" and {len(names) - most} more" if most and len(names) > most else ""
-        sentences.append(f"module{'s' if len(names) > 1 else ''} {', '.join(names[:most])}{more}: {text}")
+        sentences.append(
+            f"module{'s' if len(names) > 1 else ''} {', '.join(names[:most])}{more}: {text}"
+        )
     return tuple(sentences)

@@ -1,7 +1,8 @@
 """Streams of a panel of modules.
 
-Every module has a stream of its own, and their steps are joined to one step of the image. Where the scene requests
-terms across the seams (`coupled`), the image is one problem whose network is block diagonal over the modules.
+Every module has a stream of its own, and their steps are joined to one step of the image. Where the
+scene requests terms across the seams (`coupled`), the image is one problem whose network is block
+diagonal over the modules.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,22 +31,30 @@ from lampest.recording.readings import Readings
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
-WEAKEST_LAST = (*OPTIMA, Status.APPROXIMATE)  # statuses that count as estimates; the last is the weakest
+# Statuses that count as estimates; the last is the weakest.
+WEAKEST_LAST = (*OPTIMA, Status.APPROXIMATE)
 Network = tuple[Estimator, Scene, Readings]
 
 
 def begin_stream(estimator: Estimator, scene: Scene, period: float, resting: Readings) -> Stream:
-    """Return the stream of a scene with or without modules; the parameters are those of `Stream.begin`.
+    """Return the stream of a scene with or without modules.
+
+    The parameters are those of `Stream.begin`.
 
     Raises InputError as `Stream.begin`, and as `network_scenes`.
     """
     pairs = zip(network_scenes(scene, estimator), network_readings(scene, resting), strict=True)
-    return begin_networks(scene, [None if own is None else (estimator, own, part) for own, part in pairs], period)
+    return begin_networks(
+        scene, [None if own is None else (estimator, own, part) for own, part in pairs], period
+    )
 
 
 @ONE_BLAS_THREAD
 def begin_networks(
-    scene: Scene, networks: Sequence[Network | None], period: float, noise: NoiseEstimate | None = None
+    scene: Scene,
+    networks: Sequence[Network | None],
+    period: float,
+    noise: NoiseEstimate | None = None,
 ) -> Stream:
     """Return the stream of a scene from those of its networks.
 
@@ -53,7 +62,8 @@ def begin_networks(
     ----------
     scene : Scene
     networks : sequence of (Estimator, Scene, Readings) or None
-        Estimator, scene as in `network_scenes`, and unloaded readings of each network; None for a dead module.
+        Estimator, scene as in `network_scenes`, and unloaded readings of each network; None for a
+        dead module.
     period : float
         Time between frames, s.
     noise : NoiseEstimate, optional
@@ -74,9 +84,17 @@ def begin_networks(
     ]
     modules = solve_baselines(streams)
     first = next(stream for stream in modules if stream is not None)
-    blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
-    image = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
-    return ModulesStream(first.estimator, scene, period, image, modules=tuple(modules)).rested_whole()
+    blank = replace(
+        first.resting,
+        side=np.zeros_like(first.resting.side),
+        seen=np.zeros_like(first.resting.seen),
+    )
+    image = Readings.of_parts(
+        layout, [blank if stream is None else stream.resting for stream in modules]
+    )
+    return ModulesStream(
+        first.estimator, scene, period, image, modules=tuple(modules)
+    ).rested_whole()
 
 
 def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
@@ -89,7 +107,10 @@ def network_scenes(scene: Scene, estimator: Estimator) -> list[Scene | None]:
         return [scene]
     if layout.coupled:
         return [_coupled_scene(scene, estimator)]
-    return [None if number in scene.dead_modules else module for number, module in enumerate(scene.of_modules)]
+    return [
+        None if number in scene.dead_modules else module
+        for number, module in enumerate(scene.of_modules)
+    ]
 
 
 def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
@@ -101,35 +122,55 @@ def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
 
 
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
-    """Return the scene of the whole image, with a block diagonal network and places that include the seams.
+    """Return the scene of the whole image.
 
-    Raises InputError where a module is wired or has no two-point readout, and where error bars are requested.
+    It has a block diagonal network and places that include the seams.
+
+    Raises InputError where a module is wired or has no two-point readout, and where error bars are
+    requested.
     """
     layout = scene.panel.modules
     assert layout is not None
     if estimator.error_bars is True or estimator.weighs_previous:
-        raise InputError("error_bars: estimates with terms over the seams of modules (panel.modules.coupled) have none")
+        raise InputError(
+            "error_bars: estimates with terms over the seams of modules (panel.modules.coupled) "
+            "have none"
+        )
     for number, module in enumerate(scene.of_modules):
         if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:
             where = list(layout.place(number))
-            raise InputError(f"panel.modules.coupled: module {where} is wired, or its readout is not two_point")
+            raise InputError(
+                f"panel.modules.coupled: module {where} is wired, or its readout is not two_point"
+            )
     places = None
     x, y = scene.panel.places_mm
     if layout.seam_mm:
-        places = tuple((j, k, float(x[j, k]), float(y[j, k])) for j, k in np.ndindex(scene.panel.shape))
+        places = tuple(
+            (j, k, float(x[j, k]), float(y[j, k])) for j, k in np.ndindex(scene.panel.shape)
+        )
     known = scene.open_cells, scene.shorted_cells & ~scene.open_cells  # a dead module is both
     broken = [tuple((int(j), int(k)) for j, k in np.argwhere(cells)) for cells in known]
     faults = Faults(open=broken[0], shorted=broken[1]) if any(broken) else None
-    return Scene(Panel(*scene.panel.shape, scene.panel.pitch_mm, places), ModulesReadout(layout=layout), faults=faults)
+    return Scene(
+        Panel(*scene.panel.shape, scene.panel.pitch_mm, places),
+        ModulesReadout(layout=layout),
+        faults=faults,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledStream(Stream):
-    """Stream of a coupled image. Modules without a value are NaN, although terms across seams determine them."""
+    """Stream of a coupled image.
+
+    Modules without a value are NaN, although terms across seams determine them.
+    """
 
     @property
     def baseline_resistance(self) -> Array:
-        """Cells of the baseline, (rows, columns) ohm; NaN where it is not solved, and in modules without a value."""
+        """Cells of the baseline, (rows, columns) ohm.
+
+        NaN where it is not solved, and in modules without a value.
+        """
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
     def push(self, readings: Readings) -> tuple[Stream, Step]:
@@ -139,8 +180,12 @@ class CoupledStream(Stream):
         solution = step.solution
         if not (unread.any() and solution.solved):
             return stream, step
-        cells, reading = (np.where(unread, np.nan, part) for part in (solution.cell_resistance, solution.reading))
-        return stream, replace(step, solution=replace(solution, cell_resistance=cells, reading=reading))
+        cells, reading = (
+            np.where(unread, np.nan, part) for part in (solution.cell_resistance, solution.reading)
+        )
+        return stream, replace(
+            step, solution=replace(solution, cell_resistance=cells, reading=reading)
+        )
 
     def _unread(self, readings: Readings) -> NDArray[np.bool_]:
         """Return the cells of modules without any value, (rows, columns)."""
@@ -153,23 +198,38 @@ class CoupledStream(Stream):
 
 @dataclass(frozen=True, eq=False)
 class ModulesStream(Stream):
-    """Stream of a panel of independent `modules`; all other attributes are those of the whole image."""
+    """Stream of a panel of independent `modules`.
+
+    All other attributes are those of the whole image.
+    """
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
         """Return the stream of every module tared, as `Stream.tared`."""
         numbered = enumerate(self.modules)
         modules = solve_baselines(
-            [module and module.without_baseline(resting.of_module(self._layout, number)) for number, module in numbered]
+            [
+                module and module.without_baseline(resting.of_module(self._layout, number))
+                for number, module in numbered
+            ]
         )
-        return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None).rested_whole()
+        return replace(
+            self, resting=resting, modules=tuple(modules), track=None, baseline=None
+        ).rested_whole()
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
-        """Push a frame, as `Stream.push`; modules with too few readings are unchanged, and NaN in the image."""
+        """Push a frame, as `Stream.push`.
+
+        Modules with too few readings are unchanged, and NaN in the image.
+        """
         layout = self._layout
-        inverses = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
-        modules, steps = zip(*push_streams(self.modules, readings.each(layout.split), inverses), strict=True)
+        inverses = self.prepared or InverseHessians.nothing(
+            layout.count, layout.each.rows * layout.each.columns
+        )
+        modules, steps = zip(
+            *push_streams(self.modules, readings.each(layout.split), inverses), strict=True
+        )
         after = replace(self, modules=modules, prepared=inverses, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)
 
@@ -183,7 +243,11 @@ class ModulesStream(Stream):
         columns = list[Sequence[Step | None]]()
         for number, module in enumerate(self.modules):
             inside = resting.of_module(layout, number), readings.of_module(layout, number)
-            after, solved = (None, [None] * frames) if module is None else module.sequence(*inside, lambda: None)
+            after, solved = (
+                (None, [None] * frames)
+                if module is None
+                else module.sequence(*inside, lambda: None)
+            )
             modules.append(after)
             columns.append(solved)
         for _ in range(frames):
@@ -193,16 +257,24 @@ class ModulesStream(Stream):
 
     @property
     def baseline_resistance(self) -> Array:
-        """Cells of the baseline, (rows, columns) ohm; NaN in dead modules and those without a solved baseline."""
+        """Cells of the baseline, (rows, columns) ohm.
+
+        NaN in dead modules and those without a solved baseline.
+        """
         return np.asarray(_joined(self._layout, self.modules, "baseline_resistance", np.nan))
 
     def rested_whole(self) -> "ModulesStream":
-        """Return the stream with the joined baselines of the modules; unchanged where no module has one."""
+        """Return the stream with the joined baselines of the modules.
+
+        It is unchanged where no module has one.
+        """
         steps = [None if module is None else module.baseline for module in self.modules]
         if not any(steps):
             return self
         tracks = [None if module is None else module.track for module in self.modules]
-        baseline = _joined_certainty(self._layout, [None if track is None else track.baseline for track in tracks])
+        baseline = _joined_certainty(
+            self._layout, [None if track is None else track.baseline for track in tracks]
+        )
         track = None if baseline is None else Track(baseline=baseline)
         return replace(self, baseline=image_step(self._layout, steps), track=track)
 
@@ -213,8 +285,12 @@ class ModulesStream(Stream):
         return layout
 
 
-def _joined(layout: Modules, parts: Sequence[Any], name: str, missing: float, last: slice = slice(None)) -> Any:
-    """Return the attribute `name` of the parts of all modules joined to one map of the image; None without any.
+def _joined(
+    layout: Modules, parts: Sequence[Any], name: str, missing: float, last: slice = slice(None)
+) -> Any:
+    """Return the attribute `name` of the parts of all modules joined to one map of the image.
+
+    None without any.
 
     Parameters
     ----------
@@ -232,20 +308,29 @@ def _joined(layout: Modules, parts: Sequence[Any], name: str, missing: float, la
     if not known:
         return None
     blank = np.full(known[0].shape, missing, dtype=known[0].dtype)
-    return np.asarray(layout.joined(np.stack([blank if part is None else part[last] for part in maps], axis=-3)))
+    return np.asarray(
+        layout.joined(np.stack([blank if part is None else part[last] for part in maps], axis=-3))
+    )
 
 
 def _joined_certainty(layout: Modules, parts: Sequence[Certainty | None]) -> Certainty | None:
-    """Return the joined error bars of all modules, infinite for modules without; None where no module has any."""
+    """Return the joined error bars of all modules, infinite for modules without.
+
+    None where no module has any.
+    """
     unknown = {"deviation": np.inf, "below": np.inf, "above": np.inf}
-    maps = [_joined(layout, parts, field.name, unknown.get(field.name, 0.0)) for field in fields(Certainty)]
+    maps = [
+        _joined(layout, parts, field.name, unknown.get(field.name, 0.0))
+        for field in fields(Certainty)
+    ]
     return None if all(part is None for part in parts) else Certainty(*maps)
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     """Return the steps of the modules joined to one step of the image.
 
-    Costs and times are summed; the KKT residual, iterations and starts are the largest; the status is the weakest.
+    Costs and times are summed; the KKT residual, iterations and starts are the largest; the status
+    is the weakest.
 
     Parameters
     ----------
@@ -257,11 +342,18 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     solved = [step for step in present if step.solution.solved]
     counted = solved or present[:1]
     first = present[0].solution
-    status = max((step.solution.status for step in solved), key=WEAKEST_LAST.index, default=first.status)
+    status = max(
+        (step.solution.status for step in solved), key=WEAKEST_LAST.index, default=first.status
+    )
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
-    solutions, bars = ([getattr(step, name, None) for step in steps] for name in ("solution", "bars"))
+    solutions, bars = (
+        [getattr(step, name, None) for step in steps] for name in ("solution", "bars")
+    )
     parts: dict[str, Any] = {"at": None, "dual": None, "carried": None}
-    parts |= {name: _joined(layout, solutions, name, fill, slice(-1, None)) for name, fill in missing.items()}
+    parts |= {
+        name: _joined(layout, solutions, name, fill, slice(-1, None))
+        for name, fill in missing.items()
+    }
     for name in ("kkt_residual", "iterations", "starts"):
         parts[name] = max(getattr(step.solution, name) for step in counted)
     costs = np.sum([step.solution.costs for step in counted], axis=0)
@@ -273,7 +365,10 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     return Step(
         solution,
         sum(step.seconds for step in present),
-        tuple(float(np.mean(weights)) for weights in zip(*(step.weights for step in counted), strict=True)),
+        tuple(
+            float(np.mean(weights))
+            for weights in zip(*(step.weights for step in counted), strict=True)
+        ),
         None if frame is None else Bars(frame, change, reading),
         sum(step.bars_seconds for step in present),
         sentence=_sentence(layout, steps, status),
@@ -282,7 +377,10 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
 
 
 def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
-    """Return the weakest status of the modules, and the reasons why modules have no estimate, in words."""
+    """Return the weakest status of the modules, in words.
+
+    The reasons why modules have no estimate are returned, too, in words.
+    """
     unsolved = {n: step for n, step in enumerate(steps) if step is None or not step.solution.solved}
     if len(unsolved) == len(steps):
         return status.value

@@ -1,8 +1,9 @@
 """Noise of a recording, estimated from its own frames, and readings with the corresponding σ.
 
-The scatter of unloaded frames (`lampest.estimate.variance_components`) is compared with the specified noise. Specified
-noise is replaced only where the frames contradict it; noise, gain and ripple that a scene leaves open are taken from
-them. `NoiseEstimate` holds the result, with a sentence for each number and contradiction.
+The scatter of unloaded frames (`lampest.estimate.variance_components`) is compared with the
+specified noise. Specified noise is replaced only where the frames contradict it; noise, gain and
+ripple that a scene leaves open are taken from them. `NoiseEstimate` holds the result, with a
+sentence for each number and contradiction.
 """
 
 from collections.abc import Mapping
@@ -34,8 +35,10 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
-MIN_UNLOADED_FRAMES = 5  # unloaded frames from which noise is estimated if the scene does not specify it
-MIN_MEDIAN_NOISE = 0.5  # LSB: with less, most codes repeat, and the median of their differences shows no noise
+# Unloaded frames from which noise is estimated if the scene does not specify it.
+MIN_UNLOADED_FRAMES = 5
+# LSB: with less, most codes repeat, and the median of their differences shows no noise
+MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
@@ -53,14 +56,15 @@ class NoiseEstimate:
     readings : Readings
         Readings of all frames, with corrections and the estimated σ.
     factor, factor_error : float
-        Measured over specified standard deviation of each reading's own noise, and the error of this ratio; NaN where
-        the frames do not determine it.
+        Measured over specified standard deviation of each reading's own noise, and the error of
+        this ratio; NaN where the frames do not determine it.
     sigma_factor : float
         Applied factor on σ; 1 where nothing contradicts the scene.
     frame : FrameNoise or None
         Errors that the readings of a frame share; None where none is significant.
     possible_errors : Possible or None
-        Errors that all frames share, as far as the still cells leave them possible; None where that is unknown.
+        Errors that all frames share, as far as the still cells leave them possible; None where that
+        is unknown.
     motion : float
         Share of the time between frames that a scan takes while loads move; 0: none.
     of_modules : tuple of NoiseEstimate or None
@@ -70,7 +74,8 @@ class NoiseEstimate:
     model_factor : float
         Part of `sigma_factor` that is the model's error.
     estimated : dict
-        Key of the scene → (number, standard deviation) of each effect that the recording determined.
+        Key of the scene → (number, standard deviation) of each effect that the recording
+        determined.
     """
 
     outliers: NDArray[np.bool_]
@@ -94,22 +99,36 @@ class NoiseEstimate:
 
     @property
     def reading_error(self) -> float:
-        """Standard deviation of ln of a factor on each reading that is constant in time; 0 where none is observed."""
-        return 0.0 if self.possible_errors is None else READING_ERROR.size(self.possible_errors.sizes)
+        """Standard deviation of ln of a factor on each reading that is constant in time.
+
+        0 where none is observed.
+        """
+        return (
+            0.0 if self.possible_errors is None else READING_ERROR.size(self.possible_errors.sizes)
+        )
 
     @property
     def error_in_sigma(self) -> float:
-        """The part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
+        """Part of `reading_error` that σ of the readings includes.
+
+        It is a fraction of the reading.
+        """
         return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
-        """Standard deviations of a frame's gain, %, of the ripple common to all lines and of each line's own, LSB."""
+        """Standard deviations of a frame's gain and of its ripple.
+
+        They are those of the gain, %, of the ripple common to all lines and of each line's own,
+        LSB.
+        """
         if self.frame is None:
             return 0.0, 0.0, 0.0
         roots = (self.frame.common_ripple, self.frame.line_ripple)
         lsb_volt = self.frame.scene.circuit.lsb_volt
-        common_lsb, line_lsb = (float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots)
+        common_lsb, line_lsb = (
+            float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots
+        )
         return 100 * self.frame.gain, common_lsb, line_lsb
 
     @property
@@ -118,7 +137,9 @@ class NoiseEstimate:
         if np.isnan(self.factor):
             return ""
         taken = "not rescaled" if self.sigma_factor == 1 else f"rescaled by {self.sigma_factor:.3g}"
-        shared = ", ".join(text.format(size) for text, size in zip(SHARED, self.shared_sizes, strict=True) if size)
+        shared = ", ".join(
+            text.format(size) for text, size in zip(SHARED, self.shared_sizes, strict=True) if size
+        )
         messages = (
             f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
             f"frames share {shared or 'nothing'}",
@@ -140,8 +161,13 @@ class NoiseEstimate:
         return replace(self, estimated={**self.estimated, key: size})
 
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
-        """Return the noise with a sentence on a number that the recording cannot determine: why, and what to record."""
-        return self.with_warnings(f"{key}: estimated, but this recording cannot determine it: {reason}")
+        """Return the noise with a sentence on a number that the recording cannot determine.
+
+        The sentence says why, and what to record.
+        """
+        return self.with_warnings(
+            f"{key}: estimated, but this recording cannot determine it: {reason}"
+        )
 
     def with_warnings(self, *sentences: str) -> "NoiseEstimate":
         """Return the noise with further warnings; empty ones are ignored."""
@@ -151,7 +177,9 @@ class NoiseEstimate:
         """Return the noise with other σ of the readings."""
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
-    def with_motion(self, scene: Scene, measured: NDArray[np.intp], share: float) -> "NoiseEstimate":
+    def with_motion(
+        self, scene: Scene, measured: NDArray[np.intp], share: float
+    ) -> "NoiseEstimate":
         """Return the noise with wider σ where readings were taken while loads moved.
 
         Parameters
@@ -167,23 +195,30 @@ class NoiseEstimate:
         return replace(self.with_sigma(np.hypot(sigma, moved)), motion=share)
 
 
-def without_effects(noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
+def without_effects(
+    noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None
+) -> NoiseEstimate:
     """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
         return noise
     unloaded = recording.role == UNLOADED
-    frame = noise.frame or FrameNoise(recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE)
+    frame = noise.frame or FrameNoise(
+        recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
+    )
     readings = without_effects_of(besides.pair, noise.readings, unloaded)
     frame = replace(frame, effect_errors=remaining_errors(besides.pair))
     return replace(noise, readings=readings, frame=frame, corrected_effects=besides)
 
 
-def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseEstimate:
-    """Return the noise of a single network from its unloaded frames, or from measured frames at rest.
+def estimate_noise(
+    recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings
+) -> NoiseEstimate:
+    """Return the noise of a single network from its unloaded frames, or measured ones at rest.
 
-    Specified noise is replaced only if the measured one is significantly larger, or smaller for a converter, whose
-    least noise is known: its step. That is the residual scale, which `systematic: {model_error: 0}` excludes.
-    Unspecified noise of a converter is taken from MIN_UNLOADED_FRAMES or more.
+    Specified noise is replaced only if the measured one is significantly larger, or smaller for a
+    converter, whose least noise is known: its step. That is the residual scale, which `systematic:
+    {model_error: 0}` excludes. Unspecified noise of a converter is taken from MIN_UNLOADED_FRAMES
+    or more.
 
     Parameters
     ----------
@@ -195,7 +230,9 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     scene = recording.scene
     readout = recording.scene.readout
     unloaded = int((recording.role == UNLOADED).sum())
-    unscaled = NoiseEstimate(outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned)
+    unscaled = NoiseEstimate(
+        outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned
+    )
     unscaled = _with_specified_frame_noise(unscaled, scene, unloaded)
     asked = None if readout is None else readout.noise_lsb == ESTIMATED
     if cleaned.sigma is None or (parts := _scatter_of(recording, cleaned)) is None:
@@ -209,10 +246,16 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     if specified and not excludes_model_error(scene):
         factor = _contradicting_factor(recording, parts)
         message = "" if factor == 1 else _contradiction_in_words(readout, ratio, unloaded)
-    elif readout is not None and not specified and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2):
+    elif (
+        readout is not None
+        and not specified
+        and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2)
+    ):
         factor = shown_noise(readout, ratio)[1]
     scaled = replace(cleaned, sigma=factor * cleaned.sigma)
-    noise = replace(unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor)
+    noise = replace(
+        unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
+    )
     noise = noise.with_warnings(message)
     if readout is not None and asked:
         size = shown_noise(readout, ratio)[0]
@@ -223,27 +266,35 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
 def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
     """Return the factor on specified noise by which the frames contradict it; 1 where they do not.
 
-    Smaller noise than specified is a contradiction of a converter alone, whose least noise is known: its step.
+    Smaller noise than specified is a contradiction of a converter alone, whose least noise is
+    known: its step.
     """
     readout = recording.scene.readout
     squares = parts.own**2 * parts.own_freedom
-    smaller = parts.own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+    smaller = (
+        parts.own <= 1 / MIN_EXCESS
+        and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+    )
     if smaller and readout is not None and recording.sigma is None:
         return shown_noise(readout, parts.own)[1]
     return noted_excess(squares, parts.own_freedom)
 
 
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
-    """Return the sentence on noise of `ratio` times the specified one; '' where both are equal in two digits.
+    """Return the sentence on noise of `ratio` times the specified one.
 
-    `unloaded` is the number of unloaded frames.
+    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
         return f"noise {ratio:.2g} times the recording's sigma, measured in {where}"
     measured = f"{shown_noise(readout, ratio)[0]:.2g} LSB"
     specified = f"{float(np.mean(readout.assumed_noise)):.2g} LSB"
-    return "" if measured == specified else f"noise {measured}, measured in {where}; the scene specifies {specified}"
+    return (
+        ""
+        if measured == specified
+        else f"noise {measured}, measured in {where}; the scene specifies {specified}"
+    )
 
 
 def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
@@ -253,12 +304,19 @@ def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: in
         return noise
     # a ripple that all lines share, independent from channel to channel
     channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
-    common = ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
+    common = (
+        ripple * scene.circuit.lsb_volt * np.eye(channels) if ripple else np.zeros((channels, 0))
+    )
     return replace(noise, frame=FrameNoise(scene, unloaded, gain, common, np.zeros((channels, 0))))
 
 
-def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, parts: Scatter) -> NoiseEstimate:
-    """Return the noise with the gain and the ripple that the scene calls `estimated`, from the unloaded frames."""
+def _with_estimated_frame_noise(
+    noise: NoiseEstimate, recording: Recording, parts: Scatter
+) -> NoiseEstimate:
+    """Return the noise with the gain and the ripple that the scene calls `estimated`.
+
+    They are determined from the unloaded frames.
+    """
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())
     asked = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
@@ -269,16 +327,25 @@ def _with_estimated_frame_noise(noise: NoiseEstimate, recording: Recording, part
             noise = noise.undetermined(key, "record two or more unloaded frames")
         return noise
     volt = float(np.mean(scene.readout.sigma_volt()))
-    known = noise.frame or FrameNoise(scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0])
-    relative = 1 / np.sqrt(2 * (unloaded - 1))  # of a standard deviation with as many degrees of freedom
+    known = noise.frame or FrameNoise(
+        scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
+    )
+    # Of a standard deviation with as many degrees of freedom.
+    relative = 1 / np.sqrt(2 * (unloaded - 1))
     if "gain" in asked:
         known = replace(known, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
         noise = noise.determined("gain", (parts.gain, parts.gain_sd))
     if "ripple" in asked:
-        known = replace(known, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt)
+        known = replace(
+            known, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt
+        )
         noise = replace(noise, frame=known)
         size = float(np.hypot(*noise.shared_sizes[1:]))
-        deviation = float(np.hypot(parts.ripple_sd * volt / scene.circuit.lsb_volt, noise.shared_sizes[2] * relative))
+        deviation = float(
+            np.hypot(
+                parts.ripple_sd * volt / scene.circuit.lsb_volt, noise.shared_sizes[2] * relative
+            )
+        )
         noise = noise.determined("ripple", (size, deviation))
     return replace(noise, frame=known)
 
@@ -288,27 +355,45 @@ def excludes_model_error(scene: Scene) -> bool:
     return isinstance(scene.systematic, Systematic) and scene.systematic.model_error == 0
 
 
-def _outlier_messages(outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return sentences on impossible readings and on outliers; `resting` are the unloaded frames, (frames,)."""
+def _outlier_messages(
+    outliers: NDArray[np.bool_], cleaned: Readings, resting: NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Return sentences on impossible readings and on outliers.
+
+    `resting` are the unloaded frames, (frames,).
+    """
     messages = list[str]()
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
     if count := int(impossible.sum()):
         many = "reading is" if count == 1 else "readings are"
-        messages.append(f"{count} {many} larger than any cells allow beside the others, and left out")
+        messages.append(
+            f"{count} {many} larger than any cells allow beside the others, and left out"
+        )
     if count := int((outliers & ~impossible).sum()):
         # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
-        counted = outliers[resting] if resting.sum() >= MIN_FRAMES and cleaned.sigma is not None else outliers
+        counted = (
+            outliers[resting]
+            if resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
+            else outliers
+        )
         rate = float(counted.mean())
-        unseen = f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
-        message = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
+        unseen = (
+            f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
+            "cover them"
+        )
+        message = (
+            f"{count} of {outliers.size} readings are outliers of one frame, replaced by "
+            "their neighbours in time"
+        )
         messages.append(message + unseen * (rate > MAX_SHARE))
     return tuple(messages)
 
 
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
-    """Return the scatter of the unloaded frames, or of readings at rest without these; None where neither shows it.
+    """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    A scatter at rest below MIN_MEDIAN_NOISE of a converter is not used.
+    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
+    used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout
@@ -330,8 +415,8 @@ def shown_noise(readout: Readout, factor: float) -> tuple[float, float]:
     float
         Noise of one reading, LSB.
     float
-        Factor on the assumed σ. It differs from `factor` because a part of σ, the quantisation that averaging does not
-        reduce, is constant and does not scatter.
+        Factor on the assumed σ. It differs from `factor` because a part of σ, the quantisation that
+        averaging does not reduce, is constant and does not scatter.
     """
     assumed = float(np.mean(readout.sigma_code()))
     # scatter² = factor² (σ² − σ_lasting²): σ_lasting remains in the mean of endlessly many samples

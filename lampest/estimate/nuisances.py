@@ -1,13 +1,14 @@
 """Effects beside the circuit: leaks of wet lines, loose contacts, common creep of the film.
 
-Each effect adds one parameter θ ~ N(0, prior²) to the readings. Between the unloaded panel b and a frame f the log
-cells that no load touches change by
+Each effect adds one parameter θ ~ N(0, prior²) to the readings. Between the unloaded panel b and a
+frame f the log cells that no load touches change by
 
     d = a θ + noise,   a = K_f U_f − K_b U_b,
 
-where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The evidence is computed
-with a and without (`lampest.estimate.changed_cells`). The best effects then enter the network itself; the cells, d and
-θ are estimated again by Gauss-Newton steps. An effect is named if the evidence gains by MIN_EVIDENCE_GAIN.
+where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The
+evidence is computed with a and without (`lampest.estimate.changed_cells`). The best effects then
+enter the network itself; the cells, d and θ are estimated again by Gauss-Newton steps. An effect is
+named if the evidence gains by MIN_EVIDENCE_GAIN.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,13 +36,16 @@ from lampest.panel.systematic import REFERENCE, SERIES, error_columns, systemati
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
-# In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the right circuit gain
-# 32 at most, and nearly all less than 15; of 500 others two gain more (docs/theory/model_check.md). By an error of the
-# model mouths at their limits gain 23 where nothing is wrong, and 76 where readings are off by 7 % each.
+# In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the
+# right circuit gain 32 at most, and nearly all less than 15; of 500 others two gain more
+# (docs/theory/model_check.md). By an error of the model mouths at their limits gain 23 where
+# nothing is wrong, and 76 where readings are off by 7 % each.
 MIN_EVIDENCE_GAIN = 36.0
-MAX_CANDIDATES = 3  # rivals or effects that are solved exactly, the best ones of linear theory; effects at a time
+# Rivals or effects that are solved exactly, the best ones of linear theory; effects at a time.
+MAX_CANDIDATES = 3
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
-MIN_SPARED_CELLS = 2  # fewer moved cells that an effect must bring: a converter's nonlinearity moves one
+# Fewer moved cells that an effect must bring: a converter's nonlinearity moves one.
+MIN_SPARED_CELLS = 2
 TAKEN_OFF = "taken off the readings"
 SECANT_STEP = 1e-3  # of the prior's standard deviation
 MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
@@ -49,7 +53,9 @@ MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
 
 @dataclass(frozen=True, eq=False)
 class BetterExplanation:
-    """A better explanation of the readings than the scene's circuit: another circuit, or an effect beside it.
+    """A better explanation of the readings than the scene's circuit.
+
+    It is another circuit, or an effect beside it.
 
     Attributes
     ----------
@@ -58,10 +64,11 @@ class BetterExplanation:
     frames : str
         The loaded frames in words.
     count, count_as_specified : int
-        Moved cells between the unloaded panel and these frames: under the better explanation, and under the scene's
-        circuit.
+        Moved cells between the unloaded panel and these frames: under the better explanation, and
+        under the scene's circuit.
     fits_noise : bool
-        Whether cells explain the readings of the unloaded panel and of the frames within their noise.
+        Whether cells explain the readings of the unloaded panel and of the frames within their
+        noise.
     nearly : str
         A circuit in words that explains the readings better, but not significantly; ''.
     """
@@ -83,9 +90,17 @@ class BetterExplanation:
 
 
 def candidates(shape: tuple[int, ...], kinds: Sequence[type[Effect]] = EFFECTS) -> list[Effect]:
-    """Return all effects that are tried on a panel: those since the unloaded frames, then the constant ones."""
+    """Return all effects that are tried on a panel.
+
+    Those since the unloaded frames come first, then the constant ones.
+    """
     rows, columns = shape
-    return [kind(lines, since) for since in (True, False) for kind in kinds for lines in kind.places(rows, columns)]
+    return [
+        kind(lines, since)
+        for since in (True, False)
+        for kind in kinds
+        for lines in kind.places(rows, columns)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +114,8 @@ class Evidence:
     moved : boolean array, shape (cells,)
         The moved cells with the largest evidence.
     size, sd : array, shape (1 + effects,)
-        Posterior mean and standard deviation of the common change, then of the addition to every effect's present
-        size, in units of the priors; NaN where no cell stands still.
+        Posterior mean and standard deviation of the common change, then of the addition to every
+        effect's present size, in units of the priors; NaN where no cell stands still.
     """
 
     score: float
@@ -110,8 +125,12 @@ class Evidence:
 
 
 def responses(fit: CellsFit, effects: Sequence[Effect]) -> Array:
-    """Return the response K U of the log cells to a unit of each θ, (cells, effects), by secants."""
-    # An effect of the size of the secant's step; constant ones and those since the unloaded frames respond alike.
+    """Return the response K U of the log cells to a unit of each θ, by secants.
+
+    Shape (cells, effects).
+    """
+    # An effect of the size of the secant's step; constant ones and those since the unloaded frames
+    # respond alike.
     small = [replace(effect, since=False, size=SECANT_STEP * effect.prior) for effect in effects]
     by_effect = {effect: fit.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
     return fit.response(np.stack([by_effect[effect] for effect in small]))
@@ -136,31 +155,42 @@ class FittedPair:
     def of(cls, resting: CellsFit, frame: CellsFit) -> "FittedPair":
         """Return the pair of both fits."""
         responses = [
-            fit.response(fit.scene.circuit.shared_errors(fit.cells, fit.readings.value, fit.scene, 0.0, 1.0)[1:])
+            fit.response(
+                fit.scene.circuit.shared_errors(fit.cells, fit.readings.value, fit.scene, 0.0, 1.0)[
+                    1:
+                ]
+            )
             for fit in (resting, frame)
         ]
         return cls((resting, frame), responses[1] - responses[0])
 
     @property
     def scale_error(self) -> float | None:
-        """Median error of the changes d of moved cells by the numbers that no frame shows, at their tolerances' ends.
+        """Median error of the changes d of moved cells by the numbers that no frame shows.
 
-        None where the scene has no such numbers, or no cell moves.
+        The numbers are at their tolerances' ends. None where the scene has no such numbers, or no
+        cell moves.
         """
         scene = self.frames[0].scene
         if (sizes := systematic_of(scene)) is None or not self.moved.any():
             return None
         resting, loaded = (
-            fit.response(error_columns((REFERENCE, SERIES), fit.network, fit.readings.value, scene, sizes))
+            fit.response(
+                error_columns((REFERENCE, SERIES), fit.network, fit.readings.value, scene, sizes)
+            )
             for fit in self.frames
         )
-        # columns are of one standard deviation: that of the reference's uniform distribution is its half width over √3
+        # columns are of one standard deviation: that of the reference's uniform distribution is its
+        # half width over √3
         ends = np.array([np.sqrt(3), *[1.0] * (loaded.shape[1] - 1)])
         return float(np.median(np.abs((loaded - resting) * ends).sum(axis=1)[self.moved.ravel()]))
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects in the network of the frame; those that are constant are in that of the unloaded panel, too."""
+        """Effects in the network of the frame.
+
+        Those that are constant are in that of the unloaded panel, too.
+        """
         return self.frames[1].effects
 
     @property
@@ -170,17 +200,26 @@ class FittedPair:
 
     @cached_property
     def change(self) -> Array:
-        """d = ln(r_f/r_b), the change of the log cells from the unloaded panel to the frame, (cells,)."""
+        """Change d = ln(r_f/r_b) of the log cells from the unloaded panel to the frame.
+
+        Shape (cells,).
+        """
         resting, frame = self.frames
         return np.asarray(np.log(frame.cells / resting.cells).ravel())
 
     @cached_property
     def covariance(self) -> Array:
-        """Σ, the covariance of d where no load is, without effects and without a common change, (cells, cells)."""
-        # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else one multiplexer's
+        """Covariance Σ of d where no load is, (cells, cells).
+
+        It is without effects and without a common change.
+        """
+        # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else
+        # one multiplexer's
         sizes = systematic_of(self.frames[1].scene)
         spread = float((sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm)
-        noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(len(self.change))
+        noise = sum(frame.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(
+            len(self.change)
+        )
         return np.asarray(noise + spread**2 * self.channels @ self.channels.T)
 
     @cached_property
@@ -199,7 +238,9 @@ class FittedPair:
         return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
 
     def with_columns(self, columns: Array) -> Changes:
-        """Return the changes d with a common change of all cells, then effects of one prior deviation each, as errors.
+        """Return the changes d with a common change of all cells, then effects, as errors.
+
+        The effects are of one prior deviation each.
 
         Parameters
         ----------
@@ -212,11 +253,18 @@ class FittedPair:
     @property
     def _prior(self) -> float:
         """−2 ln prior of the effects in the network, less ln |Σ|."""
-        costs = (PARAMETER_COST + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
+        costs = (
+            PARAMETER_COST + (effect.size / effect.prior) ** 2
+            for effect in self.effects
+            if effect.size
+        )
         return sum(costs) - self._volume
 
     def explained(self, columns: Array) -> Evidence:
-        """Return the evidence with a common change of all cells and with further effects, see `with_columns`."""
+        """Return the evidence with a common change of all cells and with further effects.
+
+        See `with_columns`.
+        """
         changes = self.with_columns(columns)
         score, moved = changes.selected(usual_starts(self.change))
         mean = sd = np.full(1 + columns.shape[1], np.nan)
@@ -238,7 +286,8 @@ class FittedPair:
     def scores_with(self, effects: Sequence[Effect], candidates: Array) -> Array:
         """Return −2 ln evidence with each candidate alone beside further sizes of effects, (n,).
 
-        It approximates the score of `explained`: cells are only added to the moved ones, never removed.
+        It approximates the score of `explained`: cells are only added to the moved ones, never
+        removed.
 
         Parameters
         ----------
@@ -251,13 +300,17 @@ class FittedPair:
 
     @property
     def density(self) -> float:
-        """−2 ln density of the frame's readings given the unloaded ones, up to a constant common to all circuits.
+        """−2 ln density of the frame's readings given the unloaded ones.
 
-        The densities of circuits are comparable because the Jacobian of the readings is included: a circuit whose
-        readings hardly depend on the cells gains nothing by it.
+        It holds up to a constant common to all circuits. The densities of circuits are comparable
+        because the Jacobian of the readings is included: a circuit whose readings hardly depend on
+        the cells gains nothing by it.
         """
-        # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the quadratic form of d
-        return self.evidence.score + float(np.linalg.slogdet(self.frames[1].normal)[1]) + self._volume
+        # p(y) = p(d) |∂d/∂y|: −2 ln p(y) has ln |Jᵀ J| = ln |normal| and ln |Σ| more than the
+        # quadratic form of d
+        return (
+            self.evidence.score + float(np.linalg.slogdet(self.frames[1].normal)[1]) + self._volume
+        )
 
     @cached_property
     def _misfit(self) -> tuple[float, int]:
@@ -278,12 +331,17 @@ class FittedPair:
         return score - min(changes.part(~moved).misfit, int((~moved).sum()))
 
     def gain_apart(self, better: "FittedPair") -> float:
-        """Return the gain of another explanation in −2 ln evidence, by cells that touch none of its moved cells.
+        """Return the gain of another explanation in −2 ln evidence.
 
-        The skirt of a load looks like another circuit or an effect, so its cells do not count; 0 without two others.
+        It is computed by cells that touch none of its moved cells. The skirt of a load looks like
+        another circuit or an effect, so its cells do not count; 0 without two others.
         """
         distant = ~touching(better.moved[None]).ravel()
-        return self.beyond_noise_of(distant) - better.beyond_noise_of(distant) if distant.sum() > 1 else 0.0
+        return (
+            self.beyond_noise_of(distant) - better.beyond_noise_of(distant)
+            if distant.sum() > 1
+            else 0.0
+        )
 
     @property
     def excess(self) -> float:
@@ -292,9 +350,10 @@ class FittedPair:
         return max(misfit / max(still, 1), 1.0)
 
     def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
-        """Return the pair after a step of the effects' sizes; None where no cells explain the readings then.
+        """Return the pair after a step of the effects' sizes.
 
-        Sizes of effects that cannot be negative, such as leaks, are clipped at 0.
+        None where no cells explain the readings then. Sizes of effects that cannot be negative,
+        such as leaks, are clipped at 0.
 
         Parameters
         ----------
@@ -303,7 +362,12 @@ class FittedPair:
             In units of the priors.
         """
         stepped = tuple(
-            replace(effect, size=max(effect.size + effect.prior * float(more), 0.0 if effect.positive else -np.inf))
+            replace(
+                effect,
+                size=max(
+                    effect.size + effect.prior * float(more), 0.0 if effect.positive else -np.inf
+                ),
+            )
             for effect, more in zip(effects, step, strict=True)
         )
         constant = tuple(effect for effect in stepped if not effect.since)
@@ -330,9 +394,12 @@ class FittedPair:
             sd = evidence.sd[1:]
             if not np.isfinite(step).all():
                 return None
-            # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain both frames.
+            # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain
+            # both frames.
             short = step / max(1.0, float(np.abs(step).max()))
-            after = next(filter(None, (pair._stepped(effects, short * 0.5**half) for half in range(5))), None)
+            after = next(
+                filter(None, (pair._stepped(effects, short * 0.5**half) for half in range(5))), None
+            )
             if after is None:
                 return None
             pair = after
@@ -344,8 +411,8 @@ class FittedPair:
     def frame_like(self, readings: Readings, near: CellsFit) -> CellsFit | None:
         """Return the fit of another frame with these effects; None where no cells explain it.
 
-        The sizes of effects since the unloaded frames are estimated anew. They are 0 where the frame is no more
-        probable with them.
+        The sizes of effects since the unloaded frames are estimated anew. They are 0 where the
+        frame is no more probable with them.
 
         Parameters
         ----------
@@ -360,7 +427,9 @@ class FittedPair:
         begun = near.refitted(readings, near.effects)
         if begun is None:
             return None
-        settled = replace(self, frames=(self.frames[0], begun)).settled(near.effects, constant=False)
+        settled = replace(self, frames=(self.frames[0], begun)).settled(
+            near.effects, constant=False
+        )
         without = replace(self, frames=(self.frames[0], fit))
         if settled is None or without.evidence.score <= settled.evidence.score:
             return fit
@@ -381,7 +450,8 @@ class CircuitEffects(BetterExplanation):
     common_change : str
         The common change of all untouched cells in words; '' where it is not significant.
     pair : FittedPair or None
-        The pair with the unambiguous effects alone, those that no other effect explains about as well.
+        The pair with the unambiguous effects alone, those that no other effect explains about as
+        well.
     loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
     """
@@ -393,11 +463,17 @@ class CircuitEffects(BetterExplanation):
     @property
     def corrections(self) -> str:
         """Effects that are taken off the readings, in words."""
-        names = [] if self.pair is None else [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
+        names = (
+            []
+            if self.pair is None
+            else [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
+        )
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
-def find_effects(pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
+def find_effects(
+    pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[Effect]] = EFFECTS
+) -> CircuitEffects:
     """Return the effects with the largest gain of evidence.
 
     Parameters
@@ -414,8 +490,9 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[E
         common = _together(pair) or common
         grown, certain = _grown(pair, kinds)
         gain = pair.evidence.score - grown.evidence.score
-        # An effect counts if most cells stand still with it, and neither a load's edge nor one wrong reading explains
-        # as much: an outlier in the frame in which a load arrives is hard to detect in time.
+        # An effect counts if most cells stand still with it, and neither a load's edge nor one
+        # wrong reading explains as much: an outlier in the frame in which a load arrives is hard to
+        # detect in time.
         if not (gain > most and mostly_still(grown.moved)):
             continue
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
@@ -426,20 +503,24 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]], kinds: Sequence[type[E
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
         counts = (int(grown.moved.sum()), int(pair.moved.sum()))
         taken_off = bool(certain.effects) and fits_noise
-        besides = CircuitEffects(names, name, *counts, fits_noise, pair=certain if taken_off else None)
+        besides = CircuitEffects(
+            names, name, *counts, fits_noise, pair=certain if taken_off else None
+        )
     return besides if besides.name else replace(besides, common_change=common)
 
 
 def _grown(pair: FittedPair, kinds: Sequence[type[Effect]]) -> tuple[FittedPair, FittedPair]:
-    """Add effects to a pair one by one, while each gains MIN_EVIDENCE_GAIN and spares MIN_SPARED_CELLS moved cells.
+    """Add effects to a pair one by one, while each gains evidence and spares moved cells.
+
+    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
 
     Returns
     -------
     FittedPair
         With all effects.
     FittedPair
-        With the unambiguous effects: those added before the first one that another candidate explains about as well,
-        within half of MIN_EVIDENCE_GAIN.
+        With the unambiguous effects: those added before the first one that another candidate
+        explains about as well, within half of MIN_EVIDENCE_GAIN.
     """
     certain = pair
     doubtful = False
@@ -449,14 +530,20 @@ def _grown(pair: FittedPair, kinds: Sequence[type[Effect]]) -> tuple[FittedPair,
             break
         if tried[0].moved.sum() > pair.moved.sum() - MIN_SPARED_CELLS:
             break
-        doubtful |= len(tried) > 1 and tried[1].evidence.score - tried[0].evidence.score < MIN_EVIDENCE_GAIN / 2
+        doubtful |= (
+            len(tried) > 1
+            and tried[1].evidence.score - tried[0].evidence.score < MIN_EVIDENCE_GAIN / 2
+        )
         pair = tried[0]
         certain = certain if doubtful else pair
     return pair, certain
 
 
 def _tried(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
-    """Generate the pairs with one more effect, for the MAX_CANDIDATES best ones of linear theory."""
+    """Generate the pairs with one more effect.
+
+    They are those of the MAX_CANDIDATES best effects of linear theory.
+    """
     effects = candidates(pair.shape, kinds)
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
@@ -468,22 +555,30 @@ def _tried(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPa
 
 
 def _together(pair: FittedPair) -> str:
-    """Describe how all cells that no load touches changed; '' where that may be chance, or a load's rim."""
-    change, sd = (float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd))
+    """Describe how all cells that no load touches changed.
+
+    '' where that may be chance, or a load's rim.
+    """
+    change, sd = (
+        float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
+    )
     if not mostly_still(pair.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
         return ""
     return (
-        f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: creep, temperature or "
+        f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
+        "creep, temperature or "
         "the supply"
     )
 
 
-def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]) -> Readings:
+def without_effects_of(
+    pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]
+) -> Readings:
     """Return the readings corrected for the pair's effects.
 
-    Effects since the unloaded frames come, grow and go: their sizes are estimated anew in every measured frame. A
-    frame that no cells explain takes the correction of the frame before. A leak reduces the differences between
-    readings, so σ grows by `CellsFit.amplification`.
+    Effects since the unloaded frames come, grow and go: their sizes are estimated anew in every
+    measured frame. A frame that no cells explain takes the correction of the frame before. A leak
+    reduces the differences between readings, so σ grows by `CellsFit.amplification`.
 
     Parameters
     ----------
@@ -511,7 +606,9 @@ def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[n
 
 
 def remaining_errors(pair: FittedPair) -> Array:
-    """Return the change of the readings by one posterior standard deviation of each effect, as a fraction of them.
+    """Return the change of the readings by one posterior standard deviation of each effect.
+
+    It is a fraction of the readings.
 
     Returns
     -------
@@ -523,5 +620,7 @@ def remaining_errors(pair: FittedPair) -> Array:
     for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
         more = replace(effect, size=float(deviation) * effect.prior)
         for number in (1,) if effect.since else (0, 1):
-            left[number, place] = pair.frames[number].more(more) / pair.frames[number].measured.value
+            left[number, place] = (
+                pair.frames[number].more(more) / pair.frames[number].measured.value
+            )
     return left

@@ -1,4 +1,7 @@
-"""Objectives: an estimator as its method sees it, bounds of the cells, and the data of one solve from readings."""
+"""Objectives: an estimator as its method sees it, bounds of the cells, and data of one solve.
+
+The data are made from readings.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +30,8 @@ Rule = Literal["risk", "evidence"]  # function of a weight that its choice minim
 # of the apparent resistance: beyond, double precision has no difference
 OPEN_FACTOR = 1e9
 SHORT_FACTOR = 1e-6
-CONTRADICTED_FACTOR = 1e-3  # of the upper bound: the lower bound of a cell whose reading contradicts its bounds
+# Of the upper bound: the lower bound of a cell whose reading contradicts its bounds.
+CONTRADICTED_FACTOR = 1e-3
 MAX_CONTRADICTED = 0.5  # of the readings: if more contradict the bounds, the bounds are the mistake
 UNKNOWN_NOISE = 0.01  # of a reading, where the noise is not specified: that of a 10-bit divider
 MAX_STAND_IN_WEIGHT = 0.99  # of a substitute: `seen` = 1 denotes a reading that was measured
@@ -40,12 +44,13 @@ class Bounds(Configuration):
     Attributes
     ----------
     lower : 'measured', float or 'none'
-        'measured' is the least that the readout's theory allows, r ≥ R_m of two-point readings; a number is in ohm;
-        'none' is 10⁻⁶·R_a, a dead short, with R_a the readout's apparent resistance.
+        'measured' is the least that the readout's theory allows, r ≥ R_m of two-point readings; a
+        number is in ohm; 'none' is 10⁻⁶·R_a, a dead short, with R_a the readout's apparent
+        resistance.
     upper : 'resolution', float or 'none'
-        'resolution' is the value beyond which a cell cannot be told from an open one, R²/σ of two-point readings and
-        at least twice the cell of a uniform panel; where σ is unknown, as 'none'. A number is in ohm. 'none' is
-        10⁹·R_a, where double precision sees no difference.
+        'resolution' is the value beyond which a cell cannot be told from an open one, R²/σ of
+        two-point readings and at least twice the cell of a uniform panel; where σ is unknown, as
+        'none'. A number is in ohm. 'none' is 10⁹·R_a, where double precision sees no difference.
 
     Raises ValueError where a number is not positive and finite.
 
@@ -67,15 +72,16 @@ class Bounds(Configuration):
     ) -> tuple[Array, Array]:
         """Return the lower and the upper bounds of the cell resistances.
 
-        A reading bounds the cell in series with its wires, which form the only path without another cell; all other
-        paths are parallel to it and only lower the reading (Rayleigh monotonicity). A reading beyond the upper bound
-        is wrong, and does not bound its cell from below.
+        A reading bounds the cell in series with its wires, which form the only path without another
+        cell; all other paths are parallel to it and only lower the reading (Rayleigh monotonicity).
+        A reading beyond the upper bound is wrong, and does not bound its cell from below.
 
         Parameters
         ----------
         readout : Readout
         measured, sigma : array, shape (..., rows, columns)
-            Readings and their standard deviations in the readout's unit; sigma is None where unknown.
+            Readings and their standard deviations in the readout's unit; sigma is None where
+            unknown.
         wiring : Wiring or None
             Resistances of the lines.
 
@@ -84,13 +90,18 @@ class Bounds(Configuration):
         lower, upper : array, shape (..., rows, columns)
             In ohm.
 
-        Raises InputError where the upper bound is below the lower one for more than half of the readings.
+        Raises InputError where the upper bound is below the lower one for more than half of the
+        readings.
         """
         lower = readout.nearly_shorted(measured)
         upper = readout.apparent_resistance(measured) * OPEN_FACTOR
         if self.lower == "measured":
             least = readout.least_cells(measured, sigma)
-            lower = least if wiring is None else np.maximum(least - wiring.path_ohm(measured.shape[-2:]), lower)
+            lower = (
+                least
+                if wiring is None
+                else np.maximum(least - wiring.path_ohm(measured.shape[-2:]), lower)
+            )
         elif not isinstance(self.lower, str):
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution" and sigma is not None:
@@ -115,10 +126,12 @@ class AutoWeight(Configuration):
     Attributes
     ----------
     rule : Rule or None
-        'risk' minimises the expected error of log r, with the reference estimate as the truth. 'evidence' takes the
-        most probable weight. By default risk, and evidence for panels with more than 400 cells.
+        'risk' minimises the expected error of log r, with the reference estimate as the truth.
+        'evidence' takes the most probable weight. By default risk, and evidence for panels with
+        more than 400 cells.
     per : 'recording' or 'frame'
-        'recording' chooses one weight from the strongest frame; 'frame' chooses one for every frame.
+        'recording' chooses one weight from the strongest frame; 'frame' chooses one for every
+        frame.
 
     >>> lampest.AutoWeight().per
     'recording'
@@ -134,7 +147,9 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     Raises InputError unless they are a list or tuple of terms with at least one data term.
     """
     if not isinstance(terms, list | tuple):
-        raise InputError(f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}")
+        raise InputError(
+            f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}"
+        )
     for term in terms:
         if not isinstance(term, Term):
             raise InputError(f"terms must hold objects such as Misfit(), not {in_words(term)}")
@@ -142,13 +157,18 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
         raise InputError("an estimator needs at least one term")
     if not any(term.reads_measurement for term in terms):
         named = " + ".join(map(term_kind, terms))
-        raise InputError(f"{named} needs the term misfit: without it nothing reads what was measured")
+        raise InputError(
+            f"{named} needs the term misfit: without it nothing reads what was measured"
+        )
     return tuple(terms)
 
 
 @dataclass(frozen=True)
 class Objective:
-    """Fields of an `Estimator`, where they are described, and the costs that they state, whatever the method."""
+    """Fields of an `Estimator`, and the costs that they state, whatever the method.
+
+    The fields are described in `Estimator`.
+    """
 
     terms: tuple[Term, ...]
     formulation: Any = "auto"
@@ -161,7 +181,10 @@ class Objective:
     weight_sigma: tuple[float, ...] = ()
 
     def with_terms(self, terms: tuple[Term, ...]) -> Self:
-        """Return the objective of an optimum with other terms; terms that stay keep the deviation of their weight."""
+        """Return the objective of an optimum with other terms.
+
+        Terms that stay keep the deviation of their weight.
+        """
         known = dict(zip(self.terms, self.weight_sigma, strict=False))
         sigma = tuple(known.get(term, np.nan) for term in terms) if known else ()
         return replace(self, terms=terms, formulation="reduced", weight_sigma=sigma)
@@ -172,10 +195,15 @@ class Objective:
         return any(term.weight == "auto" for term in self.terms)
 
     def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
-        """Return the objective with these weights of the terms, in their order, and `sigma` as `weight_sigma`."""
+        """Return the objective with these weights of the terms, in their order.
+
+        It has `sigma` as `weight_sigma`.
+        """
         terms = zip(self.terms, weights, strict=True)
         return replace(
-            self, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms), weight_sigma=sigma
+            self,
+            terms=tuple(replace(term, weight=float(weight)) for term, weight in terms),
+            weight_sigma=sigma,
         )
 
     @property
@@ -213,25 +241,38 @@ class Objective:
         measured = readings.value
         sigma = readings.sigma
         scene = background.scene
-        if sigma is None and any(getattr(term, "weighting", "plain") == "noise" for term in self.terms):
-            raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
+        if sigma is None and any(
+            getattr(term, "weighting", "plain") == "noise" for term in self.terms
+        ):
+            raise InputError(
+                "misfit.weighting: noise needs a readout in the scene or sigma in the recording"
+            )
         if sigma is None and self.weighs_previous:
-            raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
+            raise InputError(
+                "arrival needs the noise: a readout in the scene or sigma in the recording"
+            )
         # Missing readings have substitutes where no penalty determines their cells.
         stood_in = np.full(len(measured), not self.penalised)
         stood_in[:-1] = all(term.reads_measurement for term in self.absolute_terms)
         readings = with_weights_of_missing(readings, scene, stood_in)
-        # The bounds hold for measured values. One-sided and missing readings leave their cells free on that side.
+        # The bounds hold for measured values. One-sided and missing readings leave their cells free
+        # on that side.
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         nearly_shorted = scene.circuit.nearly_shorted(measured)
         lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
         upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
         if not scene.whole:
-            # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the panel's geometric mean
+            # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the
+            # panel's geometric mean
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
-            for known, factor in ((scene.open_cells, OPEN_FACTOR), (scene.shorted_cells, SHORT_FACTOR)):
-                lower, upper = (np.where(known, typical * factor, bound) for bound in (lower, upper))
+            for known, factor in (
+                (scene.open_cells, OPEN_FACTOR),
+                (scene.shorted_cells, SHORT_FACTOR),
+            ):
+                lower, upper = (
+                    np.where(known, typical * factor, bound) for bound in (lower, upper)
+                )
         given = Given.of(readings, background)
         noisy = sigma is not None
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
@@ -252,15 +293,18 @@ class Objective:
         return Cost(panel, self.terms, frames, known, partial)
 
 
-def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
+def with_weights_of_missing(
+    readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]
+) -> Readings:
     """Return the readings with weights `seen` for bounds and for substitutes of missing readings.
 
-    The weight is the ratio of the frame's typical noise to the reading's own noise. A bound has its own noise: at a
-    rail it is a thousand times that of a value, and in ohm one false infinity would otherwise outweigh all other
-    readings. A missing reading has no weight, unless `stand_ins` requests a substitute: the prediction from its row
-    and column, with the spread of that prediction as noise. With fewer readings than cells, the readings alone do not
-    determine a cell whose own reading is missing; a penalty does, and without a penalty the substitute does. Readings
-    that the scene's faults make blind keep no weight.
+    The weight is the ratio of the frame's typical noise to the reading's own noise. A bound has its
+    own noise: at a rail it is a thousand times that of a value, and in ohm one false infinity would
+    otherwise outweigh all other readings. A missing reading has no weight, unless `stand_ins`
+    requests a substitute: the prediction from its row and column, with the spread of that
+    prediction as noise. With fewer readings than cells, the readings alone do not determine a cell
+    whose own reading is missing; a penalty does, and without a penalty the substitute does.
+    Readings that the scene's faults make blind keep no weight.
 
     Parameters
     ----------
@@ -273,7 +317,9 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
     if not readings.partial:
         return readings
     missing = readings.missing(scene) & stand_ins[:, None, None]
-    bounded = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
+    bounded = (
+        readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
+    )
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
     # own: noise of each bound and substitute; usual: geometric mean of σ over the frame's values
     wide = noise.copy()
@@ -284,9 +330,16 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
         if missing[frame].any():
             spread = stand_in_spread(readings.value[frame], plain)
             wide[frame] = np.where(missing[frame], readings.value[frame] * spread, wide[frame])
-    # weight usual/own, at most 1; σ · weight is the typical noise, so that weighted residuals keep their scale
+    # weight usual/own, at most 1; σ · weight is the typical noise, so that weighted residuals keep
+    # their scale
     share = np.where(
-        missing, np.minimum(usual / wide, MAX_STAND_IN_WEIGHT), np.where(bounded, np.minimum(usual / wide, 1.0), 1.0)
+        missing,
+        np.minimum(usual / wide, MAX_STAND_IN_WEIGHT),
+        np.where(bounded, np.minimum(usual / wide, 1.0), 1.0),
     )
-    sigma = None if readings.sigma is None else np.where(missing | bounded, wide * share, readings.sigma)
+    sigma = (
+        None
+        if readings.sigma is None
+        else np.where(missing | bounded, wide * share, readings.sigma)
+    )
     return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

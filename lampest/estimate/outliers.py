@@ -1,8 +1,9 @@
 """Detection of outliers of a single frame.
 
-A loose contact or a lost bit changes one reading in one frame; a touch changes many readings at once. A reading is an
-outlier if it deviates from the prediction of its neighbouring frames while its row and column do not. Outliers in
-unloaded frames are excluded from the mean. In measured frames the prediction replaces them.
+A loose contact or a lost bit changes one reading in one frame; a touch changes many readings at
+once. A reading is an outlier if it deviates from the prediction of its neighbouring frames while
+its row and column do not. Outliers in unloaded frames are excluded from the mean. In measured
+frames the prediction replaces them.
 """
 
 from collections.abc import Callable
@@ -20,25 +21,32 @@ from lampest.recording.readings import Readings, median
 from lampest.recording.recording import Recording
 
 WINDOW = 4  # neighbouring frames that are compared
-MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
-# Ratio of the deviation to the median deviation of the row or the column. A load on one cell changes these by 0.22 of
-# the change of its own reading where all lines float: the change has rank one (10 x 10; 0.21 at 32 x 32).
+# Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
+MIN_RATIO_TO_SCATTER = 3.0
+# Ratio of the deviation to the median deviation of the row or the column. A load on one cell
+# changes these by 0.22 of the change of its own reading where all lines float: the change has rank
+# one (10 x 10; 0.21 at 32 x 32).
 MIN_RATIO_TO_LINES = 6.0
-MAX_SHARE = 0.05  # of a frame's readings, and of twice the unloaded rate: a frame with more was touched
-QUIET_SHARE = 0.25  # of pairs or triples of frames, the quietest: loads that come and go disturb the remaining ones
-# Share of readings that repeat in the next frame: 0.56 where noise is half a step. With FALSE_ALARM_RATE 3 of 19,000
-# simulated recordings without a frozen reading show one, and from a step of noise and 12 frames on all frozen ones are
-# noticed.
+# Of a frame's readings, and of twice the unloaded rate: a frame with more was touched.
+MAX_SHARE = 0.05
+# Of pairs or triples of frames, the quietest: loads that come and go disturb the remaining ones.
+QUIET_SHARE = 0.25
+# Share of readings that repeat in the next frame: 0.56 where noise is half a step. With
+# FALSE_ALARM_RATE 3 of 19,000 simulated recordings without a frozen reading show one, and from a
+# step of noise and 12 frames on all frozen ones are noticed.
 MAX_REPEATED = 0.5
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 
-# (prediction from the neighbours in time, its standard deviation by their scatter, standard deviation of the deviation
-# by noise alone as a multiple of σ).
+# (prediction from the neighbours in time, its standard deviation by their scatter, standard
+# deviation of the deviation by noise alone as a multiple of σ).
 Expected = tuple[Array, Array, Array]
-Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # arguments: the neighbours, and their offsets in frames
+# arguments: the neighbours, and their offsets in frames
+Predictor = Callable[[Array, NDArray[np.intp]], Expected]
 
 
-def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple[NDArray[np.bool_], Array, Array]:
+def detect_outliers(
+    value: Array, scale: Array, max_share: float = 1.0
+) -> tuple[NDArray[np.bool_], Array, Array]:
     """Flag readings that deviate from the prediction of their neighbouring frames.
 
     Parameters
@@ -56,13 +64,15 @@ def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple
     predicted, predicted_sigma : arrays, same shape
         Value predicted from the neighbours, and its standard deviation beside the noise.
     """
-    # Two predictions: the median suits rest, a straight line suits motion. A reading is flagged if either one fails.
+    # Two predictions: the median suits rest, a straight line suits motion. A reading is flagged if
+    # either one fails.
     predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
     frames = np.arange(len(value))
     width = min(len(value), WINDOW + 1)
     first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
     expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
-    scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
+    # Of the frames around: that of a touched cell is another.
+    scale = np.broadcast_to(median(scale), scale.shape)
     outlying = np.zeros(value.shape, dtype=bool)
     size = value.size
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -71,22 +81,30 @@ def detect_outliers(value: Array, scale: Array, max_share: float = 1.0) -> tuple
             largest = largest_normal(size, FALSE_ALARM_RATE)
             outlying |= far & ~_is_usual(value, prediction[0], first, predict, largest)
         outlying &= scale > 0
-    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (len(value) >= MIN_FRAMES)
-    # The prediction with the smaller scatter is used; its disagreement with the other one adds to its uncertainty.
+    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (
+        len(value) >= MIN_FRAMES
+    )
+    # The prediction with the smaller scatter is used; its disagreement with the other one adds to
+    # its uncertainty.
     middle, spread, _ = expected[0]
     line, line_spread, _ = expected[-1]
     nearer = line_spread < spread
     deviation = np.nan_to_num(np.abs(line - middle))
-    return outlying, np.where(nearer, line, middle), np.hypot(np.where(nearer, line_spread, spread), deviation)
+    return (
+        outlying,
+        np.where(nearer, line, middle),
+        np.hypot(np.where(nearer, line_spread, spread), deviation),
+    )
 
 
 def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
     """Flag readings that have one value in all frames although noise changes the other readings.
 
-    Such a reading does not answer to loads, and moves the cells of its row and column. Let p be the share of the other
-    readings that repeat in the next frame, in the quarter of the frames in which most do. A measured reading repeats in
-    all pairs of frames with the probability p^pairs, if p is at most MAX_REPEATED. With less noise the probability
-    depends on the place within a step of the converter, and none is flagged. Readings at a rail are bounds.
+    Such a reading does not answer to loads, and moves the cells of its row and column. Let p be the
+    share of the other readings that repeat in the next frame, in the quarter of the frames in which
+    most do. A measured reading repeats in all pairs of frames with the probability p^pairs, if p is
+    at most MAX_REPEATED. With less noise the probability depends on the place within a step of the
+    converter, and none is flagged. Readings at a rail are bounds.
 
     Returns
     -------
@@ -101,7 +119,11 @@ def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
     compared = both & ~constant
     count = compared.sum(axis=(1, 2))
     repeated = ((value[1:] == value[:-1]) & compared).sum(axis=(1, 2))
-    if not constant.any() or not count.any() or constant.sum() > max(1.0, MAX_SHARE * constant.size):
+    if (
+        not constant.any()
+        or not count.any()
+        or constant.sum() > max(1.0, MAX_SHARE * constant.size)
+    ):
         return np.zeros(constant.shape, dtype=bool)
     shares = np.sort(np.maximum(repeated, 1)[count > 0] / count[count > 0])
     share = float(shares[-max(1, round(QUIET_SHARE * len(shares))) :].mean())
@@ -111,15 +133,20 @@ def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
 
 def without_readings(recording: Recording, unread: NDArray[np.bool_]) -> Recording:
     """Return a recording in which some readings, (rows, columns), are missing."""
-    return replace(recording, recorded=np.where(unread, np.nan, recording.recorded)) if unread.any() else recording
+    return (
+        replace(recording, recorded=np.where(unread, np.nan, recording.recorded))
+        if unread.any()
+        else recording
+    )
 
 
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """Flag single readings that are larger than any cells allow, given the frame's other readings.
 
-    A contact that fails for one reading makes such an outlier, however long it lasts. After a pass the flagged readings
-    are ignored and the others are tested again. If more than MAX_SHARE of a frame's readings violate the circuit's
-    inequalities, the circuit is another one, and none is flagged.
+    A contact that fails for one reading makes such an outlier, however long it lasts. After a pass
+    the flagged readings are ignored and the others are tested again. If more than MAX_SHARE of a
+    frame's readings violate the circuit's inequalities, the circuit is another one, and none is
+    flagged.
 
     Parameters
     ----------
@@ -143,7 +170,9 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
             if test.single is None:
                 continue
             # the largest excess of all frames decides on the significance
-            broken |= (significant := largest_of(test.excess, test.count * len(value)) < FALSE_ALARM_RATE)
+            broken |= (
+                significant := largest_of(test.excess, test.count * len(value)) < FALSE_ALARM_RATE
+            )
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
             outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
         frames = frames[broken]
@@ -156,9 +185,9 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
 def without_outliers(
     impossible: NDArray[np.bool_], readings: Readings, unloaded: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Readings]:
-    """Return the outliers and the readings without them: unloaded outliers are omitted, measured ones replaced.
+    """Return the outliers and the readings without them.
 
-    Bounds are never outliers.
+    Unloaded outliers are omitted, measured ones replaced. Bounds are never outliers.
 
     Parameters
     ----------
@@ -182,9 +211,12 @@ def without_outliers(
     outlying = np.zeros(value.shape, dtype=bool)
     instead = value.copy()
     spread = np.zeros(value.shape)
-    # The specified σ may be wrong, so it is rescaled by the median change from frame to frame, which is noise.
+    # The specified σ may be wrong, so it is rescaled by the median change from frame to frame,
+    # which is noise.
     seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
-    scale = sigma * np.fmax(seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None))
+    scale = sigma * np.fmax(
+        seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None)
+    )
     most = 1.0
     for chosen in (unloaded, ~unloaded):
         if chosen.sum() >= MIN_FRAMES:
@@ -200,11 +232,14 @@ def without_outliers(
     return outlying | impossible, _replaced(left, outlying & ~lies, instead, spread)
 
 
-def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether a reading deviates from both neighbouring frames, and by more than these differ from each other.
+def _alone_in_time(
+    value: Array, scale: Array, resting: Array, measured: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return whether a reading deviates from both neighbouring frames.
 
-    Otherwise the reading may be the last one before a load arrives, or belong to its step. The unloaded panel precedes
-    the first measured frame. The last frame, without a successor, is never excluded.
+    It has to deviate by more than these differ from each other. Otherwise the reading may be the
+    last one before a load arrives, or belong to its step. The unloaded panel precedes the first
+    measured frame. The last frame, without a successor, is never excluded.
 
     Parameters
     ----------
@@ -225,7 +260,9 @@ def _alone_in_time(value: Array, scale: Array, resting: Array, measured: NDArray
     return isolated
 
 
-def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array) -> Readings:
+def _replaced(
+    readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array
+) -> Readings:
     value = np.where(outlying, instead, readings.value)
     sigma = readings.sigma
     wider = None if sigma is None else np.where(outlying, np.hypot(sigma, spread), sigma)
@@ -234,11 +271,12 @@ def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, s
 
 @dataclass(frozen=True, eq=False)
 class FramesBefore:
-    """The last frames of a stream, at most WINDOW with the newest last, for the detection of outliers online.
+    """Last frames of a stream, for the detection of outliers online.
 
-    Where lines are connected by cells alone, a touch of one cell changes its row and column, and an outlier can be
-    distinguished from it by previous frames alone. Where a reading depends on its own cell only, it cannot, and the
-    readings stay unchanged.
+    They are at most WINDOW, with the newest last. Where lines are connected by cells alone, a touch
+    of one cell changes its row and column, and an outlier can be distinguished from it by previous
+    frames alone. Where a reading depends on its own cell only, it cannot, and the readings stay
+    unchanged.
     """
 
     frames: tuple[Readings, ...] = ()
@@ -268,10 +306,14 @@ class FramesBefore:
         if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, count
         value = np.stack([frame.plain_values for frame in self.frames])
-        scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0)
+        scale = readings.sigma * np.fmax(
+            _pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0
+        )
         middle, spread, _ = _by_median(value)
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _exceeds_threshold(readings.plain_values, scale, (middle, spread, np.ones(middle.shape)))
+            outlying = _exceeds_threshold(
+                readings.plain_values, scale, (middle, spread, np.ones(middle.shape))
+            )
         if not outlying.any() or outlying.mean() > MAX_SHARE:
             return readings, count
         network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
@@ -283,10 +325,13 @@ class FramesBefore:
         return _replaced(readings, outlying, middle, spread), count + int(outlying.sum())
 
 
-def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
-    """Return the prediction of frames first + place, each from the other frames of the window that begins at `first`.
+def _from_window(
+    value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor
+) -> Expected:
+    """Return the prediction of frames first + place from the other frames of their window.
 
-    The neighbours are gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
+    Each is predicted from the other frames of the window that begins at `first`. The neighbours are
+    gathered as (width − 1, frames, ...), with their offsets (width − 1, frames).
     """
     width = min(len(value), WINDOW + 1)
     within = first[:, None] + np.arange(width)
@@ -298,7 +343,9 @@ def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp],
 def _is_usual(
     value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor, largest: float
 ) -> NDArray[np.bool_]:
-    """Return whether the error of a prediction is usual for this reading, given its errors in windows near by.
+    """Return whether the error of a prediction is usual for this reading.
+
+    It is judged given the reading's errors in windows near by.
 
     Parameters
     ----------
@@ -317,13 +364,15 @@ def _is_usual(
         return np.zeros(value.shape, dtype=bool)
     place = np.arange(frames) - first
     usual = np.zeros(value.shape)
-    # Frames within the recording lie in the middle of their windows: median error over three blocks of frames.
+    # Frames within the recording lie in the middle of their windows: median error over three blocks
+    # of frames.
     middle = place == WINDOW // 2
     deviation = np.nan_to_num(np.abs(value - expected))
     for begin in range(0, frames, block):
         around = slice(max(begin - block, 0), begin + 2 * block)
         usual[begin : begin + block] = median(deviation[around][middle[around]])
-    # Frames at the ends lie elsewhere in theirs: the same place in windows near by is predicted for comparison.
+    # Frames at the ends lie elsewhere in theirs: the same place in windows near by is predicted for
+    # comparison.
     begins = np.arange(frames - WINDOW)
     for frame in np.flatnonzero(~middle):
         near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
@@ -345,11 +394,17 @@ def _by_median(neighbours: Array, offset: NDArray[np.intp] | None = None) -> Exp
     middle = median(neighbours)[0]
     # var(y − median of n) = σ² (1 + π/(2n))
     noise = np.sqrt(1 + np.pi / (2 * len(neighbours)))
-    return middle, MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0], np.full(middle.shape, noise)
+    return (
+        middle,
+        MAD_TO_SIGMA * median(np.abs(neighbours - middle))[0],
+        np.full(middle.shape, noise),
+    )
 
 
 def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
-    """Return the value of the regression line through the neighbours, which follows a load that moves or breathes.
+    """Return the value of the regression line through the neighbours.
+
+    The line follows a load that moves or breathes.
 
     Parameters
     ----------
@@ -363,7 +418,8 @@ def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
     size = np.sum(centred**2, axis=0)
     height = neighbours.mean(axis=0)
     slope = np.sum(centred * neighbours, axis=0) / size
-    # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n + x̄²/Σ(x − x̄)²)
+    # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n +
+    # x̄²/Σ(x − x̄)²)
     left = np.sum((neighbours - height - slope * centred) ** 2, axis=0) / (len(neighbours) - 2)
     noise = np.sqrt(1 + 1 / len(neighbours) + centre**2 / size)
     return height - slope * centre, 2 * np.sqrt(left) * noise, np.broadcast_to(noise, height.shape)
@@ -383,25 +439,31 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
     deviation = np.abs(value - middle)
     # |y − ŷ| > max(6 σ √(1 + …), 3 spread).
     # Within the scatter of the neighbours, so that an arriving load is not flagged.
-    far: NDArray[np.bool_] = deviation > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
+    far: NDArray[np.bool_] = deviation > np.fmax(
+        OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread
+    )
     return far & ~(deviation <= MIN_RATIO_TO_LINES * _beside(deviation / scale) * scale)
 
 
 def _beside(values: Array) -> Array:
-    """Return the larger of the medians over each reading's row and over its column, (…, rows, columns)."""
+    """Return the larger of the medians over each reading's row and over its column.
+
+    Shape (…, rows, columns).
+    """
     return np.fmax(median(values, -1), median(values, -2))
 
 
 def _pair_scale(value: Array, sigma: Array) -> float:
-    """Return the ratio of the noise to σ, from the median size of differences between successive frames.
+    """Return the ratio of the noise to σ.
 
-    It is NaN without differences.
+    It is determined from the median size of differences between successive frames. It is NaN
+    without differences.
 
     Parameters
     ----------
     value, sigma : array, shape (frames, rows, columns)
-        Differences are divided by √(σ₀² + σ₁²), not the readings by σ: σ depends on the reading, and the ratio of a
-        reading to its own σ hardly varies.
+        Differences are divided by √(σ₀² + σ₁²), not the readings by σ: σ depends on the reading,
+        and the ratio of a reading to its own σ hardly varies.
     """
     difference = np.abs(np.diff(value, axis=0)) / np.hypot(sigma[1:], sigma[:-1])
     return MAD_TO_SIGMA * float(median(difference.ravel())[0]) if difference.size else np.nan

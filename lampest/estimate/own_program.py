@@ -1,16 +1,18 @@
 """The program of some frames, to which a notebook adds unknowns and constraints.
 
-    program = lampest.program(recording, [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=10.0)])
+    terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=10.0)]
+    program = lampest.program(recording, terms)
     program = program.subject_to("equal", program.cells()[0, 3] - program.cells()[0, 4])
     solved = program.solve()
     solved.cell_resistance, solved.cell_resistance_errors
 
-IPOPT solves it from the uniform start. A check outside of IPOPT recomputes the optimality conditions, and error bars
-are those of the program's own Hessian on the plane of its equations:
+IPOPT solves it from the uniform start. A check outside of IPOPT recomputes the optimality
+conditions, and error bars are those of the program's own Hessian on the plane of its equations:
 
-    cov(x) = the block of x in ( ½∇²L  Jᵀ ; J  0 )⁻¹,  L the Lagrangian of φ, J the Jacobian of the equations,
+    cov(x) = the block of x in ( ½∇²L  Jᵀ ; J  0 )⁻¹
 
-over the unknowns that no bound holds. Source: Nocedal & Wright, Numerical Optimization, 2006, section 18.1.
+with the Lagrangian L of φ and the Jacobian J of the equations, over the unknowns that no bound
+holds. Source: Nocedal & Wright, Numerical Optimization, 2006, section 18.1.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +49,9 @@ AT_BOUND = 1e-7  # distance to a bound, in units of the program, within which it
 
 @dataclass(frozen=True, eq=False)
 class OwnProgram(CasadiOwner):
-    """Program of some frames of a recording; `with_…` and `subject_to` return a program with one more part.
+    """Program of some frames of a recording.
+
+    `with_…` and `subject_to` return a program with one more part.
 
     Attributes
     ----------
@@ -58,7 +62,8 @@ class OwnProgram(CasadiOwner):
     circuits : tuple of Circuit
     settings : Settings
 
-    >>> program = lampest.program(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)], frames=[2, 3])
+    >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
+    >>> program = lampest.program(recording, terms, frames=[2, 3])
     >>> program.cells(1).shape
     (2, 3)
     """
@@ -79,7 +84,9 @@ class OwnProgram(CasadiOwner):
         return self.symbols.reading
 
     def with_unknown(self, name: str, **about: Any) -> "tuple[OwnProgram, casadi.SX]":
-        """Return the program with a further unknown, and its symbol; the arguments are those of `Program.with_unknown`.
+        """Return the program with a further unknown, and its symbol.
+
+        The arguments are those of `Program.with_unknown`.
 
         Raises InputError if the name is taken, or a number is out of range.
         """
@@ -87,15 +94,25 @@ class OwnProgram(CasadiOwner):
         return replace(self, symbols=symbols), unknown
 
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "OwnProgram":
-        """Return the program whose terms read changed(y). Raises InputError if the result has another shape."""
+        """Return the program whose terms read changed(y).
+
+        Raises InputError if the result has another shape.
+        """
         return replace(self, symbols=self.symbols.with_reading(changed))
 
     def with_cost(self, added: Any) -> "OwnProgram":
-        """Return the program with a further cost, one number in the unit of φ. Raises InputError for another shape."""
+        """Return the program with a further cost, one number in the unit of φ.
+
+        Raises InputError for another shape.
+        """
         return replace(self, symbols=self.symbols.with_cost(added))
 
-    def subject_to(self, name: str, expression: Any, lower: float = 0.0, upper: float | None = None) -> "OwnProgram":
-        """Return the program with a constraint lower ≤ expression ≤ upper; an equation if there is no upper limit.
+    def subject_to(
+        self, name: str, expression: Any, lower: float = 0.0, upper: float | None = None
+    ) -> "OwnProgram":
+        """Return the program with a constraint lower ≤ expression ≤ upper.
+
+        It is an equation if there is no upper limit.
 
         Raises InputError if the expression is no column, or no function of the unknowns.
         """
@@ -105,8 +122,12 @@ class OwnProgram(CasadiOwner):
     def solve(self) -> "OwnSolution":
         """Solve by IPOPT, and check the result; a failed solve does not raise."""
         tolerance = ACCURACY * self.settings.tolerance
-        interface = Interface(self.symbols, Limits(tolerance, self.settings.max_iterations), scaled=True)
-        instance = Instance.of(self.symbols, self.circuits, EXCITATIONS[self.formulation], self.evaluations)
+        interface = Interface(
+            self.symbols, Limits(tolerance, self.settings.max_iterations), scaled=True
+        )
+        instance = Instance.of(
+            self.symbols, self.circuits, EXCITATIONS[self.formulation], self.evaluations
+        )
         return OwnSolution(instance, interface, interface.minimise(instance))
 
 
@@ -120,7 +141,8 @@ class OwnSolution(CasadiOwner):
     interface : Interface
     result : ProgramResult
 
-    >>> solved = lampest.program(recording, [lampest.Misfit(), lampest.Gradient(weight=1e-3)]).solve()
+    >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
+    >>> solved = lampest.program(recording, terms).solve()
     >>> solved.status
     'optimum verified'
     """
@@ -154,7 +176,10 @@ class OwnSolution(CasadiOwner):
         return cells if self.solved else np.full_like(cells, np.nan)
 
     def __getitem__(self, name: str) -> Array:
-        """Return an own unknown, (size,); NaN where nothing was solved. Raises InputError for an unknown name."""
+        """Return an own unknown, (size,); NaN where nothing was solved.
+
+        Raises InputError for an unknown name.
+        """
         self._check_name(name)
         values = self.instance.program.unknown.named(self.result.unknown)[name]
         return values if self.solved else np.full_like(values, np.nan)
@@ -170,15 +195,18 @@ class OwnSolution(CasadiOwner):
         return np.asarray(self.cell_resistance * relative)
 
     def errors(self, name: str) -> Array:
-        """Return the standard deviations of an own unknown, (size,). Raises InputError for an unknown name."""
+        """Return the standard deviations of an own unknown, (size,).
+
+        Raises InputError for an unknown name.
+        """
         self._check_name(name)
         return self._deviations(name)
 
     @cached_property
     def optimality_error(self) -> float:
-        """Largest of |x − Π(x − ∇ₓ(f + λᵀg))| and of the violation of the equations, in the program's units.
+        """Largest of |x − Π(x − ∇ₓ(f + λᵀg))| and of the violation of the equations.
 
-        All derivatives are evaluated anew, outside of IPOPT.
+        It is in the program's units. All derivatives are evaluated anew, outside of IPOPT.
         """
         gradient, jacobian, _ = self._derivatives
         x = self.result.unknown
@@ -194,13 +222,17 @@ class OwnSolution(CasadiOwner):
     def _check_name(self, name: str) -> None:
         own = self.instance.program.own
         if name not in own:
-            raise InputError(f"the program has no own unknown {name}; it has {', '.join(own) or 'none'}")
+            raise InputError(
+                f"the program has no own unknown {name}; it has {', '.join(own) or 'none'}"
+            )
 
     @cached_property
     @guarded
     def _equations(self) -> Array:
         nlp = self.instance.program.nlp
-        values = casadi.Function("g", [nlp["x"], nlp["p"]], [nlp["g"]])(self.result.unknown, self.instance.parameter)
+        values = casadi.Function("g", [nlp["x"], nlp["p"]], [nlp["g"]])(
+            self.result.unknown, self.instance.parameter
+        )
         return np.asarray(values).ravel()
 
     @cached_property
@@ -214,13 +246,21 @@ class OwnSolution(CasadiOwner):
         at = [nlp["x"], nlp["p"]]
         outputs = [casadi.gradient(nlp["f"], nlp["x"]), casadi.jacobian(nlp["g"], nlp["x"])]
         gradient, jacobian = casadi.Function("first", at, outputs)(x, p)
-        upper = scipy.sparse.csc_array(program.hessian()(x, p, 1.0, self.result.of_equations).sparse())
+        upper = scipy.sparse.csc_array(
+            program.hessian()(x, p, 1.0, self.result.of_equations).sparse()
+        )
         hessian = upper + scipy.sparse.triu(upper, 1).T
-        return np.asarray(gradient).ravel(), scipy.sparse.csc_array(jacobian.sparse()), scipy.sparse.csc_array(hessian)
+        return (
+            np.asarray(gradient).ravel(),
+            scipy.sparse.csc_array(jacobian.sparse()),
+            scipy.sparse.csc_array(hessian),
+        )
 
     def _deviations(self, name: str) -> Array:
         """Return the standard deviations of one block of unknowns, in its unit."""
-        places = self.instance.program.unknown.named(np.arange(len(self.result.unknown), dtype=float))
+        places = self.instance.program.unknown.named(
+            np.arange(len(self.result.unknown), dtype=float)
+        )
         chosen = places[name].astype(int)
         if not self.solved:
             return np.full(len(chosen), np.nan)
@@ -275,8 +315,8 @@ def program(
     Raises
     ------
     InputError
-        If `terms` is no sequence of terms, a weight is open, a frame does not exist, or the formulation has
-        another name.
+        If `terms` is no sequence of terms, a weight is open, a frame does not exist, or the
+        formulation has another name.
 
     Examples
     --------
@@ -286,11 +326,16 @@ def program(
     True
     """
     if formulation not in EXCITATIONS:
-        raise InputError(f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not {formulation}")
+        raise InputError(
+            f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not "
+            f"{formulation}"
+        )
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")
     method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
-    estimator = Estimator(tuple(terms), method, solver or Settings(), bounds or Bounds(), error_bars=False)
+    estimator = Estimator(
+        tuple(terms), method, solver or Settings(), bounds or Bounds(), error_bars=False
+    )
     if estimator.automatic:
         raise InputError("an own program needs terms with weights, not weight: auto")
     prepared = Prepared.of(recording)
@@ -308,15 +353,22 @@ def program(
         cost = estimator.cost(scene, 1, partial=readings.partial)
         evaluations.append(evaluated(cost, data, data.uniform_start))
     circuits = Circuit.of_readout(scene.circuit, scene.panel.shape, scene.wiring)
-    symbols = Program.build(cost, scene.circuit, circuits, EXCITATIONS[formulation], blocks=len(chosen))
+    symbols = Program.build(
+        cost, scene.circuit, circuits, EXCITATIONS[formulation], blocks=len(chosen)
+    )
     return OwnProgram(symbols, tuple(evaluations), circuits, estimator.solver, formulation)
 
 
 def _chosen_frames(recording: Recording, frames: Sequence[int] | None) -> list[int]:
-    """Return the frames of a program, by default the first measured one. Raises InputError if one does not exist."""
+    """Return the frames of a program, by default the first measured one.
+
+    Raises InputError if one does not exist.
+    """
     if frames is None:
         return [int(recording.measured_frames()[0])]
     for frame in frames:
         if not 0 <= frame < len(recording.role):
-            raise InputError(f"the recording has frames 0 to {len(recording.role) - 1}, not {frame}")
+            raise InputError(
+                f"the recording has frames 0 to {len(recording.role) - 1}, not {frame}"
+            )
     return list(frames)

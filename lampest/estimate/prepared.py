@@ -1,4 +1,7 @@
-"""Preparation of a recording: readings, noise, effects, check of the circuit and warnings, each determined once."""
+"""Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
+
+Each is determined once.
+"""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -13,7 +16,12 @@ from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.module_noise import noise_of_modules
 from lampest.estimate.noise import NoiseEstimate, estimate_noise
 from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
+from lampest.estimate.outliers import (
+    frozen_readings,
+    impossible_readings,
+    without_outliers,
+    without_readings,
+)
 from lampest.estimate.resolve import resolved, resolved_scene, with_resolved_electronics
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
@@ -34,14 +42,17 @@ class Cleaned:
     Attributes
     ----------
     recording : Recording
-        Its scene includes a saturated stage where the readings show one; frozen and garbled readings are missing.
+        Its scene includes a saturated stage where the readings show one; frozen and garbled
+        readings are missing.
     frozen : boolean array, shape (rows, columns)
     garbled : tuple of GarbledLines
     outliers : boolean array, shape (frames, rows, columns)
     readings : Readings
-        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
+        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring
+        frames.
     memory : (float, float), str or None
-        Estimate of `converter_memory` with its standard deviation, or why there is none; None where it was not asked.
+        Estimate of `converter_memory` with its standard deviation, or why there is none; None where
+        it was not asked.
     """
 
     recording: Recording
@@ -54,9 +65,10 @@ class Cleaned:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A recording with all quantities that its estimates share. Each property is computed once, when first needed.
+    """A recording with all quantities that its estimates share.
 
-    Properties raise InputError where the readings contradict the scene, as `Readings.of` does.
+    Each property is computed once, when first needed. Properties raise InputError where the
+    readings contradict the scene, as `Readings.of` does.
 
     Attributes
     ----------
@@ -75,7 +87,10 @@ class Prepared:
             return recording
         if isinstance(recording, Recording):
             return cls(recording)
-        raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
+        raise InputError(
+            "recording must be a Recording, such as Recording.load('mine.h5'), not "
+            f"{in_words(recording)}"
+        )
 
     @property
     def layout(self) -> Modules | None:
@@ -89,8 +104,12 @@ class Prepared:
             return ()
         dead = self.recording.scene.dead_modules
         parts = enumerate(self.recording.modules)
-        known = self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
-        return tuple(None if number in dead else Prepared(part, known[number]) for number, part in parts)
+        known = (
+            self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
+        )
+        return tuple(
+            None if number in dead else Prepared(part, known[number]) for number, part in parts
+        )
 
     @cached_property
     def cleaned(self) -> Cleaned:
@@ -98,12 +117,23 @@ class Prepared:
         kept = self.recording.scene.outliers == "keep"
         recording = with_saturated_stage(self.recording)
         recording, memory = with_estimated_memory(recording)
-        frozen = np.zeros(recording.scene.panel.shape, dtype=bool) if kept else frozen_readings(recording)
+        frozen = (
+            np.zeros(recording.scene.panel.shape, dtype=bool)
+            if kept
+            else frozen_readings(recording)
+        )
         garbled = () if kept else garbled_lines(recording)
         recording = without_readings(recording, frozen | readings_of(garbled, recording))
         readings = recording.readings()
         if kept:
-            return Cleaned(recording, frozen, garbled, np.zeros(readings.value.shape, dtype=bool), readings, memory)
+            return Cleaned(
+                recording,
+                frozen,
+                garbled,
+                np.zeros(readings.value.shape, dtype=bool),
+                readings,
+                memory,
+            )
         impossible = impossible_readings(recording.scene.circuit, readings)
         outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
         return Cleaned(recording, frozen, garbled, outliers, readings, memory)
@@ -115,10 +145,13 @@ class Prepared:
             estimates = [None if module is None else module.frame_noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
-        noise = with_resolved_electronics(noise, self.recording, self.cleaned.recording, self.cleaned.memory)
+        noise = with_resolved_electronics(
+            noise, self.recording, self.cleaned.recording, self.cleaned.memory
+        )
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         warning = (
-            f"one value in all frames at {' and at '.join(places)}, while noise changes the other readings: left out"
+            f"one value in all frames at {' and at '.join(places)}, while noise changes the "
+            "other readings: left out"
         )
         lost = garbled_sentence(self.cleaned.garbled)
         return noise.with_warnings(*filter(None, (warning if places else "", lost)))
@@ -126,7 +159,10 @@ class Prepared:
     @cached_property
     @ONE_BLAS_THREAD
     def question(self) -> Question:
-        """The frames of a single network that its circuit has to explain. Raises the errors of `BROKEN`."""
+        """Frames of a single network that its circuit has to explain.
+
+        Raises the errors of `BROKEN`.
+        """
         return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
     @cached_property
@@ -144,9 +180,14 @@ class Prepared:
 
     @cached_property
     def check(self) -> ModelCheck:
-        """The check of the circuit; its sentence names the numbers of the circuit that no frame can determine."""
+        """Check of the circuit.
+
+        Its sentence names the numbers of the circuit that no frame can determine.
+        """
         check = self._check
-        unshown = unobservable_numbers(self.recording.scene, self._scale_error) if check.explains else ""
+        unshown = (
+            unobservable_numbers(self.recording.scene, self._scale_error) if check.explains else ""
+        )
         return replace(check, sentence=f"{check.sentence}; {unshown}") if unshown else check
 
     @property
@@ -155,7 +196,11 @@ class Prepared:
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.layout is None and self.cleaned.readings.sigma is not None:
                 explanation = self.question.explanation
-                return None if explanation is None or explanation.pair is None else explanation.pair.scale_error
+                return (
+                    None
+                    if explanation is None or explanation.pair is None
+                    else explanation.pair.scale_error
+                )
         return None
 
     @cached_property
@@ -163,29 +208,49 @@ class Prepared:
     def _check(self) -> ModelCheck:
         """The check without the numbers that no frame can determine."""
         if self.layout is not None:
-            living = {number: module for number, module in enumerate(self.modules) if module is not None}
-            return check_of_modules(self.recording, self.layout, lambda number: living[number]._check)
+            living = {
+                number: module for number, module in enumerate(self.modules) if module is not None
+            }
+            return check_of_modules(
+                self.recording, self.layout, lambda number: living[number]._check
+            )
         if self.cleaned.readings.sigma is None:
-            return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
+            return ModelCheck(
+                None, "the circuit was not checked: the noise of the readings is unknown"
+            )
         with suppress(*BROKEN), np.errstate(all="ignore"):
             check = self.question.check(self.effects)
             count = int(self.cleaned.outliers.sum())
-            left_out = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
+            left_out = (
+                f"; {count} outlier{'s' if count > 1 else ''} of one frame left out"
+                if count
+                else ""
+            )
             return replace(check, sentence=check.sentence + left_out)
-        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
+        return ModelCheck(
+            None, "the circuit was not checked: arithmetic broke down over its readings"
+        )
 
     @cached_property
     @ONE_BLAS_THREAD
     def noise(self) -> NoiseEstimate:
-        """Noise of the frames and errors that all frames share, with readings whose σ includes both."""
+        """Noise of the frames and errors that all frames share.
+
+        Its readings have a σ that includes both.
+        """
         if self.layout is not None:
             estimates = [None if module is None else module.noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, estimates)
-        return resolved(self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of)
+        return resolved(
+            self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
+        )
 
     @cached_property
     def resolved(self) -> Recording:
-        """The recording with the numbers that its scene calls `estimated`, as far as it determines them."""
+        """Recording with the numbers that its scene calls `estimated`.
+
+        It has them as far as it determines them.
+        """
         return replace(self.recording, scene=resolved_scene(self.recording.scene, self.noise))
 
     @cached_property

@@ -1,8 +1,9 @@
 """Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
 
-Each effect is an entry of one table: its keys, and how the recording determines them. What an entry returns holds the
-numbers with their standard deviations, and readings with the corresponding σ. Where the recording cannot determine a
-number, a warning says why and what to record, and the prior stays.
+Each effect is an entry of one table: its keys, and how the recording determines them. What an entry
+returns holds the numbers with their standard deviations, and readings with the corresponding σ.
+Where the recording cannot determine a number, a warning says why and what to record, and the prior
+stays.
 """
 
 from collections.abc import Callable
@@ -77,12 +78,21 @@ def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> No
         return noise
     found = effects(tuple(BESIDES[key] for key in asked))
     if found.pair is None:
-        seen = f"{found.name}, but others explain the readings as well" if found.name else "untouched cells show none"
-        return noise.with_warnings(f"{' and '.join(asked)}: estimated, and not taken off the readings: {seen}")
+        seen = (
+            f"{found.name}, but others explain the readings as well"
+            if found.name
+            else "untouched cells show none"
+        )
+        return noise.with_warnings(
+            f"{' and '.join(asked)}: estimated, and not taken off the readings: {seen}"
+        )
     noise = without_effects(noise, recording, found).with_warnings(found.corrections)
     deviations = found.pair.explained(found.pair.columns(found.pair.effects)).sd[1:]
     sizes = {
-        f"{key} of {effect.where(recording.scene.panel.rows)}": (effect.size, float(deviation) * effect.prior)
+        f"{key} of {effect.where(recording.scene.panel.rows)}": (
+            effect.size,
+            float(deviation) * effect.prior,
+        )
         for key, kind in BESIDES.items()
         for effect, deviation in zip(found.pair.effects, deviations, strict=True)
         if isinstance(effect, kind)
@@ -101,9 +111,15 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     if share != ESTIMATED:
         return noise.with_motion(scene, measured, float(share)) if share else noise
     unloaded = recording.role == UNLOADED
-    size = share_of_motion(scene, readings[unloaded].mean(), readings, measured) if unloaded.any() else None
+    size = (
+        share_of_motion(scene, readings[unloaded].mean(), readings, measured)
+        if unloaded.any()
+        else None
+    )
     if size is None:
-        return noise.undetermined("motion", "cells explain each frame within its noise, so none shows motion")
+        return noise.undetermined(
+            "motion", "cells explain each frame within its noise, so none shows motion"
+        )
     return noise.with_motion(scene, measured, size[0]).determined("motion", size)
 
 
@@ -117,7 +133,11 @@ def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     if not asked:
         size = READING_ERROR.size(sizes) if (sizes := systematic_of(scene)) else 0.0
         possible = Possible(sizes or Systematic(), in_sigma=size)
-        return _with_reading_error(replace(noise, possible_errors=possible), recording) if size else noise
+        return (
+            _with_reading_error(replace(noise, possible_errors=possible), recording)
+            if size
+            else noise
+        )
     if not len(unloaded):
         for name in asked:
             noise = noise.undetermined(f"systematic.{name}", "record five or more unloaded frames")
@@ -140,8 +160,8 @@ def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
 def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
     """Return the noise with each reading's own error in σ.
 
-    Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ of each of n unloaded
-    frames includes √n times the error.
+    Error bars treat the error as one that all frames share. Averaging does not reduce it, so σ of
+    each of n unloaded frames includes √n times the error.
     """
     sigma = noise.readings.sigma
     size = noise.error_in_sigma
@@ -150,11 +170,16 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
     unloaded = recording.role == UNLOADED
     repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
     # σ² ← σ² + (√n e)²: the mean of the n unloaded frames then has the whole error e
-    return noise.with_sigma(np.hypot(sigma, repeats * own_errors(noise.readings.value, recording.scene, size)))
+    return noise.with_sigma(
+        np.hypot(sigma, repeats * own_errors(noise.readings.value, recording.scene, size))
+    )
 
 
 def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Determine the change of all cells alike since the unloaded frames, from the cells that no load touches."""
+    """Determine the change of all cells alike since the unloaded frames.
+
+    It is determined from the cells that no load touches.
+    """
     scene = recording.scene
     readings = noise.readings
     if scene.creep != ESTIMATED:
@@ -162,7 +187,9 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
     unloaded = recording.role == UNLOADED
     measured = np.flatnonzero(recording.role == MEASURED)
     if readings.sigma is None or not unloaded.any() or not len(measured):
-        return noise.undetermined("creep", "record unloaded frames, and frames whose load leaves cells free")
+        return noise.undetermined(
+            "creep", "record unloaded frames, and frames whose load leaves cells free"
+        )
     if scene.panel.crossings > MAX_CELLS:
         return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
     resting = readings[unloaded].mean()
@@ -172,9 +199,15 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
         return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
     evidence = FittedPair.of(base, last).evidence
     if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
-        return noise.undetermined("creep", "the load touches most cells: record a frame with less load at the end")
+        return noise.undetermined(
+            "creep", "the load touches most cells: record a frame with less load at the end"
+        )
     return noise.determined(
-        "creep", (ASSUMED.common_change * float(evidence.size[0]), ASSUMED.common_change * float(evidence.sd[0]))
+        "creep",
+        (
+            ASSUMED.common_change * float(evidence.size[0]),
+            ASSUMED.common_change * float(evidence.sd[0]),
+        ),
     )
 
 
@@ -192,13 +225,19 @@ ENTRIES = (
     Entry(("systematic.model_error",), _model, always=True),
 )
 PASSES = "readout.passes_volt"
-FRAME_KEYS = ("readout.noise_lsb", PASSES, "converter_memory", "gain", "ripple")  # resolved with the frames' noise
+# Resolved with the frames' noise.
+FRAME_KEYS = ("readout.noise_lsb", PASSES, "converter_memory", "gain", "ripple")
 
 
 def with_resolved_electronics(
-    noise: NoiseEstimate, given: Recording, cleaned: Recording, memory: tuple[float, float] | str | None
+    noise: NoiseEstimate,
+    given: Recording,
+    cleaned: Recording,
+    memory: tuple[float, float] | str | None,
 ) -> NoiseEstimate:
-    """Return the noise with what was determined before any reading was taken: a saturated stage, converter memory.
+    """Return the noise with what was determined before any reading was taken.
+
+    That is a saturated stage, and converter memory.
 
     Parameters
     ----------
@@ -211,7 +250,9 @@ def with_resolved_electronics(
     if specified(given.scene, PASSES) == ESTIMATED:
         passes = specified(cleaned.scene, PASSES)
         if passes is None:
-            noise = noise.undetermined(PASSES, "channels of its frames end at no common voltage: load more cells")
+            noise = noise.undetermined(
+                PASSES, "channels of its frames end at no common voltage: load more cells"
+            )
         else:
             noise = noise.determined(PASSES, passes)
     if isinstance(memory, str):
@@ -222,7 +263,9 @@ def with_resolved_electronics(
 def resolved(
     noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate | None, effects: Effects
 ) -> NoiseEstimate:
-    """Return the noise of a single network with all effects that its scene names, and with the model's error.
+    """Return the noise of a single network with all effects that its scene names.
+
+    It is returned with the model's error, too.
 
     Parameters
     ----------
@@ -250,20 +293,25 @@ def resolved(
     return noise
 
 
-def _as_the_whole(noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate) -> NoiseEstimate:
-    """Return the noise of a part with the effects, the motion and the errors of the whole recording."""
+def _as_the_whole(
+    noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate
+) -> NoiseEstimate:
+    """Return the noise of a part with the effects, motion and errors of the whole recording."""
     noise = without_effects(noise, recording, whole.corrected_effects)
     if whole.motion:
-        noise = noise.with_motion(recording.scene, np.flatnonzero(recording.role == MEASURED), whole.motion)
+        noise = noise.with_motion(
+            recording.scene, np.flatnonzero(recording.role == MEASURED), whole.motion
+        )
     noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
     noise = _with_reading_error(noise, recording)
     return scaled(noise, recording, whole.model_factor)
 
 
 def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
-    """Return the scene with numbers in place of `estimated`, as far as the recording determines them.
+    """Return the scene with numbers in place of `estimated`.
 
-    An error that it cannot determine has its prior, any other effect is absent.
+    It has them as far as the recording determines them. An error that it cannot determine has its
+    prior, any other effect is absent.
     """
     asked = [key for entry in ENTRIES for key in entry.keys if specified(scene, key) == ESTIMATED]
     asked += [key for key in FRAME_KEYS if specified(scene, key) == ESTIMATED]
@@ -275,7 +323,9 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
         sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
         changes = {name: getattr(sizes, name) for name in estimated_errors(scene)}
         changes["model_error"] = numbers.get("systematic.model_error", changes.get("model_error"))
-        systematic = replace(systematic, **{name: changes[name] for name in estimated_errors(scene)})
+        systematic = replace(
+            systematic, **{name: changes[name] for name in estimated_errors(scene)}
+        )
     readout: Any = scene.readout
     if specified(scene, "readout.noise_lsb") == ESTIMATED:
         readout = replace(readout, noise_lsb=numbers.get("readout.noise_lsb"))
@@ -283,4 +333,6 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
         low, high = noise.estimated.get(PASSES, (0.0, np.inf))
         readout = replace(readout, passes_volt=(low, high) if np.isfinite(high) else None)
     own: dict[str, Any] = {key: numbers.get(key) for key in asked if "." not in key}
-    return replace(scene, readout=readout, systematic=systematic, estimated=dict(noise.estimated), **own)
+    return replace(
+        scene, readout=readout, systematic=systematic, estimated=dict(noise.estimated), **own
+    )

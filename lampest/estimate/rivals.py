@@ -1,9 +1,10 @@
 """Rival circuits of a recording, and the frames that they have to explain.
 
-Rivals are circuits of the one equation with the scene's converter and resistor: every preset with either side driven,
-sensed lines read in parallel, idle lines held by switches; also the scene's circuit with readings in another order.
-Each has any resistance in series. All rivals share the converter's voltages: where the scene's circuit has computed
-resistances from them, that computation is inverted.
+Rivals are circuits of the one equation with the scene's converter and resistor: every preset with
+either side driven, sensed lines read in parallel, idle lines held by switches; also the scene's
+circuit with readings in another order. Each has any resistance in series. All rivals share the
+converter's voltages: where the scene's circuit has computed resistances from them, that computation
+is inverted.
 """
 
 from collections.abc import Iterator
@@ -27,7 +28,8 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, MIN_CHANGE, UNLOADED
 
-RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # names of the resistor that a converter reads across
+# Names of the resistor that a converter reads across.
+RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")
 CALLED = {
     "driven": "rows and columns swapped",
     "polarity": "polarity reversed",
@@ -35,8 +37,9 @@ CALLED = {
 }
 BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
-# Largest noise of a resistance with which the divider's function of Gaussian voltages is still nearly Gaussian, as a
-# fraction. Largest shift of a mean by the same curvature, in its standard deviations.
+# Largest noise of a resistance with which the divider's function of Gaussian voltages is still
+# nearly Gaussian, as a fraction. Largest shift of a mean by the same curvature, in its standard
+# deviations.
 MAX_RELATIVE_NOISE = 0.05
 MAX_SHIFT = 0.1
 
@@ -52,7 +55,8 @@ class Rival:
     recorded : array, shape (frames, rows, columns)
         Values that this circuit would have recorded from the same codes.
     sigma : array or None
-        Standard deviations of the recorded values, where the recording has its own; None: those of the readout.
+        Standard deviations of the recorded values, where the recording has its own; None: those of
+        the readout.
     kind : str
         The kind in words; '' for the specified circuit.
     in_series : float or None
@@ -60,7 +64,8 @@ class Rival:
     at_limit : bool
         Whether this number is at the end of its range, where it is no finding.
     order : array of int, or None
-        Numbers of the recorded readings, rows first, in the order in which this rival takes them; None: as recorded.
+        Numbers of the recorded readings, rows first, in the order in which this rival takes them;
+        None: as recorded.
     """
 
     scene: Scene
@@ -73,7 +78,10 @@ class Rival:
 
     @property
     def name(self) -> str:
-        """The circuit in the words of a scene; '' for the specified one, also with a number at its limit."""
+        """Circuit in the words of a scene.
+
+        '' for the specified one, also with a number at its limit.
+        """
         if self.in_series is None or self.at_limit:
             return self.kind
         series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
@@ -94,22 +102,27 @@ class Rival:
         """Return values of recorded readings (…, rows, columns) in the order of this rival."""
         if self.order is None:
             return values
-        return np.asarray(values.reshape(*values.shape[:-2], -1)[..., self.order].reshape(values.shape))
+        return np.asarray(
+            values.reshape(*values.shape[:-2], -1)[..., self.order].reshape(values.shape)
+        )
 
     def with_series(self, ohm: float) -> "Rival":
         """Return the rival with another resistance in series, ohm."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
     def readings(self, frames: NDArray[np.intp] | slice = slice(None)) -> Readings:
-        """Return the readings of these frames. Raises InputError where the circuit cannot have recorded the values."""
+        """Return the readings of these frames.
+
+        Raises InputError where the circuit cannot have recorded the values.
+        """
         sigma = self.sigma if self.sigma is None or self.sigma.ndim == 2 else self.sigma[frames]
         return Readings.of(self.scene, self.recorded[frames], sigma)
 
     def nearly_gaussian(self, frames: int) -> Array:
-        """Return 1 where the noise of a recorded value is nearly Gaussian, else 0, (all frames, rows, columns).
+        """Return 1 where the noise of a recorded value is nearly Gaussian, else 0.
 
-        Voltages are as Gaussian as the converter's noise. Resistances that were computed from them are nearly Gaussian
-        while the noise is small.
+        Shape (all frames, rows, columns). Voltages are as Gaussian as the converter's noise.
+        Resistances that were computed from them are nearly Gaussian while the noise is small.
 
         Parameters
         ----------
@@ -119,7 +132,8 @@ class Rival:
         sigma = self.readings().sigma
         if self.scene.circuit.unit != "ohm" or sigma is None:
             return np.ones(self.recorded.shape)
-        # The curvature shifts a mean by about (σ/R)² R, which is √n σ/R standard deviations of a mean of n frames.
+        # The curvature shifts a mean by about (σ/R)² R, which is √n σ/R standard deviations of a
+        # mean of n frames.
         most = min(MAX_RELATIVE_NOISE, MAX_SHIFT / np.sqrt(frames))
         return np.where(sigma <= most * self.recorded, 1.0, 0.0)
 
@@ -131,8 +145,8 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
     ----------
     specified : Rival
     reversed_too : bool
-        Whether to include circuits under which the readings decrease with a load where those of the specified circuit
-        increase.
+        Whether to include circuits under which the readings decrease with a load where those of the
+        specified circuit increase.
     """
     scene = specified.scene
     readout = specified.scene.readout
@@ -150,22 +164,33 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             with suppress(ValueError):  # the kind may have no model of another entry of the scene
                 alike = type(circuit) is type(readout) and circuit.in_series
                 series = scene.series_resistance_ohm if alike else 0.0
-                rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
+                rival = replace(
+                    scene, readout=circuit, series_resistance_ohm=series, systematic=None
+                )
                 yield Rival(rival, values, sigma, _kind(circuit, readout))
     if (order := _by_columns(scene)) is not None:
         ordered = replace(specified, order=order)
         sigma = None if specified.sigma is None else ordered.ordered(specified.sigma)
-        ordered = replace(ordered, recorded=ordered.ordered(specified.recorded), sigma=sigma, kind=BY_COLUMNS)
+        ordered = replace(
+            ordered, recorded=ordered.ordered(specified.recorded), sigma=sigma, kind=BY_COLUMNS
+        )
         yield ordered
         side = getattr(readout, "driven", None)
         if side is not None:  # the scene's rows may be those of the file, too
             with suppress(ValueError):
-                exchanged = replace(scene, readout=_changed(readout, driven=opposite(side)), systematic=None)
-                yield replace(ordered, scene=exchanged, kind=f"{BY_COLUMNS}, readout.driven: {opposite(side)}")
+                exchanged = replace(
+                    scene, readout=_changed(readout, driven=opposite(side)), systematic=None
+                )
+                yield replace(
+                    ordered, scene=exchanged, kind=f"{BY_COLUMNS}, readout.driven: {opposite(side)}"
+                )
 
 
 def _by_columns(scene: Scene) -> NDArray[np.intp] | None:
-    """Return the order of readings that a file lists column by column; None where a crossing has no reading."""
+    """Return the order of readings that a file lists column by column.
+
+    None where a crossing has no reading.
+    """
     rows, columns = scene.panel.shape
     if not scene.whole or scene.panel.modules is not None or min(rows, columns) == 1:
         return None
@@ -178,7 +203,10 @@ def _changed(circuit: Any, **settings: Any) -> Any:
 
 
 def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
-    """Generate the specified circuit with two and four multiplexers of sensed lines, in blocks of lines."""
+    """Generate the specified circuit with two and four multiplexers of sensed lines.
+
+    The multiplexers are in blocks of lines.
+    """
     names = {field.name for field in fields(specified)}
     if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
         return
@@ -186,13 +214,18 @@ def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
     sensed = rows if getattr(specified, "driven", "rows") == "columns" else columns
     for count in PARALLEL:
         size = -(-sensed // count)
-        blocks = tuple(tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size))
+        blocks = tuple(
+            tuple(range(first, min(first + size, sensed))) for first in range(0, sensed, size)
+        )
         if len(blocks) == count and size > 1:
             yield _changed(specified, groups=blocks)
 
 
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
-    """Return the words that each literal setting of a kind may have; the first setting is its name."""
+    """Return the words that each literal setting of a kind may have.
+
+    The first setting is its name.
+    """
     types = get_type_hints(kind)
     names = [field.name for field in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
@@ -203,7 +236,8 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
 
     The converter, the resistor and all other common settings are those of the specified circuit.
     """
-    if kind is DrivenReadout:  # its presets are rivals of their own; what remains has lines that switches hold
+    # Its presets are rivals of their own; what remains has lines that switches hold.
+    if kind is DrivenReadout:
         yield from _held(specified)
         return
     words = choices(kind)
@@ -214,31 +248,55 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         shared["supply_volt"] = specified.full_scale_volt
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
     for name in names.intersection(RESISTORS) if known else ():
-        # the specified resistor takes the role of the kind's own; a list for lines becomes its mean where one is needed
+        # the specified resistor takes the role of the kind's own; a list for lines becomes its mean
+        # where one is needed
         shared[name] = float(np.mean(known[0])) if types[name] is float else known[0]
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
 def _held(specified: Any) -> Iterator[DrivenReadout]:
-    """Generate circuits whose idle driven lines switches hold at ground, with any idle sensed lines."""
-    resistor = next((getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None)
+    """Generate circuits whose idle driven lines switches hold at ground.
+
+    They have any idle sensed lines.
+    """
+    resistor = next(
+        (getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None
+    )
     if resistor is None:
         return
-    names = ("supply_volt", "adc_bits", "readings", "noise_lsb", "floor_code", "passes_volt", "drive_ohm", "sense_ohm")
+    names = (
+        "supply_volt",
+        "adc_bits",
+        "readings",
+        "noise_lsb",
+        "floor_code",
+        "passes_volt",
+        "drive_ohm",
+        "sense_ohm",
+    )
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     sides: tuple[Side, ...] = ("rows", "columns")
     for driven, idle_load in product(sides, (None, 0.0, inf)):
         with suppress(ValueError):
-            yield DrivenReadout(driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared)
+            yield DrivenReadout(
+                driven=driven, idle_ohm=0.0, load_ohm=resistor, idle_load_ohm=idle_load, **shared
+            )
 
 
 def _kind(circuit: Readout, specified: Readout) -> str:
-    """Return the name of a circuit: the single setting that differs from the specified one, or all its words."""
+    """Return the name of a circuit.
+
+    It is the single setting that differs from the specified one, or all its words.
+    """
     groups = getattr(circuit, "groups", None)
     if groups is not None and groups != getattr(specified, "groups", None):
         return f"readout.groups: {[list(group) for group in groups]} (read in parallel)"
-    if groups is None and getattr(specified, "groups", None) is not None and type(circuit) is type(specified):
+    if (
+        groups is None
+        and getattr(specified, "groups", None) is not None
+        and type(circuit) is type(specified)
+    ):
         return "no readout.groups (lines read one after the other)"
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     if isinstance(circuit, DrivenReadout):
@@ -250,40 +308,59 @@ def _kind(circuit: Readout, specified: Readout) -> str:
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
-    """Return ln of the apparent resistances; NaN where the circuit does not fit the panel or cannot have the values."""
+    """Return ln of the apparent resistances.
+
+    NaN where the circuit does not fit the panel or cannot have the values.
+    """
     with suppress(InputError, ValueError), np.errstate(all="ignore"):
         circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
-        return np.asarray(np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene))))
+        return np.asarray(
+            np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene)))
+        )
     return np.full(recorded.shape, np.nan)
 
 
 def _sense(first: Array, second: Array) -> float:
-    """Return the sign of the covariance of two sets of log resistances: positive if a load moves both in one direction.
+    """Return the sign of the covariance of two sets of log resistances.
 
-    Values that are not finite are ignored; without any other the result is 0.
+    It is positive if a load moves both in one direction. Values that are not finite are ignored;
+    without any other the result is 0.
     """
     known = np.isfinite(first) & np.isfinite(second)
-    first, second = (values[known] - values[known].sum() / max(known.sum(), 1) for values in (first, second))
+    first, second = (
+        values[known] - values[known].sum() / max(known.sum(), 1) for values in (first, second)
+    )
     return float(np.sum(first * second))
 
 
 @np.errstate(all="ignore")
 def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint8]) -> Array:
-    """Return ln(R/R_unloaded) of the apparent resistances, (measured frames, rows, columns); 0 where insignificant."""
+    """Return ln(R/R_unloaded) of the apparent resistances; 0 where insignificant.
+
+    Shape (measured frames, rows, columns).
+    """
     unloaded = role == UNLOADED
     measured = role == MEASURED
     if not unloaded.any() or not measured.any() or readings.sigma is None:
         return np.zeros((0, *scene.panel.shape))
     resting = readings[unloaded].mean().value
     values = readings[measured].plain_values
-    change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
+    change = np.log(
+        scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting)
+    )
     # a change counts if it exceeds six standard deviations of the reading and MIN_CHANGE
-    beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (np.abs(change) > MIN_CHANGE)
+    beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (
+        np.abs(change) > MIN_CHANGE
+    )
     return np.where(beyond, change, 0.0)
 
 
-def standing_frames(readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
-    """Return the frames that are equal to one frame within their noise, so that their mean has less noise.
+def standing_frames(
+    readings: Readings, frame: int, candidates: NDArray[np.intp], noise: float
+) -> NDArray[np.intp]:
+    """Return the frames that are equal to one frame within their noise.
+
+    Their mean thus has less noise.
 
     Parameters
     ----------
@@ -301,6 +378,9 @@ def standing_frames(readings: Readings, frame: int, candidates: NDArray[np.intp]
     spread = noise * np.hypot(sigma, sigma[frame])
     # χ² of the difference of two frames, Σ (y − y₀)²/(σ² + σ₀²)
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
-    similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= FALSE_ALARM_RATE
+    similar = (
+        chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1))
+        >= FALSE_ALARM_RATE
+    )
     standing: NDArray[np.intp] = candidates[similar[candidates] | (candidates == frame)]
     return standing

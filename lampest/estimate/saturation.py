@@ -1,6 +1,7 @@
 """Detection of a stage before the converter that saturates.
 
-Significantly more channels end at one voltage than near it. The readings there are bounds, as at a rail.
+Significantly more channels end at one voltage than near it. The readings there are bounds, as at a
+rail.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +16,8 @@ from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-# In widths within which voltages count as equal: least range of the channels; within a smaller one all are alike.
+# In widths within which voltages count as equal: least range of the channels; within a smaller one
+# all are alike.
 MIN_EXTENT = 10.0
 
 
@@ -41,19 +43,27 @@ class Saturated:
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        channels = f"{self.loaded} loaded channels end" if self.loaded else f"{self.unloaded} unloaded channels stand"
-        also = f", {self.unloaded} of the unloaded panel too" if self.loaded and self.unloaded else ""
+        channels = (
+            f"{self.loaded} loaded channels end"
+            if self.loaded
+            else f"{self.unloaded} unloaded channels stand"
+        )
+        also = (
+            f", {self.unloaded} of the unloaded panel too" if self.loaded and self.unloaded else ""
+        )
         return (
             f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
-            "does a stage before the converter saturate there? Then name it: readout: {passes_volt: estimated}"
+            "does a stage before the converter saturate there? Then name it: readout: "
+            "{passes_volt: estimated}"
         )
 
 
 def saturated(recording: Recording) -> Saturated | None:
-    """Return the voltage at which several channels end; None where there is none, or where the scene states one.
+    """Return the voltage at which several channels end.
 
-    Channels that moved under load are tested by their largest or smallest voltage over the measured frames, all
-    channels by their unloaded voltage.
+    None where there is none, or where the scene states one. Channels that moved under load are
+    tested by their largest or smallest voltage over the measured frames, all channels by their
+    unloaded voltage.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -79,36 +89,48 @@ def saturated(recording: Recording) -> Saturated | None:
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(counted, end - channels, np.inf)
             piled = below <= width  # at the end
-            extended = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
+            extended = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(
+                np.mean(width)
+            )
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several = int(piled.sum())
             around = int((below <= MIN_EXTENT * width).sum())
-            # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie within the first
-            # width with probability 1/MIN_EXTENT.
+            # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would
+            # lie within the first width with probability 1/MIN_EXTENT.
             rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
             if extended and lines > 1 and rare:
-                level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
+                level = float(
+                    np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)])
+                )
                 resting_too = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)
     return None
 
 
 def with_saturated_stage(recording: Recording) -> Recording:
-    """Return the recording with a number for `passes_volt: estimated`; None in its place where its frames show none."""
+    """Return the recording with a number for `passes_volt: estimated`.
+
+    None in its place where its frames show none.
+    """
     readout = recording.scene.readout
     if readout is None or readout.passes_volt != ESTIMATED:
         return recording
     stage = saturated(recording)
     if stage is None:
-        return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=None)))
+        return replace(
+            recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=None))
+        )
     passes = (0.0, stage.volt) if stage.highest else (stage.volt, readout.full_scale_volt)
-    return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
+    return replace(
+        recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes))
+    )
 
 
 def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
-    """Return the channels whose row and column differ from every earlier line of their side, (rows, columns).
+    """Return the channels whose row and column differ from every earlier line of their side.
 
-    Lines that touch read equal voltages, which would be mistaken for a limit.
+    Shape (rows, columns). Lines that touch read equal voltages, which would be mistaken for a
+    limit.
 
     Parameters
     ----------
@@ -121,6 +143,9 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
         with np.errstate(invalid="ignore"):
-            differs = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
+            differs = [
+                np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all()
+                for at, line in enumerate(lines)
+            ]
         differing.append(np.array(differs))
     return np.asarray(differing[0][:, None] & differing[1])

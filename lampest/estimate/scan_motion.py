@@ -1,8 +1,9 @@
-"""Motion within a scan: loads that move while the readings of a frame are taken one after the other.
+"""Motion within a scan: loads that move while the readings of a frame are taken.
 
-A reading is taken at its own delay from the middle of the frame, and the load has moved by then. The change within the
-delay is estimated from the steps between frames, times the share of the time between frames that a scan takes. Frames
-that no cells explain otherwise determine this share.
+The readings are taken one after the other. A reading is taken at its own delay from the middle of
+the frame, and the load has moved by then. The change within the delay is estimated from the steps
+between frames, times the share of the time between frames that a scan takes. Frames that no cells
+explain otherwise determine this share.
 """
 
 from dataclasses import replace
@@ -22,12 +23,13 @@ SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 
 
 def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """Return the steps of each reading from the previous and to the next measured frame, times τ, (2, frames, …).
+    """Return the steps of each reading from the previous and to the next measured frame.
 
-    τ is the delay of a reading from the middle of its frame, in periods, if a scan takes the whole period. The first
-    and the last frame have one neighbour; frames that are not measured have 0. The mean of both steps is the change
-    between the middle of a frame and a reading's own time. It is zero for a load that is present in a single frame,
-    and the larger step is not.
+    They are given times τ, shape (2, frames, …). τ is the delay of a reading from the middle of its
+    frame, in periods, if a scan takes the whole period. The first and the last frame have one
+    neighbour; frames that are not measured have 0. The mean of both steps is the change between the
+    middle of a frame and a reading's own time. It is zero for a load that is present in a single
+    frame, and the larger step is not.
     """
     steps = np.zeros((2, *readings.value.shape))
     channels = readings.value[0].size
@@ -42,15 +44,17 @@ def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.int
 def share_of_motion(
     scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]
 ) -> tuple[float, float] | None:
-    """Return the share of the time between frames that a scan takes, and its standard deviation; None where unknown.
+    """Return the share of the time between frames that a scan takes.
 
-    No cells explain the readings of a frame that was scanned while a load moved. The frames with the largest motion
-    are fitted with σ² + (share · step · τ)², and their likelihood is compared over SHARES, all equally probable before.
-    Of d degrees of freedom, readings that no cells follow,
+    It is returned with its standard deviation; None where unknown. No cells explain the readings of
+    a frame that was scanned while a load moved. The frames with the largest motion are fitted with
+    σ² + (share · step · τ)², and their likelihood is compared over SHARES, all equally probable
+    before. Of d degrees of freedom, readings that no cells follow,
 
         −2 ln p(share) = χ² + d · mean ln(1 + (share · step · τ/σ)²).
 
-    Loads that no frame shows to move, or whose frames cells explain whatever the share, tell nothing of it.
+    Loads that no frame shows to move, or whose frames cells explain whatever the share, tell
+    nothing of it.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:

@@ -29,18 +29,21 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, joined, measured_part
 from lampest.solvers.solution import Status
 
-# Unloaded frames, and measured ones around the strongest, that represent a long recording; at most those of a part.
+# Unloaded frames, and measured ones around the strongest, that represent a long recording; at most
+# those of a part.
 LEAD_FRAMES = 500
 OPENING_FRAMES = 10  # first measured frames that replace the unloaded ones where there are none
 
 
-_Network = tuple[Recording, Readings, Readings]  # recording of a network, its readings, and the unloaded ones
+# Recording of a network, its readings, and the unloaded ones.
+_Network = tuple[Recording, Readings, Readings]
 
 
 def default_terms(recording: Recording) -> tuple[Term, ...]:
-    """Return the default terms: the misfit, weighted by the noise where it is known, and the gradient of ln r.
+    """Return the default terms: the misfit and the gradient of ln r.
 
-    Both are free of units and of scale. Raises InputError if `recording` is no Recording.
+    The misfit is weighted by the noise where it is known. Both are free of units and of scale.
+    Raises InputError if `recording` is no Recording.
     """
     known = Prepared.of(recording).recording.readings().sigma is not None
     return Misfit(weighting="noise" if known else "plain"), LogGradient()
@@ -50,20 +53,23 @@ def default_terms(recording: Recording) -> tuple[Term, ...]:
 def reconstruct(
     recording: Recording | Prepared,
     estimator: Estimator,
-    on_frame: Callable[[int, int, Callable[[], Estimates] | None], None] = lambda done, frames, so_far: None,
+    on_frame: Callable[
+        [int, int, Callable[[], Estimates] | None], None
+    ] = lambda done, frames, so_far: None,
 ) -> Estimates:
     """Solve every measured frame of a recording.
 
-    A frame that fails, or that has too few readings, contains NaN and a status. The frames after it continue from the
-    last solved one.
+    A frame that fails, or that has too few readings, contains NaN and a status. The frames after it
+    continue from the last solved one.
 
     Parameters
     ----------
     recording : Recording or Prepared
     estimator : Estimator
     on_frame : callable
-        Called after every frame with the number of solved frames, the number of all, and a function that returns the
-        estimates so far, with the other frames unsolved; None for a method that solves all frames together.
+        Called after every frame with the number of solved frames, the number of all, and a function
+        that returns the estimates so far, with the other frames unsolved; None for a method that
+        solves all frames together.
 
     Raises
     ------
@@ -75,7 +81,9 @@ def reconstruct(
     recording = prepared.resolved
     readings = prepared.noise.readings
     stream = first_stream(recording, readings, estimator, prepared.noise)
-    return MeasuredPart(recording, recording.measured_frames(), readings, prepared).solve(stream, on_frame)[1]
+    return MeasuredPart(recording, recording.measured_frames(), readings, prepared).solve(
+        stream, on_frame
+    )[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +110,9 @@ class MeasuredPart:
     def solve(
         self,
         stream: Stream,
-        on_frame: Callable[[int, int, Callable[[], Estimates] | None], None] = lambda done, frames, so_far: None,
+        on_frame: Callable[
+            [int, int, Callable[[], Estimates] | None], None
+        ] = lambda done, frames, so_far: None,
     ) -> tuple[Stream, Estimates]:
         """Return the stream after these frames, and their estimates; see `reconstruct`."""
         readings = self.readings[self.frames]
@@ -130,8 +140,13 @@ class MeasuredPart:
         if stream.estimator.method.needs_all_frames:
             numbers = iter(range(1, count + 1))
             resting = self.readings[self.recording.role == UNLOADED]
-            stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
-        verifies = stream.estimator.verify.chosen(readings, stream.resting) & stream.estimator.method.optimum
+            stream, steps = stream.sequence(
+                resting, readings, lambda: on_frame(next(numbers, count), count, None)
+            )
+        verifies = (
+            stream.estimator.verify.chosen(readings, stream.resting)
+            & stream.estimator.method.optimum
+        )
         while len(steps) < count:
             for after, step in push_block(stream, readings[len(steps) :]):
                 frame = readings[len(steps)]
@@ -152,8 +167,8 @@ def first_stream(
 ) -> Stream:
     """Return the stream before a recording's first measured frame.
 
-    Open weights are chosen here. Networks with equal converters and faults share one choice, made by those of them that
-    differ most from rest.
+    Open weights are chosen here. Networks with equal converters and faults share one choice, made
+    by those of them that differ most from rest.
 
     Parameters
     ----------
@@ -169,7 +184,9 @@ def first_stream(
     scene = recording.scene
     layout = recording.scene.panel.modules
     recordings = [recording] if layout is None or layout.coupled else recording.modules
-    parts = zip(network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True)
+    parts = zip(
+        network_scenes(scene, estimator), recordings, network_readings(scene, readings), strict=True
+    )
     networks = list[_Network | None]()
     similar = dict[Hashable, list[_Network]]()
     for own, part, read in parts:
@@ -181,14 +198,16 @@ def first_stream(
         networks.append(network)
     chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
     begun = [n and (chosen[converter_and_faults(n[0].scene)], n[0].scene, n[2]) for n in networks]
-    return begin_networks(scene, begun, frame_period(recording) if period is None else period, noise)
+    return begin_networks(
+        scene, begun, frame_period(recording) if period is None else period, noise
+    )
 
 
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    Of a single network all frames of `deciding_frames` count, of several the first. Without measured frames the
-    estimator is unchanged.
+    Of a single network all frames of `deciding_frames` count, of several the first. Without
+    measured frames the estimator is unchanged.
 
     Parameters
     ----------
@@ -205,13 +224,18 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     ]
     if not deciding:
         return estimator
-    numbers = strongest([float(mean_change(frame.plain_values, resting.value)) for _, resting, frame in deciding])
+    numbers = strongest(
+        [float(mean_change(frame.plain_values, resting.value)) for _, resting, frame in deciding]
+    )
     first, *further = [deciding_data(estimator, *deciding[number]) for number in numbers]
     return with_chosen_weights(estimator, deciding[numbers[0]][0], first, None, further)
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
-    """Return the data from which weights are chosen: one frame, with its baseline where terms compare the two."""
+    """Return the data from which weights are chosen.
+
+    They are one frame, with its baseline where terms compare the two.
+    """
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
     return Stream.begin(estimator, scene, float("inf"), resting).given(frame)[0]
@@ -222,18 +246,20 @@ def frame_period(recording: Recording) -> float:
     return float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else float("inf")
 
 
-SolvedPart = tuple[int, Estimates, CarriedOver]  # number of the part, its estimates, memory for the next part
+# Number of the part, its estimates, memory for the next part.
+SolvedPart = tuple[int, Estimates, CarriedOver]
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A recording too long for memory, estimated part by part, each part like a recording of its own.
+    """A recording too long for memory, estimated part by part.
 
-    Baseline, noise, weights and the check of the circuit are determined once, from a bounded sample: the first unloaded
-    frames and the measured ones around the strongest. Outliers are detected in every part. If estimates depend on no
-    earlier frame, the parts are independent, and each begins with the baseline. Otherwise the memory of `CarriedOver`
-    passes from part to part. The solver's caches are dropped between parts, so that a run that is resumed from the disk
-    gives the same numbers.
+    Each part is like a recording of its own. Baseline, noise, weights and the check of the circuit
+    are determined once, from a bounded sample: the first unloaded frames and the measured ones
+    around the strongest. Outliers are detected in every part. If estimates depend on no earlier
+    frame, the parts are independent, and each begins with the baseline. Otherwise the memory of
+    `CarriedOver` passes from part to part. The solver's caches are dropped between parts, so that a
+    run that is resumed from the disk gives the same numbers.
 
     Attributes
     ----------
@@ -252,7 +278,9 @@ class Parts:
     stream: Stream
 
     @classmethod
-    def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]) -> "Parts":
+    def of(
+        cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]
+    ) -> "Parts":
         """Return the parts of a stored recording.
 
         Parameters
@@ -281,14 +309,16 @@ class Parts:
         Parameters
         ----------
         done : callable
-            Returns the memory after a part's last frame, given the part's number; None where it is not done.
+            Returns the memory after a part's last frame, given the part's number; None where it is
+            not done.
         """
         stream = start = self.stream
         for number, frames in enumerate(self.stored.blocks):
             carried = done(number)
             part = self._part(frames) if carried is None or not start.rested else None
             if carried is not None:
-                # a finished part: its memory continues the stream; a joint baseline is found again by its frames
+                # a finished part: its memory continues the stream; a joint baseline is found again
+                # by its frames
                 start = start if part is None else self._with_baseline(start, part)
                 stream = start if self.independent else carried.onto(start)
             elif part is not None:
@@ -297,7 +327,10 @@ class Parts:
                 stream = start = self.stream if self.independent else stream.restarted(self.stream)
 
     def _part(self, frames: range) -> MeasuredPart | None:
-        """Return the measured frames of a range, together with the lead; None where no frame is measured."""
+        """Return the measured frames of a range, together with the lead.
+
+        None where no frame is measured.
+        """
         part = measured_part(self.stored, frames, WINDOW)
         if part is None:
             return None
@@ -307,7 +340,10 @@ class Parts:
         return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample)
 
     def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
-        """Return the stream with its baseline, pushing the part's frames until a joint baseline is solved."""
+        """Return the stream with its baseline.
+
+        The part's frames are pushed until a joint baseline is solved.
+        """
         for frame in part.frames if begun.estimator.joint_start else ():
             begun, _ = begun.push(part.readings[int(frame)])
             if begun.rested:
@@ -316,9 +352,14 @@ class Parts:
 
 
 def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
-    """Raise InputError where an estimator, or the pressures of a scene, need all frames of a long recording at once."""
+    """Raise InputError where all frames of a long recording are needed at once.
+
+    An estimator, or the pressures of a scene, may need them.
+    """
     reasons = {
-        f"formulation: {estimator.method.kind} estimates all frames together": estimator.method.needs_all_frames,
+        f"formulation: {estimator.method.kind} estimates all frames together": (
+            estimator.method.needs_all_frames
+        ),
         "film: what it remembers is followed through all frames": stored.scene.film is not None,
         "tare: zero is followed through all frames": estimator.tare is not None,
     }
@@ -328,13 +369,18 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
 
 
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
-    """Return the lead and the prepared sample of a stored recording, see `Parts`; reads the whole recording once.
+    """Return the lead and the prepared sample of a stored recording, see `Parts`.
+
+    Reads the whole recording once.
 
     Raises InputError where no frame is measured.
     """
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
-        lead = joined((opening := stored.part(range(min(OPENING_FRAMES, stored.frames))),), opening.role == MEASURED)
+        lead = joined(
+            (opening := stored.part(range(min(OPENING_FRAMES, stored.frames))),),
+            opening.role == MEASURED,
+        )
     resting = baseline_readings(lead, lead.readings())
     candidates = list[tuple[float, int]]()
     for frames in stored.blocks:
@@ -346,7 +392,9 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         places = _own_frames(recording, frames)
         # the strongest frame of the part, by the change of its cleaned readings
         size: Array = np.where(
-            taken.enough(stored.scene)[places], mean_change(taken.plain_values[places], resting.value), -1.0
+            taken.enough(stored.scene)[places],
+            mean_change(taken.plain_values[places], resting.value),
+            -1.0,
         )
         at = int(np.argmax(size))
         assert recording.number is not None
@@ -359,7 +407,12 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
-    """Return the indices of a part's own measured frames, without those of the lead and of the margins."""
+    """Return the indices of a part's own measured frames.
+
+    Those of the lead and of the margins are not included.
+    """
     number = recording.number
     assert number is not None
-    return np.flatnonzero((number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED))
+    return np.flatnonzero(
+        (number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED)
+    )

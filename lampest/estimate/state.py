@@ -73,15 +73,24 @@ class Step:
         return self.sentence or self.solution.status.value
 
     def estimate(self, frame: int) -> Array | None:
-        """Return the cells (rows, columns) ohm of one of its frames; None where the solve failed."""
+        """Return the cells (rows, columns) ohm of one of its frames.
+
+        None where the solve failed.
+        """
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
     def bare(self) -> "Step":
-        """Return the step without the parts from which error bars are computed, which take much memory."""
+        """Return the step without the parts from which error bars are computed.
+
+        These parts take much memory.
+        """
         return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 
     def surroundings(self) -> LinearModel | None:
-        """Return the linear model at a verified optimum, for error bars; None where there is no such optimum."""
+        """Return the linear model at a verified optimum, for error bars.
+
+        None where there is no such optimum.
+        """
         at = self.solution.at
         dual = self.solution.dual
         if not self.solution.optimum or at is None or dual is None:
@@ -144,7 +153,10 @@ class SequenceState:
         return self.baseline is not None and self.baseline.solution.solved
 
     def with_baseline(self, baseline: Step) -> Self:
-        """Return the state with a solved baseline, which is also the previous estimate of the first frame."""
+        """Return the state with a solved baseline.
+
+        The baseline is also the previous estimate of the first frame.
+        """
         return replace(self, baseline=baseline, previous=baseline.estimate(0))
 
     def without_comparisons(self) -> Self:
@@ -154,7 +166,9 @@ class SequenceState:
     def unsolved(self, status: Status) -> Step:
         """Return the step of a frame that was not solved, with this status."""
         terms = self.estimator.terms
-        weights = tuple(float("nan") if term.weight == "auto" else float(term.weight) for term in terms)
+        weights = tuple(
+            float("nan") if term.weight == "auto" else float(term.weight) for term in terms
+        )
         return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
 
 

@@ -1,14 +1,16 @@
-"""Estimation of errors that all frames share, from the apparent motion of cells that nobody touched.
+"""Estimation of errors that all frames share.
 
-Errors z ~ N(0, 1) that the unloaded panel b and a frame f share change the estimated log cells by a z, with
+They are estimated from the apparent motion of cells that nobody touched. Errors z ~ N(0, 1) that
+the unloaded panel b and a frame f share change the estimated log cells by a z, with
 
     a = K_f U_f − K_b U_b,
 
-where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the inverse of the readings'
-Jacobian. Over the still cells d = a z + noise. Each reading has an error of its own, N(0, e²). The posterior of e
-combines the evidence of the changes, with moved cells selected for each e (`lampest.estimate.changed_cells`), and the
-likelihood of the unloaded panel. Given e, the still cells determine the posterior of z. Of errors that are too large
-for linear theory only e is estimated.
+where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the
+inverse of the readings' Jacobian. Over the still cells d = a z + noise. Each reading has an error
+of its own, N(0, e²). The posterior of e combines the evidence of the changes, with moved cells
+selected for each e (`lampest.estimate.changed_cells`), and the likelihood of the unloaded panel.
+Given e, the still cells determine the posterior of z. Of errors that are too large for linear
+theory only e is estimated.
 """
 
 from dataclasses import dataclass, replace
@@ -40,18 +42,22 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
-# Tried values of e. None is as probable as all others together, whose prior is uniform in ln e, that of a scale.
+# Tried values of e. None is as probable as all others together, whose prior is uniform in ln e,
+# that of a scale.
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))
 PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
-LINEAR_LIMIT = 0.15  # of log r: the second order of a larger error moves cells by more than one per cent
-# Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a tenth, because a
-# hundred cells show their scatter to some percent: where crosstalk is small an error e would fill a gap between two of
-# them.
+# Of log r: the second order of a larger error moves cells by more than one per cent.
+LINEAR_LIMIT = 0.15
+# Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
+# tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
+# error e would fill a gap between two of them.
 SCATTERS = np.geomspace(0.01, 1.0, 48)
 LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
-# Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a skirt.
+# Tried sizes of a load's skirt, of log r. Always the largest would hide errors where no load has a
+# skirt.
 SKIRTS = ASSUMED.skirt * np.array([0.0, 0.03, 0.1, 0.3, 1.0])
-LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r: only loads move cells by more, errors within the limit do not
+# Of log r: only loads move cells by more, errors within the limit do not.
+LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +71,8 @@ class SharedErrors:
     sizes : dict
         Field of `Systematic` → (size, standard deviation) of each error that was determined.
     undetermined : str
-        The reason why the other estimated errors keep their prior, in words; '' where all are determined.
+        The reason why the other estimated errors keep their prior, in words; '' where all are
+        determined.
     no_reading_error : float
         Posterior probability that no reading has an error of its own; 1 where that is not asked.
     """
@@ -76,17 +83,21 @@ class SharedErrors:
     no_reading_error: float = 1.0
 
 
-def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None) -> SharedErrors:
-    """Return the errors that a scene calls `estimated`, as the unloaded panel and one loaded frame show them.
+def shared_errors(
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+) -> SharedErrors:
+    """Return the errors that a scene calls `estimated`.
 
-    One frame is enough: frames that are nearly equal count once, or the edges of a load that stands would look like an
-    error that all frames share.
+    They are as the unloaded panel and one loaded frame show them. One frame is enough: frames that
+    are nearly equal count once, or the edges of a load that stands would look like an error that
+    all frames share.
 
     Parameters
     ----------
     scene : Scene
     resting, loaded : Readings
-        Mean of the unloaded frames, and a loaded frame or None, (rows, columns) each, with their final σ.
+        Mean of the unloaded frames, and a loaded frame or None, (rows, columns) each, with their
+        final σ.
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
@@ -95,9 +106,15 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
     others_asked = bool(set(asked) - {READING_ERROR.setting})
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
     if resting.sigma is None:
-        return SharedErrors(possible, {}, "the noise of the readings is unknown: name the readout's noise_lsb")
+        return SharedErrors(
+            possible, {}, "the noise of the readings is unknown: name the readout's noise_lsb"
+        )
     if resting.value.size > MAX_CELLS:
-        return SharedErrors(possible, {}, f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it")
+        return SharedErrors(
+            possible,
+            {},
+            f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it",
+        )
     fit = fitted(scene, resting, patient=True)
     explained = fit is not None and fit.tail >= SIGNIFICANCE
     learns = READING_ERROR.setting in asked
@@ -107,7 +124,11 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
         if learns
         else np.zeros(len(READING_ERRORS))
     )
-    moves = None if fit is None or loaded is None or not explained else shared_changes(scene, fit, loaded, prior, noise)
+    moves = (
+        None
+        if fit is None or loaded is None or not explained
+        else shared_changes(scene, fit, loaded, prior, noise)
+    )
     size = READING_ERROR.size(prior)
     none = 1.0
     if learns:
@@ -119,7 +140,11 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
         sizes[READING_ERROR.setting] = _moments(odds)
         possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
     if moves is None:
-        reason = "no frame is loaded" if loaded is None else "no cells explain the unloaded frames or the loaded ones"
+        reason = (
+            "no frame is loaded"
+            if loaded is None
+            else "no cells explain the unloaded frames or the loaded ones"
+        )
         return SharedErrors(possible, sizes, reason if others_asked else "", none)
     changes = moves.changes(size)
     still = away_from_changed(_still(changes)[1], resting.value.shape)
@@ -132,7 +157,9 @@ def shared_errors(scene: Scene, resting: Readings, loaded: Readings | None, nois
     second = covariance + np.outer(mean, mean)
     sizes |= _posterior_sizes(moves, second, covariance, prior)
     # The columns of the root behind those of common errors are the readings' own errors.
-    settings = tuple(error.setting for error in moves.errors) + (READING_ERROR.setting,) * bool(size)
+    settings = tuple(error.setting for error in moves.errors) + (READING_ERROR.setting,) * bool(
+        size
+    )
     possible = Possible(possible.sizes, settings, _lower_root(second), possible.in_sigma)
     return SharedErrors(possible, sizes, no_reading_error=none)
 
@@ -166,8 +193,15 @@ class SharedChanges:
     counts: dict[str, int]
 
     def changes(self, size: float) -> Changes:
-        """Return the changes with the estimated errors and each reading's own error; `size` is e."""
-        return Changes(self.change, self.noise, np.hstack([self.hidden, size * self.own]) if size else self.hidden)
+        """Return the changes with the estimated errors and each reading's own error.
+
+        `size` is e.
+        """
+        return Changes(
+            self.change,
+            self.noise,
+            np.hstack([self.hidden, size * self.own]) if size else self.hidden,
+        )
 
 
 def shared_changes(
@@ -190,16 +224,23 @@ def shared_changes(
     unit = replace(sizes, reading_error=1.0)
     asked = estimated_errors(scene)
     further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
-    estimated = tuple(error for error in further if error.setting in asked and error is not REFERENCE)
+    estimated = tuple(
+        error for error in further if error.setting in asked and error is not REFERENCE
+    )
     known = tuple(error for error in further if error not in estimated)
 
     def linearised(fit: CellsFit, error: Array, *, baseline: bool) -> list[Array]:
-        """Return the covariance of the log cells, and their responses K U to own, known and each estimated error."""
+        """Return the covariance of the log cells, and their responses K U to errors.
+
+        The responses are those to own, known and each estimated error.
+        """
         if noise is not None:
             drawn = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
             error = error + drawn @ drawn.T
         groups = ((READING_ERROR,), known, *((error,) for error in estimated))
-        columns = (error_columns(errors, fit.network, fit.readings.value, scene, unit) for errors in groups)
+        columns = (
+            error_columns(errors, fit.network, fit.readings.value, scene, unit) for errors in groups
+        )
         return [error, *map(fit.response, columns)]
 
     fit = fitted(scene, loaded, resting.cells) or fitted(scene, loaded, patient=True)
@@ -207,21 +248,30 @@ def shared_changes(
         return None
     base = linearised(resting, resting.covariance, baseline=True)
     frame = linearised(_steadied(scene, fit, resting.cells), fit.covariance, baseline=False)
-    own, of_known, *of_estimated = (of_frame - at_rest for of_frame, at_rest in zip(frame[1:], base[1:], strict=True))
+    own, of_known, *of_estimated = (
+        of_frame - at_rest for of_frame, at_rest in zip(frame[1:], base[1:], strict=True)
+    )
     size = resting.cells.size
-    # The unloaded panel and the frame have errors of their own; creep, and a common change of all cells.
+    # The unloaded panel and the frame have errors of their own; creep, and a common change of all
+    # cells.
     covariance = base[0] + frame[0] + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
     reach = float(np.median(np.linalg.norm(base[1], axis=1)))
-    counts = {error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)}
+    counts = {
+        error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)
+    }
     hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
     change = np.log(fit.cells / resting.cells).ravel()
-    return SharedChanges(change, covariance + of_known @ of_known.T, hidden, own, reach, estimated, counts)
+    return SharedChanges(
+        change, covariance + of_known @ of_known.T, hidden, own, reach, estimated, counts
+    )
 
 
 def _posterior_sizes(
     moves: SharedChanges, second: Array, covariance: Array, prior: Systematic
 ) -> dict[str, tuple[float, float]]:
-    """Return the size of each estimated error and its standard deviation, by the field of `Systematic`.
+    """Return the size of each estimated error and its standard deviation.
+
+    They are given by the field of `Systematic`.
 
     Parameters
     ----------
@@ -243,7 +293,10 @@ def _posterior_sizes(
 
 
 def _lower_root(square: Array) -> Array:
-    """Return a lower triangular root of a symmetric matrix, whose negative eigenvalues count as zero."""
+    """Return a lower triangular root of a symmetric matrix.
+
+    Its negative eigenvalues count as zero.
+    """
     values, vectors = np.linalg.eigh((square + square.T) / 2)
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
@@ -255,8 +308,9 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
     ----------
     changes : Changes
     begun : boolean array, shape (cells,), optional
-        Still cells that the search begins with; by default the half that changed least. Other starts are not tried,
-        because a shared error may explain a smooth load as well as moved cells do.
+        Still cells that the search begins with; by default the half that changed least. Other
+        starts are not tried, because a shared error may explain a smooth load as well as moved
+        cells do.
     """
     deviation = np.abs(changes.change - np.median(changes.change))
     begun = deviation <= np.median(deviation) if begun is None else begun
@@ -265,17 +319,21 @@ def _still(changes: Changes, begun: Chosen | None = None) -> tuple[float, Chosen
 
 
 def _smooth_loads(shape: tuple[int, ...]) -> Array:
-    """Return the covariance (cells, cells) of changes in the skirt of a load of unit size: exp(−distance²/(2 ℓ²))."""
+    """Return the covariance (cells, cells) of changes in the skirt of a load of unit size.
+
+    It is exp(−distance²/(2 ℓ²)).
+    """
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
     return np.asarray(np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
 def _error_costs(moves: SharedChanges, loads: Array) -> Array:
-    """Return −2 ln evidence of READING_ERRORS, (errors,), averaged over SKIRTS, which are equally probable.
+    """Return −2 ln evidence of READING_ERRORS, (errors,).
 
-    Every second error is computed, and the others are interpolated; each search begins with the still cells of the
-    error before, because these change little. Beyond LINEAR_LIMIT the last value holds.
+    It is averaged over SKIRTS, which are equally probable. Every second error is computed, and the
+    others are interpolated; each search begins with the still cells of the error before, because
+    these change little. Beyond LINEAR_LIMIT the last value holds.
 
     Parameters
     ----------
@@ -283,7 +341,11 @@ def _error_costs(moves: SharedChanges, loads: Array) -> Array:
     loads : array, shape (cells, cells)
         Covariance of the changes in the skirt of a load of unit size.
     """
-    tried = [n for n in range(0, len(READING_ERRORS), 2) if READING_ERRORS[n] * moves.reach <= LINEAR_LIMIT]
+    tried = [
+        n
+        for n in range(0, len(READING_ERRORS), 2)
+        if READING_ERRORS[n] * moves.reach <= LINEAR_LIMIT
+    ]
     costs = np.zeros((len(SKIRTS), len(tried)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
         smoothed = replace(moves, noise=moves.noise + skirt**2 * loads)
@@ -302,12 +364,18 @@ def _odds(costs: Array) -> Array:
 
 
 def _root_mean_square(odds: Array) -> float:
-    """Return √E[e²] by the probabilities of READING_ERRORS; it exceeds the most probable e where e is uncertain."""
+    """Return √E[e²] by the probabilities of READING_ERRORS.
+
+    It exceeds the most probable e where e is uncertain.
+    """
     return float(np.sqrt(odds @ np.square(READING_ERRORS)))
 
 
 def _median(odds: Array) -> float:
-    """Return the median of e by the probabilities of READING_ERRORS; 0 where none is more probable than any."""
+    """Return the median of e by the probabilities of READING_ERRORS.
+
+    0 where none is more probable than any.
+    """
     return float(np.interp(0.5, np.cumsum(odds), READING_ERRORS))
 
 
@@ -318,9 +386,10 @@ def _moments(odds: Array) -> tuple[float, float]:
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
-    """Return the fit with the cells that did not clearly move set to the unloaded ones, and their model readings.
+    """Return the fit with the cells that did not clearly move set to the unloaded ones.
 
-    The linearisation of frames and unloaded panel then agrees for still cells, whatever the noise.
+    It has their model readings, too. The linearisation of frames and unloaded panel then agrees for
+    still cells, whatever the noise.
 
     Parameters
     ----------
@@ -331,24 +400,31 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     """
     change = np.log(fit.cells / near)
     middle = np.median(change)
-    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(fit.covariance)).reshape(change.shape)
+    moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(fit.covariance)).reshape(
+        change.shape
+    )
     data = cells_alone().data(fit.readings.alone(), Background(scene))
     cells = np.where(moved, fit.cells, near * np.exp(middle))
-    return CellsFit.at(scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells)
+    return CellsFit.at(
+        scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells
+    )
 
 
 def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
-    """Return −2 ln likelihood of READING_ERRORS, up to a constant, if the unloaded cells are log r ~ N(μ, s²).
+    """Return −2 ln likelihood of READING_ERRORS, up to a constant.
 
-    The readings are linearised at the most probable log cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where
-    y' is the derivative of a reading with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
+    It holds if the unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most
+    probable log cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative
+    of a reading with respect to the logarithm of its recorded value, and A = J/τ, A Aᵀ = QΛQᵀ:
 
-        −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,   v = 1 + s²λ,
+        −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,
+        v = 1 + s²λ,
 
-    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is first the point of
-    the largest error, then that of the most probable one of a few errors. Where the cells are not alike, e is
-    overestimated rather than underestimated. Linear theory lets cells explain readings that no cells give; but no
-    likelihood exceeds that of the best fit, so that −2 log p is at least χ²/max(τ/σ)² + Σ log τ².
+    with a = Qᵀ t/τ and b = Qᵀ A 1. The likelihood is averaged over the prior of SCATTERS. u is
+    first the point of the largest error, then that of the most probable one of a few errors. Where
+    the cells are not alike, e is overestimated rather than underestimated. Linear theory lets cells
+    explain readings that no cells give; but no likelihood exceeds that of the best fit, so that −2
+    log p is at least χ²/max(τ/σ)² + Σ log τ².
 
     Parameters
     ----------
@@ -368,10 +444,17 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
     scatters = np.square(SCATTERS)[:, None]
     cells = np.log(data.uniform_start[0])
     costs = np.zeros((1, len(SCATTERS)))
-    for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
+    for errors, before in (
+        (READING_ERRORS[1::4], READING_ERRORS[-1:]),
+        (READING_ERRORS, READING_ERRORS[1::4]),
+    ):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
-        deviation = np.where(resting.plain, np.hypot(resting.known_sigma, before[row] * share), np.inf)
-        cells, jacobian = _most_probable(data, resting.value, deviation, float(SCATTERS[column]), cells)
+        deviation = np.where(
+            resting.plain, np.hypot(resting.known_sigma, before[row] * share), np.inf
+        )
+        cells, jacobian = _most_probable(
+            data, resting.value, deviation, float(SCATTERS[column]), cells
+        )
         missed = resting.value - data.network(0, np.exp(cells)).reading()
         target = missed.ravel() + jacobian @ cells.ravel()
         costs = np.empty((len(errors), len(SCATTERS)))
@@ -381,10 +464,13 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
             values, turned = np.linalg.eigh(scaled @ scaled.T)
             projected = turned.T @ (target[plain] / tau)
             ones = turned.T @ scaled.sum(axis=1)
-            # v = 1 + s²λ, (scatters, readings); `mean` is Σ b²/v, the precision of μ, which is integrated out
+            # v = 1 + s²λ, (scatters, readings); `mean` is Σ b²/v, the precision of μ, which is
+            # integrated out
             grown = 1 + scatters * np.maximum(values, 0.0)
             mean = (ones**2 / grown).sum(axis=1)
-            squares = (projected**2 / grown).sum(axis=1) - (projected * ones / grown).sum(axis=1) ** 2 / mean
+            squares = (projected**2 / grown).sum(axis=1) - (projected * ones / grown).sum(
+                axis=1
+            ) ** 2 / mean
             logarithms = 2 * np.log(tau).sum()
             bound = least / np.max(tau / resting.known_sigma.ravel()[plain]) ** 2 + logarithms
             linear = squares + np.log(grown).sum(axis=1) + np.log(mean) + logarithms
@@ -394,7 +480,9 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
     return np.asarray(marginal - marginal.min())
 
 
-def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, Array]:
+def _most_probable(
+    data: Data, value: Array, deviation: Array, spread: float, start: Array
+) -> tuple[Array, Array]:
     """Return the most probable log cells u and the Jacobian J of the readings there.
 
     They minimise Σ ((f(u) − y)/τ)² + Σ (u − mean u)²/s².
@@ -415,18 +503,22 @@ def _most_probable(data: Data, value: Array, deviation: Array, spread: float, st
     array, shape (readings, cells)
     """
     free = data.lower[0] < data.upper[0]
-    # (1 − 1 1ᵀ/n)/s over the cells that the panel has: residuals of the prior, whose mean μ is free. The others stay.
+    # (1 − 1 1ᵀ/n)/s over the cells that the panel has: residuals of the prior, whose mean μ is
+    # free. The others stay.
     unlike = (np.eye(value.size) - np.outer(free, free) / free.sum()) / spread
     anchor = np.where(free, 0.0, data.log_bounds[0][0]).ravel()
     lower, upper = (
-        np.where(free, far, bound[0]).ravel() for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
+        np.where(free, far, bound[0]).ravel()
+        for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
     )
 
     def model(cells: Array) -> SumOfSquares:
         network = data.network(0, np.exp(cells).reshape(value.shape))
         missed = ((network.reading() - value) / deviation).ravel()
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
-        return SumOfSquares(np.concatenate([missed, unlike @ (cells - anchor)]), np.vstack([jacobian, unlike]))
+        return SumOfSquares(
+            np.concatenate([missed, unlike @ (cells - anchor)]), np.vstack([jacobian, unlike])
+        )
 
     begin = np.where(free, start, data.log_bounds[0][0]).ravel()
     position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))

@@ -21,21 +21,24 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
 
-# Ratio to the change at which weights were last chosen: a load that settles does not trigger another choice.
+# Ratio to the change at which weights were last chosen: a load that settles does not trigger
+# another choice.
 MIN_INCREASE = 1.1
 MODULE = "module_{:04d}_"  # before the names of a module's arrays
 
 
 @dataclass(frozen=True, eq=False)
 class Stream(SequenceState):
-    """State of a sequence of frames. Pushing a frame returns the next stream and the solve of the frame.
+    """State of a sequence of frames.
 
-    Files and boards are estimated by streams, too, so that the cells of a recording with the same frames are the same.
+    Pushing a frame returns the next stream and the solve of the frame. Files and boards are
+    estimated by streams, too, so that the cells of a recording with the same frames are the same.
 
     >>> import numpy as np
     >>> import lampest
-    >>> scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
-    >>> frames = np.full((3, 3, 4), 640.0)  # ohm as the divider gives it; each is measured when it comes
+    >>> panel = lampest.Panel(3, 4)
+    >>> scene = lampest.Scene(panel, lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    >>> frames = np.full((3, 3, 4), 640.0)  # ohm as the divider gives it; measured when they come
     >>> frames[2, 1, 2] = 560.0
     >>> resting = lampest.Readings.of(scene, frames[:2]).mean()  # of the unloaded panel
     >>> estimator = lampest.Estimator((lampest.Misfit(),), formulation="reduced")
@@ -79,7 +82,12 @@ class Stream(SequenceState):
     @classmethod
     @ONE_BLAS_THREAD
     def begin(
-        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
+        cls,
+        estimator: Estimator,
+        scene: Scene,
+        period: float,
+        resting: Readings,
+        noise: NoiseEstimate | None = None,
     ) -> Self:
         """Return the stream before the first frame; an absolute method solves its baseline now.
 
@@ -100,22 +108,33 @@ class Stream(SequenceState):
 
     @classmethod
     def unrested(
-        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
+        cls,
+        estimator: Estimator,
+        scene: Scene,
+        period: float,
+        resting: Readings,
+        noise: NoiseEstimate | None = None,
     ) -> Self:
         """Return the stream before its baseline is solved; the parameters are those of `begin`.
 
-        Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation does not support
-        the scene's readout, or the readings are no frame of the panel.
+        Raises InputError where the noise is needed and unknown, bounds leave no room, the
+        formulation does not support the scene's readout, or the readings are no frame of the panel.
         """
         estimator.check(scene)
         _check_frame(resting, scene)
         hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
-        track = Track(Shared.of(scene, hidden), noise=frame) if estimator.has_error_bars(resting) else None
+        track = (
+            Track(Shared.of(scene, hidden), noise=frame)
+            if estimator.has_error_bars(resting)
+            else None
+        )
         return cls(estimator, scene, period, resting, track=track, frame_noise=frame)
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> Self:
-        """Return the stream with another baseline; the weights stay, all other memory of earlier frames is dropped.
+        """Return the stream with another baseline.
+
+        The weights stay, all other memory of earlier frames is dropped.
 
         Parameters
         ----------
@@ -130,16 +149,21 @@ class Stream(SequenceState):
         """Return the stream with these unloaded readings, before its baseline is solved."""
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
-        return replace(self, resting=resting, track=track, baseline=None, previous=None, prepared=None)
+        return replace(
+            self, resting=resting, track=track, baseline=None, previous=None, prepared=None
+        )
 
     def with_rest(self) -> Self:
-        """Return the stream with its baseline, unless the baseline is solved together with the first frame."""
+        """Return the stream with its baseline, unless solved together with the first frame."""
         if not self.resting.enough(self.scene):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
         return self if self.estimator.joint_start else self.estimator.method.begin(self)
 
     def restarted(self, first: "Stream") -> Self:
-        """Return the stream with the solver's caches of `first`, so that results do not depend on earlier frames."""
+        """Return the stream with the solver's caches of `first`.
+
+        Results thus do not depend on earlier frames.
+        """
         pairs = zip(self.modules, first.modules, strict=True)
         modules = tuple(module and start and module.restarted(start) for module, start in pairs)
         return replace(self, prepared=first.prepared, modules=modules)
@@ -148,15 +172,17 @@ class Stream(SequenceState):
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns).
 
-        A frame that fails, or that has too few readings (`Readings.enough`), leaves the stream unchanged. Open weights
-        are chosen again by a frame whose change from rest exceeds the largest one before by MIN_INCREASE. Raises
-        InputError as `begin`.
+        A frame that fails, or that has too few readings (`Readings.enough`), leaves the stream
+        unchanged. Open weights are chosen again by a frame whose change from rest exceeds the
+        largest one before by MIN_INCREASE. Raises InputError as `begin`.
         """
         _check_frame(readings, self.scene)
         method = self.estimator.method
         if not readings.enough(self.scene):
             return self, self.unsolved(Status.UNREAD)
-        if (self.estimator.relative or method.needs_all_frames) and not self.resting.enough(self.scene):
+        if (self.estimator.relative or method.needs_all_frames) and not self.resting.enough(
+            self.scene
+        ):
             return self, self.unsolved(Status.UNRESTED)
         if self.chooses_weights and not self.choosing(readings):
             stream, step = method.push(replace(self, estimator=self.weighted), readings)
@@ -164,7 +190,10 @@ class Stream(SequenceState):
         stream, step = method.push(self, readings)
         if self.chooses_weights and step.solution.solved:
             stream = replace(
-                stream, weights=step.weights, weight_sigma=step.weight_sigma, weighed_at=self.change(readings)
+                stream,
+                weights=step.weights,
+                weight_sigma=step.weight_sigma,
+                weighed_at=self.change(readings),
             )
         return stream, step
 
@@ -176,16 +205,22 @@ class Stream(SequenceState):
         return self.estimator.with_weights(self.weights, self.weight_sigma)
 
     def weights_due(self, readings: Readings) -> bool:
-        """Return whether a frame differs so much from rest that it should choose the weights anew."""
+        """Return whether a frame differs so much from rest that it should choose weights anew."""
         return self.chooses_weights and self.change(readings) > MIN_INCREASE * self.weighed_at
 
     def choosing(self, readings: Readings) -> bool:
-        """Return whether a frame with enough readings chooses open weights: the first one, or one that is due."""
+        """Return whether a frame with enough readings chooses open weights.
+
+        The first one does, or one that is due.
+        """
         return self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
 
     @property
     def is_independent(self) -> bool:
-        """Whether estimates depend on no other measured frame, and the projected Newton method computes them."""
+        """Whether estimates depend on no other measured frame.
+
+        It is also required that the projected Newton method computes them.
+        """
         estimator = self.estimator
         if self.modules or not self.rested or estimator.uses_previous or estimator.automatic:
             return False
@@ -203,7 +238,10 @@ class Stream(SequenceState):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple["Stream", list[Step]]:
-        """Return the stream after all measured frames of a recording, and their solves, see `Method.sequence`."""
+        """Return the stream after all measured frames of a recording, and their solves.
+
+        See `Method.sequence`.
+        """
         return self.estimator.method.sequence(self, resting, readings, on_frame)
 
     def given(self, readings: Readings) -> tuple[Data, Array | None]:
@@ -216,18 +254,22 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
     if not isinstance(readings, Readings):
         raise InputError(f"a stream takes Readings.of(scene, values), not {in_words(readings)}")
     if readings.value.shape != scene.panel.shape:
-        held, requested = (" × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape))
+        held, requested = (
+            " × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape)
+        )
         raise InputError(
-            f"a stream takes one frame of {requested} readings, not {held}; of several, take one or their mean()"
+            f"a stream takes one frame of {requested} readings, not {held}; of several, take one "
+            "or their mean()"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedOver:
-    """Memory of a stream between two parts of a long recording, as arrays by name that can be written to a file.
+    """Memory of a stream between two parts of a long recording.
 
-    The initial stream, with scene, estimator and baseline, is not included. The last estimate, its deviation and the
-    memory of error bars are; of a panel those of each module, with its number before the names.
+    It consists of arrays by name that can be written to a file. The initial stream, with scene,
+    estimator and baseline, is not included. The last estimate, its deviation and the memory of
+    error bars are; of a panel those of each module, with its number before the names.
     """
 
     arrays: Mapping[str, Array]
@@ -240,8 +282,16 @@ class CarriedOver:
             arrays |= {"deviation": stream.track.deviation, "answers": stream.track.answers}
             arrays |= vars(stream.track.memory) if stream.track.memory is not None else {}
         if stream.modules:
-            parts = {MODULE.format(number): cls.of(part) for number, part in enumerate(stream.modules) if part}
-            arrays = {prefix + name: value for prefix, part in parts.items() for name, value in part.arrays.items()}
+            parts = {
+                MODULE.format(number): cls.of(part)
+                for number, part in enumerate(stream.modules)
+                if part
+            }
+            arrays = {
+                prefix + name: value
+                for prefix, part in parts.items()
+                for name, value in part.arrays.items()
+            }
         known = {name: value for name, value in arrays.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
@@ -249,7 +299,11 @@ class CarriedOver:
         """Return the stream after those frames, given the stream with its baseline before them."""
         if begun.modules:
             parts = [
-                {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
+                {
+                    name.removeprefix(prefix): array
+                    for name, array in self.arrays.items()
+                    if name.startswith(prefix)
+                }
                 for prefix in map(MODULE.format, range(len(begun.modules)))
             ]
             pairs = zip(begun.modules, parts, strict=True)
@@ -261,5 +315,7 @@ class CarriedOver:
             memory = SampledMemory(known["samples"], int(known["frames"][0]))
         answers = known.get("answers")
         deviation = known.get("deviation")
-        track = begun.track and replace(begun.track, deviation=deviation, memory=memory, answers=answers)
+        track = begun.track and replace(
+            begun.track, deviation=deviation, memory=memory, answers=answers
+        )
         return replace(begun, previous=known.get("previous"), track=track, first=False)

@@ -1,14 +1,17 @@
-"""Variance components of repeated frames: each reading's own noise, the gain of a frame, and ripple.
+"""Variance components of repeated frames: each reading's own noise, a frame's gain, ripple.
 
 The deviation of a reading from its mean over frames is, in units of the specified σ,
 
-    deviation = gain of the frame · voltage + ripple common to all lines + ripple of the line + own noise.
+    deviation = gain of the frame · voltage
+                + ripple common to all lines + ripple of the line + own noise.
 
-The size of a gain and of a ripple has a posterior, whose mean square is the variance of the component. Only where χ² of
-a ripple's deviations against the noise has a tail probability below SIGNIFICANCE its covariance between channels is
-estimated: that of its deviations less the noise's, times ν/(ν − 2), the variance of Student's t with ν degrees.
+The size of a gain and of a ripple has a posterior, whose mean square is the variance of the
+component. Only where χ² of a ripple's deviations against the noise has a tail probability below
+SIGNIFICANCE its covariance between channels is estimated: that of its deviations less the noise's,
+times ν/(ν − 2), the variance of Student's t with ν degrees.
 
-Where no frame is unloaded, second differences of successive frames show the noise of readings at rest.
+Where no frame is unloaded, second differences of successive frames show the noise of readings at
+rest.
 """
 
 from dataclasses import dataclass
@@ -22,18 +25,23 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
-# Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of first to second
-# differences of noise alone is 1.00 ± 0.06 with 100 readings.
+# Factor on σ: a smaller excess changes no verdict, and creeping films cause it too. The ratio of
+# first to second differences of noise alone is 1.00 ± 0.06 with 100 readings.
 MIN_EXCESS = 1.25
-MAX_SIZES = 100.0  # root mean squares of a size's samples, beyond which its posterior is nothing from two samples on
-MIN_NOISE_SHARE = 1e-3  # of an effect's size: less noise beside it, and sizes below this share of noise, change nothing
+# Root mean squares of a size's samples, beyond which its posterior is nothing from two samples on.
+MAX_SIZES = 100.0
+# Of an effect's size: less noise beside it, and sizes below this share of noise, change nothing.
+MIN_NOISE_SHARE = 1e-3
 SIZES = 3000  # of a posterior: their steps are smaller than its width up to ten thousand samples
-EDGE_WIDTHS = 3.0  # widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands
-# Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
-# (tests/oracles/test_every_readout.py).
+# Widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands.
+EDGE_WIDTHS = 3.0
+# Samples for each channel, below which the smallest eigenvalues of noise come near zero, and
+# rounding takes them below (tests/oracles/test_every_readout.py).
 MIN_SAMPLES_PER_CHANNEL = 1.5
-MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
-PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
+# Of the median size as an estimate of σ, as a share of the readings (Hampel, 1974).
+MEDIAN_EFFICIENCY = 0.37
+# Of the root mean square of two differences that share a frame, over √2 σ (by simulation).
+PAIR_MEDIAN = 0.7960
 NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
 
 
@@ -50,8 +58,8 @@ class Scatter:
     gain : float
         Standard deviation of a frame's gain, as a fraction.
     common_ripple, line_ripple : array, shape (channels of a line, n)
-        Roots of the covariances of the ripple that all lines of a frame share, in step with the scan, and of the
-        ripple that each line has independently.
+        Roots of the covariances of the ripple that all lines of a frame share, in step with the
+        scan, and of the ripple that each line has independently.
     gain_sd, ripple_sd : float
         Standard deviations of the gain, and of the ripple that all lines share, in units of σ.
     gain_tail, ripple_tail : float
@@ -70,15 +78,23 @@ class Scatter:
 
 
 def noted_excess(chi_square: float, degrees: float) -> float:
-    """Return √(χ²/degrees), the factor of the noise over the specified one; 1 where it is insignificant or small."""
+    """Return √(χ²/degrees), the factor of the noise over the specified one.
+
+    1 where it is insignificant or small.
+    """
     factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
-    return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
+    return (
+        factor
+        if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE
+        else 1.0
+    )
 
 
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
-    """Return the variance components of the unloaded frames; None where no reading is a value in two of them.
+    """Return the variance components of the unloaded frames.
 
-    Without a readout in the scene the voltages are unknown, and the gain multiplies the readings themselves.
+    None where no reading is a value in two of them. Without a readout in the scene the voltages are
+    unknown, and the gain multiplies the readings themselves.
     """
     circuit = recording.scene.circuit
     scene = recording.scene
@@ -97,16 +113,23 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     if circuit.by_columns:
         deviation = deviation.swapaxes(1, 2)
         loudness = loudness.T
-    return scatter(deviation, loudness, len(value) - 1, gain=scene.gain is not None, ripple=scene.ripple is not None)
+    return scatter(
+        deviation,
+        loudness,
+        len(value) - 1,
+        gain=scene.gain is not None,
+        ripple=scene.ripple is not None,
+    )
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:
-    """Return the noise from second differences of successive frames; None without three frames or without rest.
+    """Return the noise from second differences of successive frames.
 
-    Of three successive frames the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform
-    motion. Its median over the readings is that of the readings at rest, and only the quietest quarter of the triples
-    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
-    an upper bound: it is then not taken for noise above the specified one.
+    None without three frames or without rest. Of three successive frames the second difference (y₀
+    − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median over the readings
+    is that of the readings at rest, and only the quietest quarter of the triples counts. Where
+    first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is
+    only an upper bound: it is then not taken for noise above the specified one.
     """
     value = measured.plain_values
     sigma = measured.known_sigma[1:-1]
@@ -127,8 +150,12 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     return Scatter(quiet, max(count, 1), 0.0, NO_RIPPLE, NO_RIPPLE)
 
 
-def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = True, ripple: bool = True) -> Scatter:
-    """Return the variance components of deviations from the mean over frames; all is noise without `gain`, `ripple`.
+def scatter(
+    deviation: Array, loudness: Array, repeats: int, *, gain: bool = True, ripple: bool = True
+) -> Scatter:
+    """Return the variance components of deviations from the mean over frames.
+
+    All is noise without `gain`, `ripple`.
 
     Parameters
     ----------
@@ -141,12 +168,13 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
     """
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
-    # Of a single line, gain and common ripple are not distinguished from its own ripple, and count as that.
+    # Of a single line, gain and common ripple are not distinguished from its own ripple, and count
+    # as that.
     several = lines > 1
     free = max(lines - 1, 1)
     loud = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
-    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the mean over lines,
-    # (frames, channels).
+    # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the
+    # mean over lines, (frames, channels).
     slope = gain * several * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / loud
     remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
     common = ripple * several * remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
@@ -156,7 +184,8 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
     # Without gain and ripple the mean over frames alone is taken off.
     samples = repeats * (free if gain or ripple else lines) * share
     noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
-    # Variance of one reading by own noise and line ripple, and of the mean over lines if no common ripple existed.
+    # Variance of one reading by own noise and line ripple, and of the mean over lines if no common
+    # ripple existed.
     line = noise + float((line_ripple**2).sum()) / channels
     shared = np.zeros((channels, 0))
     variance = line / (lines * share)
@@ -166,30 +195,38 @@ def scatter(deviation: Array, loudness: Array, repeats: int, *, gain: bool = Tru
         squares = float((common**2).sum())
         ripple_tail = float(chi_square_tail(squares / max(variance, 1e-300), repeats * channels))
         size, ripple_sd = posterior_size(squares, repeats * channels, variance)
-        shared = np.hypot(size, ripple_sd) * np.eye(channels)  # E[s²] is the variance by an uncertain size
+        # E[s²] is the variance by an uncertain size
+        shared = np.hypot(size, ripple_sd) * np.eye(channels)
     if ripple_tail < SIGNIFICANCE:
         sizes, direction = np.linalg.eigh(common.T @ common / repeats)
         sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
         strong = sizes > variance
-        shared = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
+        shared = np.asarray(
+            direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2))
+        )
     swing = gain_sd = 0.0
     gain_tail = 1.0
     if gain and several:
         # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
         variances = (line + float((shared**2).sum()) / channels * lines) / loud
-        gain_tail = float(chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats))
+        gain_tail = float(
+            chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats)
+        )
         swing, gain_sd = posterior_size(float((slope**2).sum()), repeats, float(variances.mean()))
     degrees = samples * (channels - line_ripple.shape[1])
     own = float(np.sqrt(max(noise, 0.0)))
     tails = gain_tail, ripple_tail
-    return Scatter(own, max(int(degrees), 1), swing, shared, line_ripple, gain_sd, ripple_sd, *tails)
+    return Scatter(
+        own, max(int(degrees), 1), swing, shared, line_ripple, gain_sd, ripple_sd, *tails
+    )
 
 
 def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
     """Return the posterior mean and standard deviation of the size s of an effect beside noise.
 
-    Σ x² of n samples x ~ N(0, s² + v) is `squares`; n is `freedom`, v `variance`. The prior is p(s) ~ 1/(s² + v), so
-    that the mean is unbiased for every n where an effect exceeds the noise of its samples: for v → 0
+    Σ x² of n samples x ~ N(0, s² + v) is `squares`; n is `freedom`, v `variance`. The prior is p(s)
+    ~ 1/(s² + v), so that the mean is unbiased for every n where an effect exceeds the noise of its
+    samples: for v → 0
 
         E[s | x] = √(Σ x²/2) Γ(n/2)/Γ((n + 1)/2),   E[√(Σ x²)] = √2 s Γ((n + 1)/2)/Γ(n/2).
     """
@@ -206,9 +243,12 @@ def posterior_size(squares: float, freedom: float, variance: float) -> tuple[flo
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
-    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean, and its degrees of freedom.
+    """Return the eigenvalues (channels,) of a sample covariance shrunk to their mean.
 
-    Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample have a variance, too.
+    Its degrees of freedom are returned, too.
+
+    Oracle-approximating shrinkage, (1 − ρ) S + ρ (tr S/p) 1, so that directions without a sample
+    have a variance, too.
     Source: Chen, Wiesel, Eldar and Hero, IEEE Trans. Signal Processing 58(10), 2010.
     """
     channels = len(sizes)
@@ -217,16 +257,20 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
     # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
     within = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
     share = min(((1 - 2 / channels) * squares + total**2) / max(within, 1e-300), 1.0)
-    return (1 - share) * sizes + share * total / channels, max(repeats * (1 - share + share * channels), 3.0)
+    return (1 - share) * sizes + share * total / channels, max(
+        repeats * (1 - share + share * channels), 3.0
+    )
 
 
 def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, Array]:
-    """Return the noise variance of samples, and a root (channels, k) of the covariance that exceeds it.
+    """Return the noise variance of samples, and a root of the covariance that exceeds it.
 
-    The root has no columns unless it is `separated` from the noise.
+    The root has shape (channels, k). The root has no columns unless it is `separated` from the
+    noise.
 
-    Eigenvalues are removed in descending order while they exceed the largest one that noise allows, given the mean of
-    the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its width.
+    Eigenvalues are removed in descending order while they exceed the largest one that noise allows,
+    given the mean of the remaining eigenvalues: its edge (√n + √p)²/n and EDGE_WIDTHS times its
+    width.
     Source: Johnstone, Annals of Statistics 29(2), 2001.
 
     Parameters
@@ -239,8 +283,8 @@ def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, A
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
     first = np.sqrt(freedom)
     second = np.sqrt(channels)
-    # largest eigenvalue of a white Wishart matrix: n · edge = (√n + √p)² with the width (√n + √p)(1/√n + 1/√p)^⅓;
-    # `unsure` allows for the error of the mean of the others
+    # largest eigenvalue of a white Wishart matrix: n · edge = (√n + √p)² with the width (√n +
+    # √p)(1/√n + 1/√p)^⅓; `unsure` allows for the error of the mean of the others
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
     unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
     edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom

@@ -19,25 +19,39 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
 
 MIN_CHANNELS = 5  # channels with less load than unloaded; fewer may be single outliers
-MIN_STEPS_FROM_RAIL = 16  # steps of the converter: a reading closer to a rail is known to 6 % at best
+# Steps of the converter: a reading closer to a rail is known to 6 % at best.
+MIN_STEPS_FROM_RAIL = 16
 MODULE_HINT = (
-    "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
+    "is its reference, series resistance or film another one? The scene's `modules` says "
+    "what a module has of its own"
 )
-MAX_GAIN = 0.1  # relative standard deviation of a frame's gain that is no sign of a load (tests/oracles/test_noise.py)
-MAX_NOISE_FACTOR = 10.0  # above or below the specified noise: more is a wrong unit, not a badly specified converter
+# Relative standard deviation of a frame's gain that is no sign of a load
+# (tests/oracles/test_noise.py).
+MAX_GAIN = 0.1
+# Above or below the specified noise: more is a wrong unit, not a badly specified converter.
+MAX_NOISE_FACTOR = 10.0
 
 
 @np.errstate(all="ignore")
 def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -> tuple[str, ...]:
-    """Return the warnings of a recording, the simplest first. Raises InputError as `Readings.of`."""
+    """Return the warnings of a recording, the simplest first.
+
+    Raises InputError as `Readings.of`.
+    """
     readings = recording.readings()
     lesser_load = "" if check.better else _less_load(recording, readings)
-    frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
+    frames = (
+        _roles(recording.role),
+        _times(recording),
+        _unit(recording, readings),
+        _scatter(recording, noise),
+    )
     of_readings = (*frames, *_modules(recording, readings), lesser_load)
     circuit = "" if check.explains else check.sentence
     effects = noise.corrected_effects
     taken = "" if effects is None else effects.corrections
-    learned = tuple(line for line in noise.warnings if line != taken)  # the circuit's sentence names these effects
+    # The circuit's sentence names these effects.
+    learned = tuple(line for line in noise.warnings if line != taken)
     circuit = "" if check.by_effect else circuit  # advice, or taken off the readings
     loaded = UNEVENLY * (check.loaded_at_rest and not lesser_load)
     if touched(recording):
@@ -47,9 +61,9 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
 
 @ONE_BLAS_THREAD
 def touched(recording: Recording) -> bool:
-    """Return whether a load came or left in the unloaded frames; False where they scatter as specified.
+    """Return whether a load came or left in the unloaded frames.
 
-    Their gain may vary by MAX_GAIN, as with the supply.
+    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply.
     """
     if recording.scene.panel.modules is not None:
         return any(touched(module) for module in recording.modules)
@@ -70,7 +84,10 @@ def touched(recording: Recording) -> bool:
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Return the number of unsolved frames with the reason of the first, in words; '' where there is none."""
+    """Return the number of unsolved frames with the reason of the first, in words.
+
+    '' where there is none.
+    """
     failed = int(np.sum(~solved))
     if not failed:
         return ""
@@ -82,7 +99,11 @@ def _roles(role: NDArray[np.uint8]) -> str:
     unloaded = int((role == UNLOADED).sum())
     if unloaded == 0:
         return UNREFERENCED
-    return "only one frame is unloaded, so that nothing shows the noise: record five or more" if unloaded == 1 else ""
+    return (
+        "only one frame is unloaded, so that nothing shows the noise: record five or more"
+        if unloaded == 1
+        else ""
+    )
 
 
 def _times(recording: Recording) -> str:
@@ -91,7 +112,10 @@ def _times(recording: Recording) -> str:
     if np.any(steps == 0):
         equal = (np.flatnonzero(steps == 0) + 1).tolist()
         named = f"{'frame' if len(equal) == 1 else 'frames'} {first_and_more(equal, 4)}"
-        return f"{len(equal)} of {len(recording.time)} frames have the time of the frame before: {named}"
+        return (
+            f"{len(equal)} of {len(recording.time)} frames have the time of the frame before: "
+            f"{named}"
+        )
     foreign = recording.acquisition is None and recording.simulation is None
     if not (foreign and steps.size and np.median(steps) >= 10 and np.all(recording.time % 1 == 0)):
         return ""
@@ -112,13 +136,15 @@ def _unit(recording: Recording, readings: Readings) -> str:
     if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (
-        f"no reading, in the median {np.nanmedian(recorded):.3g} {circuit.unit}, is more than {max(steps, 0.0):.2g} "
-        f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
+        f"no reading, in the median {np.nanmedian(recorded):.3g} {circuit.unit}, is more than "
+        f"{max(steps, 0.0):.2g} "
+        f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's "
+        "readout right?"
     )
 
 
 def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
-    """Return warnings of dead modules, of modules without a value, and of modules that differ from the others."""
+    """Return warnings of modules that are dead, without a value, or differ from the others."""
     scene = recording.scene
     layout = recording.scene.panel.modules
     if layout is None:
@@ -130,8 +156,16 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
     for number, factor in factors.items():
         stuck = "every reading is at a rail of the converter, or beyond: is it connected?"
         unread = stuck if sides[:, number].any() else "no reading is a value: is it connected?"
-        differs = f"readings at rest are {factor:.3g} times those of the other modules: {MODULE_HINT}"
-        texts[number] = "dead, as the scene says" if number in dead else differs if np.isfinite(factor) else unread
+        differs = (
+            f"readings at rest are {factor:.3g} times those of the other modules: {MODULE_HINT}"
+        )
+        texts[number] = (
+            "dead, as the scene says"
+            if number in dead
+            else differs
+            if np.isfinite(factor)
+            else unread
+        )
     return named_modules(layout, texts)
 
 
@@ -142,13 +176,17 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     if readout is None or not readout.noise_specified or not unlikely:
         return ""
     return (
-        f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
+        f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: "
+        "are units, "
         "readout.noise_lsb and readout.readings right, and is no frame a copy?"
     )
 
 
 def _less_load(recording: Recording, readings: Readings) -> str:
-    """Return a warning if all changes are reductions of load: a load at rest, or a reversed circuit; ''."""
+    """Return a warning if all changes are reductions of load, otherwise ''.
+
+    It is that of a load at rest, or of a reversed circuit.
+    """
     circuit = recording.scene.circuit
     change = changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
@@ -159,5 +197,8 @@ def _less_load(recording: Recording, readings: Readings) -> str:
         for word in words
         if name in ("polarity", "measured_across") and word != getattr(circuit, name)
     ]
-    message = "readings only ever show less load than the unloaded frames: did something lie on the panel then"
+    message = (
+        "readings only ever show less load than the unloaded frames: did something lie on "
+        "the panel then"
+    )
     return f"{message}{''.join(reverse)}?"

@@ -1,9 +1,10 @@
 """Choice of weights (`weight: auto`) by the least risk or by the evidence.
 
 Risk: the weight minimises the expected squared error of log r, with the reference estimate
-(`lampest.posterior.reference`) as the truth and its error scale as the noise. The cost is linearised at the reference
-estimate, and the weight minimises `Spectrum.risk`; several penalties are optimised in turn. Evidence: on panels of
-more than `MAX_CELLS` cells, and on request, the weights have the largest evidence, jointly with a factor on the noise.
+(`lampest.posterior.reference`) as the truth and its error scale as the noise. The cost is
+linearised at the reference estimate, and the weight minimises `Spectrum.risk`; several penalties
+are optimised in turn. Evidence: on panels of more than `MAX_CELLS` cells, and on request, the
+weights have the largest evidence, jointly with a factor on the noise.
 """
 
 from collections.abc import Hashable, Sequence
@@ -27,7 +28,13 @@ from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors, SampledErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.reference import MAX_CELLS, Reference, references
-from lampest.posterior.spectrum import Spectrum, best_weight, first_weights, next_weights, settled_weights
+from lampest.posterior.spectrum import (
+    Spectrum,
+    best_weight,
+    first_weights,
+    next_weights,
+    settled_weights,
+)
 from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -41,17 +48,23 @@ MIN_SHARE = 0.25  # of a step of ln λ that a secant shortens
 SCALE_RATIO = 1.5
 MAX_SCALES = 8
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
-# Degrees of freedom of known noise per reading. On ten arrays of 500 to 1,140 cells that differ at random by 30 %, more
-# noise gains up to 0.09 per reading with a penalty of differences; where static errors of five times the noise ruin the
-# estimate, it gains 0.6 to 12 (docs/studies/weights.md).
+# Degrees of freedom of known noise per reading. On ten arrays of 500 to 1,140 cells that differ at
+# random by 30 %, more noise gains up to 0.09 per reading with a penalty of differences; where
+# static errors of five times the noise ruin the estimate, it gains 0.6 to 12
+# (docs/studies/weights.md).
 NOISE_BELIEF = 0.1
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: fewer do not determine its scale
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
-Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standard deviations of log λ
+# Of the terms, and the standard deviations of log λ.
+Weights = tuple[list[float], tuple[float, ...]]
 
 
 def with_chosen_weights(
-    estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, further: Sequence[Data] = ()
+    estimator: AnyObjective,
+    scene: Scene,
+    data: Data,
+    near: Array | None,
+    further: Sequence[Data] = (),
 ) -> AnyObjective:
     """Return the objective with its open weights chosen from the data.
 
@@ -64,8 +77,8 @@ def with_chosen_weights(
     near : array, shape (frames, rows, columns), optional
         Cells in ohm to start from where the reference model cannot be fitted.
     further : sequence of Data
-        Data of further solves that the weights are to suit as well. Only those count that are partial, with bounds or
-        gaps, if and only if `data` is.
+        Data of further solves that the weights are to suit as well. Only those count that are
+        partial, with bounds or gaps, if and only if `data` is.
 
     Raises InputError where the evidence is requested and the noise unknown.
     """
@@ -76,21 +89,30 @@ def with_chosen_weights(
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:
-        raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
+        raise InputError(
+            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
+            "recording"
+        )
     with np.errstate(all="ignore"):
-        return estimator.with_weights(*(search.by_evidence(first) if rule == "evidence" else search.by_risk(first)))
+        return estimator.with_weights(
+            *(search.by_evidence(first) if rule == "evidence" else search.by_risk(first))
+        )
 
 
 def strongest(changes: Sequence[float]) -> list[int]:
-    """Return the numbers of the networks that decide the weight of all, in descending order of their change from rest.
+    """Return the numbers of the networks that decide the weight of all.
 
-    The weight of a single network scatters with its noise, and hardly matters where nothing touches it.
+    They are in descending order of their change from rest. The weight of a single network scatters
+    with its noise, and hardly matters where nothing touches it.
     """
     return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MAX_NEIGHBOURS]
 
 
 def converter_and_faults(scene: Scene) -> Hashable:
-    """Return a key that is equal for networks with the same faults and converter, which share one weight."""
+    """Return a key that is equal for networks with the same faults and converter.
+
+    These networks share one weight.
+    """
     circuit = scene.circuit
     return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
 
@@ -126,24 +148,33 @@ class WeightSearch:
     def weighted(self, weights: Sequence[float]) -> Cost:
         """Return the cost with numbers for all weights."""
         terms = zip(self.cost.terms, weights, strict=True)
-        return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
+        return replace(
+            self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms)
+        )
 
     @cached_property
     def references(self) -> list[Reference]:
-        """The reference estimates of the solves, with σ as specified. Raises one of `BROKEN` where there are none."""
+        """Reference estimates of the solves, with σ as specified.
+
+        Raises one of `BROKEN` where there are none.
+        """
         return references(self.solves, self.cost, believed=True)[1]
 
     def models(self, weights: Sequence[float]) -> list[LinearModel]:
-        """Return the cost with these weights, linearised at the reference estimate of each solve."""
+        """Return the cost with these weights, linearised at each solve's reference estimate."""
         cost = self.weighted(weights)
         pairs = zip(self.solves, self.references, strict=True)
         return [
-            LinearModel(evaluated(cost, data, reference.cells), NO_DUAL, deviation=reference.deviation)
+            LinearModel(
+                evaluated(cost, data, reference.cells), NO_DUAL, deviation=reference.deviation
+            )
             for data, reference in pairs
         ]
 
     def spectra(self, number: int, weights: Sequence[float]) -> list[Spectrum]:
-        """Return the spectrum of each solve over all weights of one penalty, given those of the others.
+        """Return the spectrum of each solve over all weights of one penalty.
+
+        The weights of the other penalties are given.
 
         Parameters
         ----------
@@ -157,8 +188,8 @@ class WeightSearch:
     def by_risk(self, first: Array) -> Weights:
         """Return the weights with the least risk, found by coordinate descent over the open terms.
 
-        Where no reference can be fitted, the weights are those of `suggested`. The standard deviation of ln λ is
-        1/√(Fisher information of ln λ).
+        Where no reference can be fitted, the weights are those of `suggested`. The standard
+        deviation of ln λ is 1/√(Fisher information of ln λ).
 
         Parameters
         ----------
@@ -191,10 +222,11 @@ class WeightSearch:
     def by_evidence(self, first: Array) -> Weights:
         """Return the weights of the largest evidence, jointly with a factor s on σ.
 
-        Uneven cells with little noise and even cells with much of it may both be local maxima. The weights λ(s) of a
-        grid of factors are therefore settled, and −2 ln posterior of s is the integral of its derivative by ln s²
-        (`EvidencePoint.slope`). Known noise has the prior s⁻² ~ χ²_ν/ν with ν = NOISE_BELIEF·n, and s is at least 1.
-        The standard deviation of ln λ is √(2/γ), with γ the degrees of freedom that the data determine.
+        Uneven cells with little noise and even cells with much of it may both be local maxima. The
+        weights λ(s) of a grid of factors are therefore settled, and −2 ln posterior of s is the
+        integral of its derivative by ln s² (`EvidencePoint.slope`). Known noise has the prior s⁻² ~
+        χ²_ν/ν with ν = NOISE_BELIEF·n, and s is at least 1. The standard deviation of ln λ is
+        √(2/γ), with γ the degrees of freedom that the data determine.
 
         Parameters
         ----------
@@ -202,7 +234,9 @@ class WeightSearch:
             Cells in ohm to start from.
         """
         data = self.solves[0]
-        weights = self.suggested(first) if data.measured.size > MAX_CELLS else self.by_risk(first)[0]
+        weights = (
+            self.suggested(first) if data.measured.size > MAX_CELLS else self.by_risk(first)[0]
+        )
         sigma = [np.nan] * len(weights)
         with suppress(*BROKEN):
             begun = self._solved(weights, first, 1.0)
@@ -227,14 +261,18 @@ class WeightSearch:
         """Return the weights settled for a factor on σ, from those of a near factor."""
         # λ is proportional to s² where the estimate stays
         ratio = (scale / near.scale) ** 2
-        weights = [weight * ratio if n in self.open_terms else weight for n, weight in enumerate(near.weights)]
+        weights = [
+            weight * ratio if n in self.open_terms else weight
+            for n, weight in enumerate(near.weights)
+        ]
         moved = np.zeros(len(weights))
         previous = np.zeros(len(weights))
         for _ in range(MAX_SOLVES):
             near = self._solved(weights, near.cells, scale)
             updated = next_weights if isinstance(near.errors, SampledErrors) else settled_weights
             step = np.log(updated(near.errors.model, self.open_terms)) - np.log(weights)
-            # Secant of the step over ln λ: a step that reverses is shortened, because estimate and weights would swing.
+            # Secant of the step over ln λ: a step that reverses is shortened, because estimate and
+            # weights would swing.
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = moved / (previous - step)
             share = np.where(share > 0, np.clip(share, MIN_SHARE, 1.0), 1.0)
@@ -283,22 +321,40 @@ class EvidencePoint:
         model = self.errors.model
         counted = model.data_curvature > 0
         penalties = np.unique(model.penalty_term)
-        # γ: the unknowns that no penalty restricts, and those that the data determine against each penalty
+        # γ: the unknowns that no penalty restricts, and those that the data determine against each
+        # penalty
         bound = min(rank(model.at.cost.unweighted), len(model.free))
-        determined = len(model.free) - bound + sum(self.errors.determined(int(number)) for number in penalties)
-        size = MAD_TO_SIGMA * float(np.median(np.abs(model.residual[counted]) / model.noise[counted]))
-        return int(counted.sum()), max(float(counted.sum()) - determined, 0.0), float(counted.sum()) * size**2
+        determined = (
+            len(model.free)
+            - bound
+            + sum(self.errors.determined(int(number)) for number in penalties)
+        )
+        size = MAD_TO_SIGMA * float(
+            np.median(np.abs(model.residual[counted]) / model.noise[counted])
+        )
+        return (
+            int(counted.sum()),
+            max(float(counted.sum()) - determined, 0.0),
+            float(counted.sum()) * size**2,
+        )
 
     @property
     def slope(self) -> float:
         """Derivative of −2 ln posterior by ln s², n − γ − Σ x²/τ² + ν (1 − 1/s²)."""
         count, freedom, squares = self.residuals
-        known = NOISE_BELIEF * count * (1 - self.scale**-2) if self.errors.model.at.data.noise_known else 0.0
+        known = (
+            NOISE_BELIEF * count * (1 - self.scale**-2)
+            if self.errors.model.at.data.noise_known
+            else 0.0
+        )
         return freedom - squares + known
 
     @property
     def residual_scale(self) -> float:
-        """Standard deviation of the residuals over σ, √(Σ x²/τ² / (n − γ)), with n − γ of at least MIN_FREEDOM n."""
+        """Standard deviation of the residuals over σ, √(Σ x²/τ² / (n − γ)).
+
+        n − γ is at least MIN_FREEDOM n.
+        """
         count, freedom, squares = self.residuals
         return self.scale * float(np.sqrt(squares / max(freedom, MIN_FREEDOM * count)))
 
@@ -312,6 +368,12 @@ def most_evident(points: Sequence[EvidencePoint]) -> float:
         length = 2 * np.log(above.scale / below.scale)
         if below.slope < 0 <= above.slope:
             share = below.slope / (below.slope - above.slope)
-            best = min(best, (level + below.slope * share * length / 2, below.scale * np.exp(share * length / 2)))
+            best = min(
+                best,
+                (
+                    level + below.slope * share * length / 2,
+                    below.scale * np.exp(share * length / 2),
+                ),
+            )
         level += (below.slope + above.slope) * length / 2
     return min(best, (level, points[-1].scale))[1]

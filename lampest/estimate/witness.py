@@ -1,6 +1,7 @@
-"""A second witness of an estimate: the frame solved again by IPOPT on the nodal program, from another start.
+"""A second witness of an estimate: the frame solved again by IPOPT on the nodal program.
 
-The witness sees the data of the frame and nothing of the first solve: neither its cells nor what it carries.
+It is solved from another start. The witness sees the data of the frame and nothing of the first
+solve: neither its cells nor what it carries.
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +21,8 @@ from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.multistart import evaluated, scattered, solved_from
 from lampest.solvers.solution import Settings, Solution
 
-MAX_CELLS = 256  # cells up to which `strongest` is verified: a frame takes IPOPT about half a second
+# Cells up to which `strongest` is verified: a frame takes IPOPT about half a second.
+MAX_CELLS = 256
 SAME_COST = 1e-6  # relative difference of costs below which two optima are one
 
 
@@ -31,8 +33,8 @@ class Verify(Configuration):
     Attributes
     ----------
     frames : 'none', 'strongest', 'all' or float
-        'strongest' is the frame of the largest change from rest, on panels of up to 256 cells; a number is the share of
-        the frames, evenly spread.
+        'strongest' is the frame of the largest change from rest, on panels of up to 256 cells; a
+        number is the share of the frames, evenly spread.
 
     Raises ValueError unless a share lies between 0 and 1.
 
@@ -62,9 +64,13 @@ class Verify(Configuration):
             chosen[:] = True
         elif self.frames == "strongest":
             if count and readings.value[0].size <= MAX_CELLS:
-                chosen[strongest_frame(readings.plain_values, resting.value, np.arange(count))] = True
+                chosen[strongest_frame(readings.plain_values, resting.value, np.arange(count))] = (
+                    True
+                )
         elif not isinstance(self.frames, str):
-            chosen[np.linspace(0, count - 1, max(1, round(self.frames * count))).astype(int)] = count > 0
+            chosen[np.linspace(0, count - 1, max(1, round(self.frames * count))).astype(int)] = (
+                count > 0
+            )
         return chosen
 
 
@@ -87,7 +93,9 @@ class Verification:
 
 
 def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings) -> Solution:
-    """Return the solution of IPOPT on the nodal program, from another start than that of the first solve.
+    """Return the solution of IPOPT on the nodal program, from another start.
+
+    The start differs from that of the first solve.
 
     Parameters
     ----------
@@ -104,16 +112,21 @@ def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings
 
 
 def another_start(cost: Cost, data: Data, previous: Array | None) -> Evaluation:
-    """Return a start that the first solve did not have: equal cells, or scattered ones after a start at equal cells.
+    """Return a start that the first solve did not have.
 
-    Where two panels read alike, the equal cells lie on the branch of the first start.
+    It has equal cells, or scattered ones after a start at equal cells. Where two panels read alike,
+    the equal cells lie on the branch of the first start.
     """
     if previous is None:
         return evaluated(cost, data, next(scattered(data)))
     equal = evaluated(cost, data, data.uniform_start)
     if np.array_equal(equal.branch, evaluated(cost, data, previous).branch):
         return equal
-    return evaluated(cost, data, np.broadcast_to(np.median(previous, axis=(-2, -1), keepdims=True), previous.shape))
+    return evaluated(
+        cost,
+        data,
+        np.broadcast_to(np.median(previous, axis=(-2, -1), keepdims=True), previous.shape),
+    )
 
 
 def compared(solution: Solution, witness: Solution) -> Verification:
@@ -129,4 +142,6 @@ def compared(solution: Solution, witness: Solution) -> Verification:
     change = (witness.objective - solution.objective) / scale
     if abs(change) <= SAME_COST:
         return Verification(Witness.SAME, difference)
-    return Verification(Witness.HIGHER if change > 0 else Witness.LOWER, difference, max(-change, 0.0))
+    return Verification(
+        Witness.HIGHER if change > 0 else Witness.LOWER, difference, max(-change, 0.0)
+    )

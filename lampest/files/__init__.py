@@ -1,1 +1,4 @@
-"""Foundations of all packages: input errors, atomic files, HDF5, YAML documents, sweeps, unions by kind."""
+"""Foundations: input errors, atomic files, HDF5, YAML documents, sweeps, unions by kind.
+
+They are the foundations of all packages.
+"""

@@ -1,11 +1,13 @@
 """Integrity of HDF5 files: SHA-256 digests of all values, beside HDF5's own checksums.
 
-HDF5's Fletcher sum of a chunk notices turned bits. That of zeros is zero, and it knows no position: a chunk that is
-zeroed, exchanged with another one, or taken from another file passes it. `seal` therefore writes the digest of every
-block of values, with the place of the block, beside its dataset, and the digest of all datasets beside the root.
+HDF5's Fletcher sum of a chunk notices turned bits. That of zeros is zero, and it knows no position:
+a chunk that is zeroed, exchanged with another one, or taken from another file passes it. `seal`
+therefore writes the digest of every block of values, with the place of the block, beside its
+dataset, and the digest of all datasets beside the root.
 
-A file whose writer was killed remains marked as being written (SWMR). HDF5 would open it as a growing file, and wait
-without end for a wrong checksum to be corrected. `Closed` presents such a file as a closed one.
+A file whose writer was killed remains marked as being written (SWMR). HDF5 would open it as a
+growing file, and wait without end for a wrong checksum to be corrected. `Closed` presents such a
+file as a closed one.
 """
 
 import hashlib
@@ -25,16 +27,22 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 
 DIGEST = "sha256"  # attribute with the digest of one text or, of a text in older files, beside it
-BLOCKS = f"blocks_{DIGEST}"  # attribute of a dataset: for each block of its first axis "first row:digest"
-DATASETS = f"datasets_{DIGEST}"  # attribute of the root: digest of the paths and the blocks of all datasets
+# Attribute of a dataset: for each block of its first axis "first row:digest".
+BLOCKS = f"blocks_{DIGEST}"
+# Attribute of the root: digest of the paths and the blocks of all datasets.
+DATASETS = f"datasets_{DIGEST}"
 MAX_ATTRIBUTE_BYTES = 4_000  # HDF5 may store larger ones without a checksum
-# Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file, root, checksum.
+# Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file,
+# root, checksum.
 SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
 
 
 @contextmanager
 def located(file: h5py.File, path: str) -> Iterator[None]:
-    """Convert any exception of the library about a damaged object into an InputError that names the object."""
+    """Convert any exception of the library about a damaged object into an InputError.
+
+    The InputError names the object.
+    """
     try:
         yield
     except InputError:
@@ -54,7 +62,8 @@ class Integrity:
     datasets : int
         Number of datasets with values.
     without_digest : tuple of str
-        Paths of datasets that HDF5's checksums alone protect: against turned bits, not against zeros or exchange.
+        Paths of datasets that HDF5's checksums alone protect: against turned bits, not against
+        zeros or exchange.
     without_checksum : tuple of str
         Paths of datasets that nothing protects.
     """
@@ -70,14 +79,20 @@ def digest_of(values: NDArray[Any]) -> str:
 
 
 def check_digest(attributes: Any, value: Any, name: str = "") -> None:
-    """Raise ValueError if a value differs from its digest; `name` is that of an attribute, or '' for a dataset."""
+    """Raise ValueError if a value differs from its digest.
+
+    `name` is that of an attribute, or '' for a dataset.
+    """
     digest = attributes.get(f"{name}_{DIGEST}" if name else DIGEST)
     if digest is not None and digest_of(np.asarray(value)).encode() != digest:
         raise ValueError("values and checksum differ")
 
 
 def set_text_attribute(node: Any, name: str, data: NDArray[Any]) -> None:
-    """Write an attribute of fixed-length ASCII or numbers, with its SHA-256 as a further one if it is large."""
+    """Write an attribute of fixed-length ASCII or numbers.
+
+    Its SHA-256 is written as a further one if it is large.
+    """
     if data.nbytes > MAX_ATTRIBUTE_BYTES:
         node.attrs.create(f"{name}_{DIGEST}", np.bytes_(digest_of(data)))
     node.attrs.create(name, data)
@@ -89,16 +104,19 @@ def seal(file: h5py.File) -> None:
         if isinstance(node, h5py.Dataset) and node.size and not node.dtype.hasobject:
             length = node.shape[0] if node.shape else 1
             firsts = range(0, length, node.chunks[0] if node.chunks else length)
-            blocks = (node[first : first + firsts.step] if node.shape else node[()] for first in firsts)
+            blocks = (
+                node[first : first + firsts.step] if node.shape else node[()] for first in firsts
+            )
             entries = [_entry(first, block) for first, block in zip(firsts, blocks, strict=True)]
             set_text_attribute(node, BLOCKS, np.array(entries, dtype="S"))
     file.attrs.create(DATASETS, np.bytes_(_digest_of_datasets(file)))
 
 
 def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
-    """Return the values of a dataset, or a part of its first axis. Raises ValueError if they differ from a digest.
+    """Return the values of a dataset, or a part of its first axis.
 
-    The blocks that contain the part are read as a whole. Without digests the values are returned as they are.
+    Raises ValueError if they differ from a digest. The blocks that contain the part are read as a
+    whole. Without digests the values are returned as they are.
     """
     if BLOCKS not in dataset.attrs:
         values = dataset[part] if dataset.shape else dataset[()]
@@ -122,7 +140,10 @@ def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
 
 
 def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
-    """Yield all values of a dataset by blocks, with their place. Raises ValueError if they differ from a digest."""
+    """Yield all values of a dataset by blocks, with their place.
+
+    Raises ValueError if they differ from a digest.
+    """
     if dataset.shape and BLOCKS in dataset.attrs:
         for first, last in pairwise([*_entries(dataset), len(dataset)]):
             yield slice(first, last), read_verified(dataset, slice(first, last))
@@ -134,7 +155,10 @@ def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
 
 
 def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
-    """Return the entries of `BLOCKS` by the first row of their block. Raises ValueError if they are damaged."""
+    """Return the entries of `BLOCKS` by the first row of their block.
+
+    Raises ValueError if they are damaged.
+    """
     held = dataset.attrs[BLOCKS]
     check_digest(dataset.attrs, held, BLOCKS)
     return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(held).tolist()}
@@ -149,7 +173,8 @@ def _entry(first: int, values: Any) -> bytes:
     """Return 'first row:SHA-256 of first row, type, shape and bytes' of a block."""
     block = np.asarray(values)
     digest = hashlib.sha256(f"{first} {block.dtype.str} {block.shape} ".encode())
-    digest.update(np.ascontiguousarray(block).reshape(-1).view(np.uint8).data)  # in place: blocks may be large
+    # In place: blocks may be large.
+    digest.update(np.ascontiguousarray(block).reshape(-1).view(np.uint8).data)
     return f"{first}:{digest.hexdigest()}".encode()
 
 
@@ -158,14 +183,17 @@ def _digest_of_datasets(file: h5py.File) -> str:
     total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         if isinstance(node, h5py.Dataset) and BLOCKS in node.attrs:
-            total.update(path.encode("utf-8", "surrogateescape") + b" " + node.attrs[BLOCKS].tobytes())
+            total.update(
+                path.encode("utf-8", "surrogateescape") + b" " + node.attrs[BLOCKS].tobytes()
+            )
     return total.hexdigest()
 
 
 def read_through(file: h5py.File) -> Integrity:
     """Read and verify all values of a file.
 
-    Raises InputError with the path of the first damaged dataset, or if datasets were exchanged or removed.
+    Raises InputError with the path of the first damaged dataset, or if datasets were exchanged or
+    removed.
     """
     datasets = 0
     without_digest = list[str]()
@@ -185,12 +213,17 @@ def read_through(file: h5py.File) -> Integrity:
             if not protected:
                 without_checksum.append(path)
     if DATASETS in file.attrs and file.attrs[DATASETS] != _digest_of_datasets(file).encode():
-        raise InputError(f"{file.filename}: datasets were added, removed or exchanged after the file was written")
+        raise InputError(
+            f"{file.filename}: datasets were added, removed or exchanged after the file was written"
+        )
     return Integrity(datasets, tuple(without_digest), tuple(without_checksum))
 
 
 def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
-    """Yield (path, group or dataset) of a group and of everything within it; links to other files are not followed."""
+    """Yield (path, group or dataset) of a group and of everything within it.
+
+    Links to other files are not followed.
+    """
     with located(file, path):
         group = file[path]
         links = {name: group.get(name, getlink=True) for name in group}
@@ -231,7 +264,10 @@ def bytes_beyond(path: Path) -> int:
 
 
 class Closed(io.FileIO):
-    """File left open by its writer, read as if it had been closed; the file on disk remains unchanged."""
+    """File left open by its writer, read as if it had been closed.
+
+    The file on disk remains unchanged.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")

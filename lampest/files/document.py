@@ -25,7 +25,8 @@ from lampest.files.whole import note_read
 
 MAX_DEPTH = 50  # nested brackets: the parser's time grows with the square (tests/fuzz)
 MAX_SIZE = 100_000  # bytes of a text, parsed within 4 s, and values of a document (tests/fuzz)
-# Range of physical quantities in any unit: numbers beyond it lose their digits when they are squared.
+# Range of physical quantities in any unit: numbers beyond it lose their digits when they are
+# squared.
 MIN_NUMBER = 1e-30
 MAX_NUMBER = 1e30
 NO_MEASURE = f"must be zero or lie between {MIN_NUMBER:g} and {MAX_NUMBER:g}, whatever its sign"
@@ -71,7 +72,9 @@ class Document:
         return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
 
     def with_value(self, path: Sequence[str | int], value: Any) -> "Document":
-        """Return a copy with `value` at `path` (keys of mappings, indices of lists); missing mappings are created.
+        """Return a copy with `value` at `path` (keys of mappings, indices of lists).
+
+        Missing mappings are created.
 
         Raises InputError if the path does not exist.
         """
@@ -90,26 +93,37 @@ class Document:
 
 
 def place_in(node: Any, part: str | int) -> Any:
-    """Return a part of a dotted path as a key of `node`: a word in a mapping, an index in a list, None elsewhere."""
+    """Return a part of a dotted path as a key of `node`.
+
+    It is a word in a mapping, an index in a list, None elsewhere.
+    """
     number = isinstance(node, list) and str(part).isascii() and str(part).isdigit()
     return part if isinstance(node, dict) else int(part) if number else None
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
-    """Return a YAML file with its tables, and with entries set by texts `PATH=VALUE`. Raises InputError."""
+    """Return a YAML file with its tables, and with entries set by texts `PATH=VALUE`.
+
+    Raises InputError.
+    """
     document = parse_document(_text_of(path), str(path))
     for setting in settings:
         key, separator, value = setting.partition("=")
         if not separator or not key:
             raise InputError(f"'{setting}' is not of the form PATH=VALUE")
-        document = document.with_value(tuple(key.split(".")), parse_document(value, f"'{value}'").content)
+        document = document.with_value(
+            tuple(key.split(".")), parse_document(value, f"'{value}'").content
+        )
     for place in (("panel", "cells"), ("scene", "panel", "cells")):
         document = _with_table(document, place)
     return document
 
 
 def _with_table(document: Document, place: tuple[str, ...]) -> Document:
-    """Return the document with a table in place of its name at `place`, a path relative to the document."""
+    """Return the document with a table in place of its name at `place`.
+
+    `place` is a path relative to the document.
+    """
     value = document.content
     for key in place:
         value = value.get(key) if isinstance(value, dict) else None
@@ -119,15 +133,24 @@ def _with_table(document: Document, place: tuple[str, ...]) -> Document:
     rows = list[list[float]]()
     for number, line in enumerate(csv.reader(io.StringIO(_text_of(path))), start=1):
         try:
-            rows += [[int(text) if text.strip().isdecimal() else float(text) for text in line]] if line else []
+            rows += (
+                [[int(text) if text.strip().isdecimal() else float(text) for text in line]]
+                if line
+                else []
+            )
         except ValueError as error:
             if number > 1:  # the first may be a header
-                raise document.error(place, f"{path}:{number}: {', '.join(line)} are not all numbers") from error
+                raise document.error(
+                    place, f"{path}:{number}: {', '.join(line)} are not all numbers"
+                ) from error
     return document.with_value(place, rows)
 
 
 def _text_of(path: Path) -> str:
-    """Return the text of a file. Raises InputError if it cannot be read, is too large, or is not in UTF-8."""
+    """Return the text of a file.
+
+    Raises InputError if it cannot be read, is too large, or is not in UTF-8.
+    """
     try:
         with path.open("rb") as stream:
             content = stream.read(MAX_SIZE + 1)
@@ -141,12 +164,19 @@ def _text_of(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        kind = ", but HDF5, a recording or results; lampest info describes it" if content.startswith(b"\x89HDF") else ""
+        kind = (
+            ", but HDF5, a recording or results; lampest info describes it"
+            if content.startswith(b"\x89HDF")
+            else ""
+        )
         raise InputError(f"{path}: not a text in UTF-8{kind}") from error
 
 
 def parse_document(text: str, source: str) -> Document:
-    """Return YAML 1.2 text as a document. Raises InputError, also for duplicate keys, tags and several documents."""
+    """Return YAML 1.2 text as a document.
+
+    Raises InputError, also for duplicate keys, tags and several documents.
+    """
     if len(text) > MAX_SIZE:
         raise InputError(f"{source}: larger than {MAX_SIZE} characters, which no configuration is")
     depth = np.cumsum([1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text)])
@@ -157,12 +187,19 @@ def parse_document(text: str, source: str) -> Document:
             warnings.simplefilter("ignore")  # of an anchor that is set twice
             marks = YAML(typ="rt").load(text)
         content = _plain(marks, count(1))
-        json.dumps(content, ensure_ascii=False).encode("utf-8")  # half a sign, a surrogate, is an error
+        # Half a sign, a surrogate, is an error.
+        json.dumps(content, ensure_ascii=False).encode("utf-8")
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
-        problem = " ".join(str(error.problem or error.context).split()).replace(r"character '\t' that", "a tab, which")
-        quoted = "; in YAML a * begins an alias: write such a text in quotation marks" if "alias" in problem else ""
+        problem = " ".join(str(error.problem or error.context).split()).replace(
+            r"character '\t' that", "a tab, which"
+        )
+        quoted = (
+            "; in YAML a * begins an alias: write such a text in quotation marks"
+            if "alias" in problem
+            else ""
+        )
         raise InputError(f"{where}: {problem}{quoted}") from error
     except RecursionError as error:
         raise InputError(f"{source}: nested too deeply, or within itself") from error
@@ -172,7 +209,10 @@ def parse_document(text: str, source: str) -> Document:
 
 
 def _plain(node: Any, count: Iterator[int]) -> Any:
-    """Return a parsed node as plain Python objects. Raises ValueError for tags and for texts that expand endlessly."""
+    """Return a parsed node as plain Python objects.
+
+    Raises ValueError for tags and for texts that expand endlessly.
+    """
     if next(count) > MAX_SIZE:
         raise ValueError(f"more than {MAX_SIZE} values")
     if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
@@ -202,7 +242,8 @@ def adapter(kind: Any) -> TypeAdapter[Any]:
 def validated(document: Document, kind: Any) -> Any:
     """Return the document's content as an object of `kind`.
 
-    Raises InputError if a key is unknown, a type is wrong, or a number is out of any physical range.
+    Raises InputError if a key is unknown, a type is wrong, or a number is out of any physical
+    range.
     """
     if out := next(_out_of_range(document.content, ()), None):
         raise document.error(out, NO_MEASURE)
@@ -214,7 +255,9 @@ def validated(document: Document, kind: Any) -> Any:
         if message == UNKNOWN:
             message += _possible_keys(kind, document.content, location)
         else:
-            message = _plain_words(message, document.content, location) + _meant_choice(alternatives)
+            message = _plain_words(message, document.content, location) + _meant_choice(
+                alternatives
+            )
         raise document.error(location, message) from error
 
 
@@ -236,13 +279,22 @@ FACTOR_OF_LETTER = {"": 1.0, "R": 1.0, "k": 1e3, "K": 1e3, "M": 1e6}
 
 
 def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
-    """Return a validator's sentence in the words of a user's file, with the value, and how a number is written."""
+    """Return a validator's sentence in the words of a user's file.
+
+    It comes with the value, and how a number is written.
+    """
     if not message.startswith("Input should be "):
         return message
     for words, plain in PLAIN_WORDS.items():
         message = message.replace(words, plain)
     for part in location:
-        content = content.get(part) if isinstance(content, dict) else content[part] if isinstance(part, int) else None
+        content = (
+            content.get(part)
+            if isinstance(content, dict)
+            else content[part]
+            if isinstance(part, int)
+            else None
+        )
     if not isinstance(content, str | int | float):
         return message
     written = content.strip() if isinstance(content, str) and "number" in message else ""
@@ -252,7 +304,9 @@ def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
     digits = f"{label[1]}.{label[3]}" if label[3] else label[1]
     number = float(digits) * FACTOR_OF_LETTER[label[2]] if digits.count(".") < 2 else None
     quoted = ", without quotation marks" if written == label[1] else ""
-    return f"{message}, not {content!r}" + ("" if number is None else f": write {number:.12g}{quoted}")
+    return f"{message}, not {content!r}" + (
+        "" if number is None else f": write {number:.12g}{quoted}"
+    )
 
 
 def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
@@ -276,40 +330,64 @@ def schema_of(kind: Any) -> TypeAdapter[Any] | None:
     """Return the validator of a type; None if YAML cannot express the type."""
     try:
         made = adapter(kind)
-        return made if made.pydantic_complete else None  # None for types that are imported for type checkers only
+        # None for types that are imported for type checkers only
+        return made if made.pydantic_complete else None
     except (PydanticSchemaGenerationError, PydanticUserError):
         return None
 
 
 def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
-    """Return a Python value as an object of the validator's type, as strict as YAML. Raises InputError."""
-    if value == value and next(_out_of_range(value, ()), None) is not None:  # NaN is reported by its class
+    """Return a Python value as an object of the validator's type, as strict as YAML.
+
+    Raises InputError.
+    """
+    # NaN is reported by its class
+    if value == value and next(_out_of_range(value, ()), None) is not None:
         raise InputError(NO_MEASURE)
     try:
         return validator.validate_python(value, strict=True)
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        repeating = ("union_tag_not_found", "model_attributes_type")  # further faults of the same union
-        message = _sentence_of([fault for fault in faults if fault["type"] not in repeating] or faults)
+        # Further faults of the same union.
+        repeating = ("union_tag_not_found", "model_attributes_type")
+        message = _sentence_of(
+            [fault for fault in faults if fault["type"] not in repeating] or faults
+        )
         raise InputError(f"{message}, not {in_words(value)}{_meant_choice(faults)}") from error
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        raise InputError(f"{in_words(value)} does not fit ({' '.join(str(error).split())})") from error
+        raise InputError(
+            f"{in_words(value)} does not fit ({' '.join(str(error).split())})"
+        ) from error
 
 
 def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
-    """Return the key that is similar to an unknown one, or else those that its place may also have; '' for many."""
+    """Return the key that is similar to an unknown one, or else the possible ones.
+
+    These are those that its place may also have; '' for many.
+    """
     schema = adapter(kind).json_schema()
     nodes = _alternatives(schema, schema)
     for part in location[:-1]:
         content = content[part]
         inner = (
-            node.get("properties", {}).get(part) or node.get("additionalProperties") or node.get("items")
+            node.get("properties", {}).get(part)
+            or node.get("additionalProperties")
+            or node.get("items")
             for node in nodes
         )
-        nodes = [alternative for node in inner if isinstance(node, dict) for alternative in _alternatives(node, schema)]
+        nodes = [
+            alternative
+            for node in inner
+            if isinstance(node, dict)
+            for alternative in _alternatives(node, schema)
+        ]
     objects = [node["properties"] for node in nodes if "properties" in node]
     # Objects of another kind have another constant for a shared key.
-    fitting = [known for known in objects if all(_fits(known.get(key, {}), value) for key, value in content.items())]
+    fitting = [
+        known
+        for known in objects
+        if all(_fits(known.get(key, {}), value) for key, value in content.items())
+    ]
     keys = {key for known in fitting for key in known}
     unused = sorted(keys - {*content})
     listed = f"; there are {', '.join(unused)}" if 0 < len(unused) <= 12 else ""
@@ -331,10 +409,11 @@ def _fits(node: Any, value: Any) -> bool:
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[Any]]:
-    """Return the location of the most informative fault, its sentence, and the faults that the sentence names.
+    """Return the location of the most informative fault, and its sentence.
 
-    A misspelt key also leaves its field missing; the key is the part that the user can see. For a value of one of
-    several types, the deepest fault belongs to the intended type.
+    The faults that the sentence names are returned, too. A misspelt key also leaves its field
+    missing; the key is the part that the user can see. For a value of one of several types, the
+    deepest fault belongs to the intended type.
     """
     for fault in faults:
         if fault["type"] == "unexpected_keyword_argument":
@@ -352,7 +431,10 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[
 
 
 def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[str, ...]:
-    """Return the keys below `place` that a message names in its first word, such as readout.groups; () without any."""
+    """Return the keys below `place` that a message names in its first word.
+
+    An example is readout.groups; () without any.
+    """
     for part in place:
         content = content[part]
     named: list[str] = []
@@ -365,34 +447,50 @@ def _named_first(message: str, content: Any, place: tuple[Any, ...]) -> tuple[st
 
 
 def _sentence_of(faults: Sequence[Any]) -> str:
-    """Return one sentence on the alternative faults of a value, without the validator's terms for unions."""
+    """Return one sentence on the alternative faults of a value.
+
+    It is without the validator's terms for unions.
+    """
     sentences = []
     for fault in faults:
         sentence = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "union_tag_invalid":
             known = fault["ctx"]["expected_tags"].replace("'", "")
-            sentence = f"there is no kind {fault['ctx']['tag']} in lampest or an installed package; there are {known}"
+            sentence = (
+                f"there is no kind {fault['ctx']['tag']} in lampest or an installed "
+                f"package; there are {known}"
+            )
         elif fault["type"] == "union_tag_not_found":
             sentence = "Input should be a mapping with a 'kind'"
         sentences.append(sentence)
     first, *alternatives = dict.fromkeys(sentences)
-    return " or ".join([first, *(sentence.removeprefix("Input should be ") for sentence in alternatives)])
+    return " or ".join(
+        [first, *(sentence.removeprefix("Input should be ") for sentence in alternatives)]
+    )
 
 
 def _meant_choice(faults: Sequence[Any]) -> str:
-    """Return '; did you mean reduced?' if the value of these faults is similar to a word of a closed list, else ''."""
+    """Return '; did you mean reduced?' if the value is similar to a known word, else ''.
+
+    The value is that of these faults, the word one of a closed list.
+    """
     choices: list[str] = []
     words: list[str] = []
     for fault in faults:
         context = fault.get("ctx", {})
         word = context.get("tag", fault["input"])
         words += [word] if isinstance(word, str) else []
-        choices += re.findall(r"'([^']+)'", str(context.get("expected_tags", context.get("expected", ""))))
+        choices += re.findall(
+            r"'([^']+)'", str(context.get("expected_tags", context.get("expected", "")))
+        )
     return next(filter(None, (meant(word, choices) for word in words)), "")
 
 
 def _location(fault: Any, content: Any) -> tuple[Any, ...]:
-    """Return the location of a fault without the keys by which the validator names alternatives of a type."""
+    """Return the location of a fault without the keys that name alternatives of a type.
+
+    These are the keys by which the validator names them.
+    """
     place: list[Any] = []
     parts = fault["loc"]
     chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
@@ -420,8 +518,9 @@ def to_yaml(value: Any) -> str:
 
 
 def plain_content(value: Any) -> Any:
-    """Return dataclasses as mappings, tuples and arrays as lists, and NumPy's numbers as plain ones.
+    """Return dataclasses, tuples, arrays and NumPy's numbers as plain objects.
 
+    Dataclasses become mappings, tuples and arrays become lists, and NumPy's numbers plain ones.
     Entries that are None are omitted, and so are empty entries that are excluded from comparisons.
     """
     if isinstance(value, np.generic | np.ndarray):

@@ -6,7 +6,8 @@ from dataclasses import fields
 from difflib import get_close_matches
 from typing import Any
 
-# What brings a module, where its package has another name or is in an extra that many parts of lampest need.
+# What brings a module, where its package has another name or is in an extra that many parts of
+# lampest need.
 PACKAGES = {
     "matplotlib": "lampest[plots]",
     "serial": "pyserial",
@@ -24,8 +25,8 @@ BROKEN = (ArithmeticError, ValueError, RuntimeError)
 class InputError(ValueError):
     """Mistake of the user, described in one sentence; commands end with exit code 2.
 
-    The message is one printable line whatever names and keys a file holds: control characters are written as
-    escapes, and a long message is cut in its middle.
+    The message is one printable line whatever names and keys a file holds: control characters are
+    written as escapes, and a long message is cut in its middle.
 
     >>> issubclass(lampest.InputError, ValueError)
     True
@@ -44,8 +45,9 @@ def printable(text: str) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """Return '; did you mean reduced?' if a known word is similar to the typed word, otherwise ''."""
-    close = get_close_matches(word, list(known), 1, 0.65)  # one typing error in four letters or more
+    """Return '; did you mean reduced?' if a known word is similar to the typed one, else ''."""
+    # One typing error in four letters or more.
+    close = get_close_matches(word, list(known), 1, 0.65)
     return f"; did you mean {close[0]}?" if close else ""
 
 
@@ -64,11 +66,16 @@ def in_words(value: Any) -> str:
     """Return a value for messages: words and numbers unchanged, other values by their class."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    return repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
+    return (
+        repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
+    )
 
 
 def brief(value: Any) -> str:
-    """Return a dataclass in one line, for notebooks: arrays by their shapes, collections by their lengths."""
+    """Return a dataclass in one line, for notebooks.
+
+    Arrays are given by their shapes, collections by their lengths.
+    """
     parts = []
     for field in fields(value):
         content = getattr(value, field.name)
@@ -83,7 +90,8 @@ def brief(value: Any) -> str:
             text = f"{content:.4g}"
         else:
             text = str(content) if isinstance(content, str | int) else type(content).__name__
-        if len(text) <= 40 and text.isprintable():  # longer texts are files' contents, and sentences
+        # Longer texts are files' contents, and sentences.
+        if len(text) <= 40 and text.isprintable():
             parts.append(f"{field.name}={text}")
     shown = ", ".join(parts[:12]) + ", ..." * (len(parts) > 12)
     return f"{type(value).__name__}({shown})"
@@ -91,9 +99,10 @@ def brief(value: Any) -> str:
 
 @contextmanager
 def extra(name: str = "") -> Iterator[None]:
-    """Raise InputError with the command that installs a library if an import within the block fails.
+    """Raise InputError with the command that installs a library if its import fails.
 
-    `name` is the extra that contains the library; '' for libraries of every installation, and for matplotlib.
+    The import is one within the block. `name` is the extra that contains the library; '' for
+    libraries of every installation, and for matplotlib.
     """
     try:
         yield
@@ -102,4 +111,6 @@ def extra(name: str = "") -> Iterator[None]:
             raise
         module = error.name.partition(".")[0]
         brings = f"lampest[{name}]" if name else PACKAGES.get(module, module)
-        raise InputError(f"{error.name} is not installed; pip install '{brings}' brings it") from error
+        raise InputError(
+            f"{error.name} is not installed; pip install '{brings}' brings it"
+        ) from error

@@ -1,7 +1,8 @@
-"""HDF5 by lampest's conventions: atomic files, digests of all values, fixed-length ASCII, units of all datasets.
+"""HDF5 by lampest's conventions: atomic files, digests, fixed-length ASCII, units.
 
-Format v110 has checksums of all metadata, including small values. Larger values are in chunks with Fletcher-32
-checksums. They are compressed unless they are many and their digits are noise. Each block of values has a digest
+The digests are of all values, the units of all datasets. Format v110 has checksums of all metadata,
+including small values. Larger values are in chunks with Fletcher-32 checksums. They are compressed
+unless they are many and their digits are noise. Each block of values has a digest
 (`checksums.seal`), which every reading function verifies.
 """
 
@@ -32,7 +33,8 @@ CHUNK = 100_000  # values of a chunk, which contains whole frames
 ALL = slice(None)
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# Keys that only one kind of YAML file has, and suffixes of other files: the kind, with the command that reads it.
+# Keys that only one kind of YAML file has, and suffixes of other files: the kind, with the command
+# that reads it.
 DOCUMENTS = {
     "recordings": ", but a run file; lampest run reads it",
     "estimators": ", but a run file; lampest run reads it",
@@ -40,7 +42,20 @@ DOCUMENTS = {
     "panel": ", but a scene; lampest import takes it with --scene",
 }
 FOREIGN = dict.fromkeys(
-    (".csv", ".txt", ".log", ".tsv", ".xlsx", ".npy", ".npz", ".mat", ".json", ".jsonl", ".parquet", ".feather"),
+    (
+        ".csv",
+        ".txt",
+        ".log",
+        ".tsv",
+        ".xlsx",
+        ".npy",
+        ".npz",
+        ".mat",
+        ".json",
+        ".jsonl",
+        ".parquet",
+        ".feather",
+    ),
     "a file of another program; lampest import makes a recording of its readings",
 ) | dict.fromkeys((".png", ".pdf", ".svg", ".jpg"), "a picture")
 
@@ -50,9 +65,15 @@ R = TypeVar("R")
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Yield a new file that appears under its name once it is complete and on disk. Raises as `whole_file`."""
-    # Built in memory: the HDF5 library may crash the process if the disk is full, Python's own files do not.
-    with h5py.File(str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20) as file:
+    """Yield a new file that appears under its name once it is complete and on disk.
+
+    Raises as `whole_file`.
+    """
+    # Built in memory: the HDF5 library may crash the process if the disk is full, Python's own
+    # files do not.
+    with h5py.File(
+        str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20
+    ) as file:
         yield file
         checksums.seal(file)
         file.flush()
@@ -63,9 +84,10 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 @contextmanager
 def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
-    """Yield a new file that is too large for memory; it is built on disk and appears once it is complete.
+    """Yield a new file that is too large for memory.
 
-    `size` is the maximum size of the file in bytes. Raises InputError as `new_file`, or if the disk has less space.
+    It is built on disk and appears once it is complete. `size` is the maximum size of the file in
+    bytes. Raises InputError as `new_file`, or if the disk has less space.
     """
     with whole_file(path) as unfinished:
         check_room(path, size)
@@ -76,7 +98,10 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
 
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
-    """Yield a file opened for reading. Raises InputError if it is missing, no HDF5 file, truncated or damaged."""
+    """Yield a file opened for reading.
+
+    Raises InputError if it is missing, no HDF5 file, truncated or damaged.
+    """
     if os.path.isdir(path):  # noqa: PTH112 # Path.is_dir raises for a name that is too long
         raise InputError(f"{path}: a folder; name a file in it")
     if not os.path.isfile(path):  # noqa: PTH113 # as above
@@ -103,7 +128,11 @@ def _instead(path: Path, error: str) -> str:
         return cut or f" ({' '.join(error.split())})"
     if not begin:
         return ": it is empty"
-    keys = set(re.findall(r"^([a-z_]+):", text, re.MULTILINE)) if path.suffix.lower() in (".yaml", ".yml") else set()
+    keys = (
+        set(re.findall(r"^([a-z_]+):", text, re.MULTILINE))
+        if path.suffix.lower() in (".yaml", ".yml")
+        else set()
+    )
     if path.suffix.lower() in (".h5", ".hdf5"):
         return ": it does not begin as one does; it is damaged, or another kind of file"
     kinds = (kind for key, kind in DOCUMENTS.items() if key in keys)
@@ -111,7 +140,10 @@ def _instead(path: Path, error: str) -> str:
 
 
 def format_of(path: Path) -> str:
-    """Return the format in a file's attributes, '' for none. Raises InputError as `existing_file`."""
+    """Return the format in a file's attributes, '' for none.
+
+    Raises InputError as `existing_file`.
+    """
     with existing_file(path) as file:
         form = read_attribute(file, "/", "lampest_format")
     return form if isinstance(form, str) else ""
@@ -127,21 +159,27 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             suspected = "already open for" in str(error) or "truncated file" in str(error)
             if not suspected or not checksums.is_left_open(path):
                 raise
-            # While the recorder is alive, HDF5 waits (SWMR) until it has corrected a wrong checksum.
+            # While the recorder is alive, HDF5 waits (SWMR) until it has corrected a wrong
+            # checksum.
             alive = is_locked(path)
-            file = h5py.File(path if alive else stack.enter_context(checksums.Closed(path)), "r", swmr=alive)
+            file = h5py.File(
+                path if alive else stack.enter_context(checksums.Closed(path)), "r", swmr=alive
+            )
         yield stack.enter_context(file)
 
 
 def checked(path: Path) -> tuple[int, checksums.Integrity]:
     """Read all of a file, and return its number of bytes and what was verified.
 
-    Raises InputError with the path of a damaged dataset, and if bytes follow the end of a file of lampest's.
+    Raises InputError with the path of a damaged dataset, and if bytes follow the end of a file of
+    lampest's.
     """
     with existing_file(path) as file:
         integrity = checksums.read_through(file)
     if not integrity.without_checksum and (beyond := checksums.bytes_beyond(path)):
-        raise InputError(f"{path}: {beyond} bytes stand behind the end of the file as it was written")
+        raise InputError(
+            f"{path}: {beyond} bytes stand behind the end of the file as it was written"
+        )
     return path.stat().st_size, integrity
 
 
@@ -163,11 +201,18 @@ def set_attributes(node: Any, **attributes: Any) -> None:
 
 
 def write_dataset(
-    group: h5py.Group, name: str, data: Any, units: str, long_name: str, scales: tuple[str, ...] = (), **further: Any
+    group: h5py.Group,
+    name: str,
+    data: Any,
+    units: str,
+    long_name: str,
+    scales: tuple[str, ...] = (),
+    **further: Any,
 ) -> None:
-    """Write a dataset with its units, its long name, and dimension scales of the same group ('' for none).
+    """Write a dataset with its units, its long name, and dimension scales.
 
-    `further` are other attributes, such as the meanings of flags.
+    The scales are of the same group ('' for none). `further` are other attributes, such as the
+    meanings of flags.
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
@@ -186,18 +231,29 @@ def chunk_of(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _shrinks(data: NDArray[Any]) -> bool:
-    """Return whether compression is worth its time, judged by a sample of large floating-point data."""
+    """Return whether compression is worth its time.
+
+    It is judged by a sample of large floating-point data.
+    """
     if data.size <= CHUNK or data.dtype.kind != "f":
         return True
     sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
     planes = sample.view(np.uint8).reshape(sample.size, -1).T.tobytes()
-    # Above two thirds of the size, compression takes twenty times the time of writing for little gain.
+    # Above two thirds of the size, compression takes twenty times the time of writing for little
+    # gain.
     return len(zlib.compress(planes, 1)) < 2 / 3 * len(planes)
 
 
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
-    """Attach scales to the axes of datasets, given by path in the group; '' for an axis without a scale."""
-    nodes = {name: group[name].id for path, names in axes.items() for name in (path, *filter(None, names))}
+    """Attach scales to the axes of datasets, given by path in the group.
+
+    '' for an axis without a scale.
+    """
+    nodes = {
+        name: group[name].id
+        for path, names in axes.items()
+        for name in (path, *filter(None, names))
+    }
     for path, names in axes.items():
         for axis, name in enumerate(names):
             if name:
@@ -214,7 +270,9 @@ def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Datase
         properties.set_layout(h5py.h5d.COMPACT)
     kind = h5py.h5t.py_create(data.dtype, logical=True)
     space = h5py.h5s.create_simple(data.shape)
-    dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links))
+    dataset = h5py.Dataset(
+        h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
+    )
     if data.size:
         dataset[...] = data
     return dataset
@@ -244,7 +302,10 @@ def _located(function: Callable[P, R]) -> Callable[P, R]:
 
 @_located
 def has(file: h5py.File, path: str) -> bool:
-    """Return whether a group or dataset exists. Raises InputError if it is damaged, or a link to another file."""
+    """Return whether a group or dataset exists.
+
+    Raises InputError if it is damaged, or a link to another file.
+    """
     return _node_or_none(file, path) is not None
 
 
@@ -258,7 +319,10 @@ def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
 
 
 def length_of(file: h5py.File, path: str) -> int:
-    """Return the length of a dataset's first axis. Raises InputError if it is absent or has no axis."""
+    """Return the length of a dataset's first axis.
+
+    Raises InputError if it is absent or has no axis.
+    """
     if shape := shape_of(file, path):
         return shape[0]
     raise InputError(f"{file.filename}: {path} is a single value")
@@ -291,7 +355,8 @@ def read_array(
     Raises
     ------
     InputError
-        If the dataset is absent, of another shape, damaged, absurdly large, or does not fit the integer type.
+        If the dataset is absent, of another shape, damaged, absurdly large, or does not fit the
+        integer type.
     """
     dataset = _node(file, path, h5py.Dataset)
     requested = (dimensions,) if isinstance(dimensions, int) else dimensions
@@ -303,7 +368,9 @@ def read_array(
         raise InputError(f"{file.filename}: {path} is {actual}, not {required}")
     size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
     if size > MAX_VALUES:
-        raise InputError(f"{file.filename}: {path} claims {size} values; more than {MAX_VALUES} are not read")
+        raise InputError(
+            f"{file.filename}: {path} claims {size} values; more than {MAX_VALUES} are not read"
+        )
     # a part is of a whole
     stored = dataset.id.get_storage_size()
     claimed = dataset.size * dataset.dtype.itemsize
@@ -314,7 +381,9 @@ def read_array(
     if kind is None:
         return values
     if values.dtype.kind == "f" or not np.array_equal(values.astype(kind), values):
-        raise InputError(f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}")
+        raise InputError(
+            f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}"
+        )
     return values.astype(kind)
 
 
@@ -330,7 +399,9 @@ def read_text(file: h5py.File, path: str) -> str:
 
 
 @_located
-def read_texts(file: h5py.File, path: str, length: int | None = None, part: slice = ALL) -> tuple[str, ...]:
+def read_texts(
+    file: h5py.File, path: str, length: int | None = None, part: slice = ALL
+) -> tuple[str, ...]:
     """Return a list of fixed-length texts, or a part of it.
 
     Raises InputError if it is absent, of another length, or something else.
@@ -338,7 +409,9 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
     dataset = _node_or_none(file, path, h5py.Dataset)
     size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
     if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind != "S":
-        raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts of a fixed length")
+        raise InputError(
+            f"{file.filename}: {path} is missing or not {length or 'some'} texts of a fixed length"
+        )
     claimed = dataset.dtype.itemsize * len(range(size)[part])
     if claimed > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims texts of {claimed} bytes")
@@ -346,23 +419,33 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:
-    """Return an attribute, text as str; None if it is absent. Raises InputError if it cannot be read."""
+    """Return an attribute, text as str; None if it is absent.
+
+    Raises InputError if it cannot be read.
+    """
     with checksums.located(file, f"{path}@{name}"):
         attributes = _node(file, path).attrs
         held = attributes.get_id(name) if name in attributes else None
         if held is None or held.shape is None:
             return None
         if held.get_storage_size() > MAX_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path}@{name} is larger than {MAX_TEXT_BYTES} bytes")
+            raise InputError(
+                f"{file.filename}: {path}@{name} is larger than {MAX_TEXT_BYTES} bytes"
+            )
         if held.dtype.kind == "O" and held.shape:
-            raise InputError(f"{file.filename}: {path}@{name} is a list of texts without a fixed length")
+            raise InputError(
+                f"{file.filename}: {path}@{name} is a list of texts without a fixed length"
+            )
         value = attributes[name]
         checksums.check_digest(attributes, value, name)
         return _text(value) if isinstance(value, bytes | str) else value
 
 
 def read_number(file: h5py.File, path: str, name: str, otherwise: float | None = None) -> float:
-    """Return a numeric attribute; `otherwise` if it is absent or NaN. Raises InputError if it is not finite."""
+    """Return a numeric attribute; `otherwise` if it is absent or NaN.
+
+    Raises InputError if it is not finite.
+    """
     value = read_attribute(file, path, name)
     number = np.shape(value) == () and np.asarray(value).dtype.kind in "iuf"
     if otherwise is not None and (value is None or (number and np.isnan(value))):
@@ -380,7 +463,10 @@ def attribute_names(file: h5py.File, path: str) -> list[str]:
 
 @_located
 def children(file: h5py.File, path: str, kind: type[Any] = h5py.Dataset) -> list[str]:
-    """Return the names of the datasets, or groups, in a group, alphabetically. Raises InputError if it is no group."""
+    """Return the names of the datasets, or groups, in a group, alphabetically.
+
+    Raises InputError if it is no group.
+    """
     group = _node(file, path)
     if not isinstance(group, h5py.Group):
         raise InputError(f"{file.filename}: {path} is no group")
@@ -395,7 +481,10 @@ def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
 
 
 def _node_or_none(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
-    """Return the group or dataset at a path, None if absent or of another kind. Raises InputError for links."""
+    """Return the group or dataset at a path, None if absent or of another kind.
+
+    Raises InputError for links.
+    """
     node: Any = file
     for part in filter(None, path.split("/")):
         name = part.encode("utf-8")
@@ -403,10 +492,14 @@ def _node_or_none(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
         if not isinstance(node, h5py.Group) or not node.id.links.exists(name):
             return None
         if node.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
-            raise InputError(f"{file.filename}: {path} is a link, perhaps to another file, which is not followed")
+            raise InputError(
+                f"{file.filename}: {path} is a link, perhaps to another file, which is not followed"
+            )
         node = node[part]
     if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
-        raise InputError(f"{file.filename}: {path} has its values in another file, which is not read")
+        raise InputError(
+            f"{file.filename}: {path} has its values in another file, which is not read"
+        )
     return node if isinstance(node, kind) else None
 
 

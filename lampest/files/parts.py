@@ -1,4 +1,7 @@
-"""Concatenation of HDF5 groups from several files, dataset by dataset and part by part, with little memory."""
+"""Concatenation of HDF5 groups from several files, with little memory.
+
+It proceeds dataset by dataset and part by part.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -43,10 +46,11 @@ class DatasetPlan(NamedTuple):
 
 
 def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
-    """Write the frames of one group of several files into a single group; the group of a single file is copied.
+    """Write the frames of one group of several files into a single group.
 
-    Datasets without a time axis are those of the last file. Values that a part lacks, because it has no frame with
-    them, are NaN, 0 or empty texts. Raises InputError if a file cannot be read.
+    The group of a single file is copied. Datasets without a time axis are those of the last file.
+    Values that a part lacks, because it has no frame with them, are NaN, 0 or empty texts. Raises
+    InputError if a file cannot be read.
 
     Parameters
     ----------
@@ -66,7 +70,9 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             begins.append(_lengths(plans))
             for path, node in _within(file, group):
                 ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
-                kept = (name for name in node.attrs if name not in ties and not name.startswith(BLOCKS))
+                kept = (
+                    name for name in node.attrs if name not in ties and not name.startswith(BLOCKS)
+                )
                 attributes[path] = {name: node.attrs[name] for name in kept}
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
@@ -77,7 +83,9 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     for path, plan in joined.items():
         shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
         fill = np.nan if plan.dtype.kind == "f" else None
-        target.create_dataset(path, shape, plan.dtype, chunks=hdf5.chunk_of(shape), fillvalue=fill, **plan.packing)
+        target.create_dataset(
+            path, shape, plan.dtype, chunks=hdf5.chunk_of(shape), fillvalue=fill, **plan.packing
+        )
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _within(file, group):
@@ -93,13 +101,16 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         if path in plans and plans[path].is_scale:
             target[path].make_scale(path.rsplit("/", 1)[-1])
     for path, plan in plans.items():
-        hdf5.attach_scales(target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)})
+        hdf5.attach_scales(
+            target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)}
+        )
 
 
 def _copy(dataset: h5py.Dataset, target: h5py.Group, path: str) -> None:
-    """Write a dataset's verified values into a new one with the same type, layout and filters, without attributes.
+    """Write a dataset's verified values into a new one, without attributes.
 
-    HDF5's own copy without attributes overruns its memory where a header holds large ones, such as digests.
+    The new one has the same type, layout and filters. HDF5's own copy without attributes overruns
+    its memory where a header holds large ones, such as digests.
     """
     like = dataset.id.get_type(), dataset.id.get_space(), dataset.id.get_create_plist()
     copied = h5py.Dataset(h5py.h5d.create(target.id, path.encode(), *like))
@@ -108,8 +119,15 @@ def _copy(dataset: h5py.Dataset, target: h5py.Group, path: str) -> None:
 
 
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
-    """Return the plan of a dataset extended by this part; texts have the length of the longest one."""
-    scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
+    """Return the plan of a dataset extended by this part.
+
+    Texts have the length of the longest one.
+    """
+    scales = (
+        ()
+        if dataset.is_scale
+        else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
+    )
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
     shape = dataset.shape
     dtype = dataset.dtype
@@ -122,12 +140,22 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
 
 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
-    """Return the number of frames so far by the first part of the path, such as that of an estimator."""
-    times = {path: plan for path, plan in plans.items() if path.endswith(f"/{TIME}") and path.count("/") == 1}
+    """Return the number of frames so far by the first part of the path.
+
+    An example of such a part is that of an estimator.
+    """
+    times = {
+        path: plan
+        for path, plan in plans.items()
+        if path.endswith(f"/{TIME}") and path.count("/") == 1
+    }
     return {path.split("/", 1)[0]: plan.shape[0] for path, plan in times.items()}
 
 
 def _within(file: h5py.File, group: str) -> Iterator[tuple[str, Any]]:
-    """Yield (path relative to the group, node) of the group and of everything in it, groups before their members."""
+    """Yield (path relative to the group, node) of the group and of everything in it.
+
+    Groups come before their members.
+    """
     for path, node in nodes_below(file, group):
         yield path.removeprefix(group).lstrip("/"), node

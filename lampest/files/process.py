@@ -1,4 +1,7 @@
-"""State of the process: memory limit, BLAS threads, terminating signals, and the log of libraries' warnings."""
+"""State of the process: memory limit, BLAS threads, terminating signals, log of warnings.
+
+The warnings are those of libraries.
+"""
 
 import logging
 import os
@@ -21,25 +24,37 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # for small matrices
+# For small matrices.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 ALLOWED = "LAMPEST_MEMORY"  # environment variable with the user's memory limit, such as 8GB
-# Signals that the process ignores (nohup) stay ignored, except the first two, which are sent on purpose.
+# Signals that the process ignores (nohup) stay ignored, except the first two, which are sent on
+# purpose.
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
-# Libraries that cannot map a segment or reserve a buffer raise KeyError or ImportError, wait for ever, or end the
-# process. Below 600 MiB some command did (tests/attack/test_memory.py).
+# Libraries that cannot map a segment or reserve a buffer raise KeyError or ImportError, wait for
+# ever, or end the process. Below 600 MiB some command did (tests/attack/test_memory.py).
 ADDRESS_SPACE = 660 * 2**20  # bytes of addresses that a command needs, mostly of its libraries
-HUNG_SECONDS = 120.0  # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
-EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is killed
-FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
+# s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
+HUNG_SECONDS = 120.0
+# Whether a parent process replaces this one if it is killed.
+EXPENDABLE = ContextVar("expendable", default=False)
+FOREIGN = (
+    ArithmeticError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    MemoryError,
+)
 
 
 class OneBlasThread(ContextDecorator):
     """Context with one BLAS thread, which several threads of the process may enter and leave.
 
-    The matrices of a panel are small: several BLAS threads take 3 to 15 times as long on a busy machine. The number of
-    threads is a state of the process, so that the whole process shares one such context. A process that forks waits for
-    the lock, so that the child inherits it released.
+    The matrices of a panel are small: several BLAS threads take 3 to 15 times as long on a busy
+    machine. The number of threads is a state of the process, so that the whole process shares one
+    such context. A process that forks waits for the lock, so that the child inherits it released.
     """
 
     def __init__(self) -> None:
@@ -47,7 +62,9 @@ class OneBlasThread(ContextDecorator):
         self._entered = 0
         self._limit = ExitStack()
         released = self._lock.release
-        os.register_at_fork(before=self._lock.acquire, after_in_parent=released, after_in_child=released)
+        os.register_at_fork(
+            before=self._lock.acquire, after_in_parent=released, after_in_child=released
+        )
 
     @cached_property
     def _libraries(self) -> "ThreadpoolController":
@@ -72,21 +89,28 @@ ONE_BLAS_THREAD = OneBlasThread()
 
 
 def check_address_space() -> None:
-    """Raise InputError if the limit of addresses (ulimit -v) is too small for the libraries of a command.
+    """Raise InputError if the limit of addresses (ulimit -v) is too small.
 
-    Under a limit that suffices, the libraries reserve their buffers at once, before data take the addresses.
+    It has to suffice for the libraries of a command. Under a limit that suffices, the libraries
+    reserve their buffers at once, before data take the addresses.
     """
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit == resource.RLIM_INFINITY:
         return
     if limit < ADDRESS_SPACE:
-        both = f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, and the limit is {in_bytes(limit)} (ulimit -v)"
+        both = (
+            f"{in_bytes(ADDRESS_SPACE)} of addresses are needed, and the limit is "
+            f"{in_bytes(limit)} (ulimit -v)"
+        )
         raise InputError(f"not enough memory: {both}")
     _reserve_buffers()
 
 
 def _reserve_buffers() -> None:
-    """Let each copy of OpenBLAS reserve its buffer, which it keeps: refused one, it asks again for ever."""
+    """Let each copy of OpenBLAS reserve its buffer, which it keeps.
+
+    Refused one, it asks again for ever.
+    """
     import casadi
     import numpy as np
     from scipy.linalg import lu_factor
@@ -98,15 +122,21 @@ def _reserve_buffers() -> None:
 
 
 def check_memory(needed: float, label: str) -> None:
-    """Raise InputError if `label`, such as 'the lines of a panel', needs more bytes than are available."""
+    """Raise InputError if `label` needs more bytes than are available.
+
+    An example of such a label is 'the lines of a panel'.
+    """
     if needed > (limit := memory_limit()):
         raise InputError(
-            f"{label}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(limit)}; {ALLOWED} allows more"
+            f"{label}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(limit)}; "
+            f"{ALLOWED} allows more"
         )
 
 
 def memory_limit() -> float:
-    """Return the available memory in bytes: the user's limit, or 90 % of that of machine, container and ulimit.
+    """Return the available memory in bytes.
+
+    It is the user's limit, or 90 % of that of machine, container and ulimit.
 
     Raises InputError if the user's limit is no size.
     """
@@ -117,7 +147,10 @@ def memory_limit() -> float:
         return float(size[1]) * 1024.0 ** " KMGT".index(size[2].upper() or " ")
     free = [float(psutil.virtual_memory().available)]
     with suppress(OSError, ValueError):  # without Linux' control groups, or where the most is 'max'
-        most, taken = (float(Path("/sys/fs/cgroup", name).read_text()) for name in ("memory.max", "memory.current"))
+        most, taken = (
+            float(Path("/sys/fs/cgroup", name).read_text())
+            for name in ("memory.max", "memory.current")
+        )
         free.append(most - taken)
     addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
     if addresses != resource.RLIM_INFINITY:
@@ -136,9 +169,10 @@ def in_bytes(size: float) -> str:
 
 @contextmanager
 def ended_where_hung(limit_s: float | None) -> Iterator[None]:
-    """End an expendable process by SIGALRM if the block takes longer than HUNG_SECONDS and ten times the limit in s.
+    """End an expendable process by SIGALRM if the block takes too long.
 
-    For calls of libraries that never return to Python, so that no Python signal handler runs.
+    That is longer than HUNG_SECONDS and ten times the limit in s. For calls of libraries that never
+    return to Python, so that no Python signal handler runs.
     """
     if limit_s is None or not EXPENDABLE.get():
         yield
@@ -153,7 +187,10 @@ def ended_where_hung(limit_s: float | None) -> Iterator[None]:
 
 @contextmanager
 def delayed_interrupt() -> Iterator[None]:
-    """Delay Ctrl-C and similar signals until the end of the block: CasADi would report them as failed evaluations."""
+    """Delay Ctrl-C and similar signals until the end of the block.
+
+    CasADi would report them as failed evaluations.
+    """
     signals: list[int] = []
     with handled(signals.append):
         yield
@@ -162,12 +199,15 @@ def delayed_interrupt() -> Iterator[None]:
 
 
 @contextmanager
-def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], str]]:
-    """Yield a function that returns the name of the signal that requested the end, such as SIGTERM, or ''.
+def ending_signals(
+    worth_finishing: Callable[[], bool] = lambda: False,
+) -> Iterator[Callable[[], str]]:
+    """Yield a function that returns the name of the signal that requested the end.
 
-    KeyboardInterrupt is raised at once if nothing is worth finishing, and at a second signal. Signals within a second
-    are one request, because a closing terminal sends several: a second KeyboardInterrupt would meet the clean-up after
-    the first one, inside destructors, where Python prints it and loses it.
+    The name is such as SIGTERM, or ''. KeyboardInterrupt is raised at once if nothing is worth
+    finishing, and at a second signal. Signals within a second are one request, because a closing
+    terminal sends several: a second KeyboardInterrupt would meet the clean-up after the first one,
+    inside destructors, where Python prints it and loses it.
     """
     requests: list[tuple[str, float]] = []
 
@@ -183,25 +223,41 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
 
 
 def interrupted(error: BaseException | None) -> bool:
-    """Return whether an error was caused by Ctrl-C, which compiled code may convert into another error."""
+    """Return whether an error was caused by Ctrl-C.
+
+    Compiled code may convert Ctrl-C into another error.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None
 
 
 def deaf() -> AbstractContextManager[None]:
-    """Return a context that ignores all terminating signals, for the short time in which a file is closed."""
+    """Return a context that ignores all terminating signals.
+
+    It is for the short time in which a file is closed.
+    """
     return handled(lambda number: None)
 
 
 @contextmanager
 def handled(handler: Callable[[int], object]) -> Iterator[None]:
-    """Pass every terminating signal within the block to a handler; without effect outside the main thread."""
+    """Pass every terminating signal within the block to a handler.
+
+    It is without effect outside the main thread.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = [number for number in ENDING if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, lambda received, frame: handler(received)) for number in numbers}
+    numbers = [
+        number
+        for number in ENDING
+        if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN
+    ]
+    before = {
+        number: signal.signal(number, lambda received, frame: handler(received))
+        for number in numbers
+    }
     try:
         yield
     finally:
@@ -211,7 +267,10 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def libraries_to_the_log() -> Iterator[None]:
-    """Write warnings, and errors that `logged_reason` shortens, to the file in LAMPEST_LOG within the block."""
+    """Write warnings within the block to the file in LAMPEST_LOG.
+
+    Errors that `logged_reason` shortens are written to it, too.
+    """
     path = os.environ.get("LAMPEST_LOG")
     handler = logging.FileHandler(Path(path), delay=True) if path else logging.NullHandler()
     loggers = [logging.getLogger(name) for name in ("lampest", "py.warnings")]
@@ -230,9 +289,9 @@ def libraries_to_the_log() -> Iterator[None]:
 
 
 def logged_reason(error: BaseException, of: str) -> str:
-    """Return the message of an exception: its own if lampest raised it, otherwise a sentence, with an entry in the log.
+    """Return the message of an exception: its own if lampest raised it.
 
-    `of` is the computation, for the log.
+    Otherwise it is a sentence, with an entry in the log. `of` is the computation, for the log.
     """
     trace = error.__traceback__
     raised = ""
@@ -244,4 +303,7 @@ def logged_reason(error: BaseException, of: str) -> str:
         return " ".join(str(error).split())
     logging.getLogger("lampest").error("%s", of, exc_info=error)
     kind = type(error).__name__
-    return f"cannot compute this panel: its values exceed the numerical range ({kind}; details: LAMPEST_LOG)"
+    return (
+        f"cannot compute this panel: its values exceed the numerical range ({kind}; details: "
+        "LAMPEST_LOG)"
+    )

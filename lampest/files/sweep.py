@@ -37,28 +37,32 @@ class Combination(Generic[Kind]):
 
 
 def combinations(
-    document: Document, validate: Callable[[Document], Kind], apart: str = "", fixed: Mapping[str, str] | None = None
+    document: Document,
+    validate: Callable[[Document], Kind],
+    apart: str = "",
+    fixed: Mapping[str, str] | None = None,
 ) -> list[Combination[Kind]]:
     """Return every combination of a document's sweep, the last path fastest.
 
     Parameters
     ----------
     document : Document
-        Document whose sweep maps paths to lists of values. A path consists of mapping keys and list indices. All but
-        its last part exist in the document, or are mappings with defaults.
+        Document whose sweep maps paths to lists of values. A path consists of mapping keys and list
+        indices. All but its last part exist in the document, or are mappings with defaults.
     validate : callable
         Function that returns the validated object of a document.
     apart : str
-        Mapping of the document whose entries are swept separately: a path below one of them varies that entry only, and
-        every other path varies each of them. Without such a path an entry has one combination.
+        Mapping of the document whose entries are swept separately: a path below one of them varies
+        that entry only, and every other path varies each of them. Without such a path an entry has
+        one combination.
     fixed : mapping
         Reasons by entries that cannot be swept.
 
     Raises
     ------
     InputError
-        With its own position for a fault of the document; with the sweep's line if the sweep is malformed or too large,
-        if a path does not exist, or if a value does not fit.
+        With its own position for a fault of the document; with the sweep's line if the sweep is
+        malformed or too large, if a path does not exist, or if a value does not fit.
     """
     content = document.content if isinstance(document.content, dict) else {}
     sweep = content.get("sweep", {})
@@ -74,13 +78,19 @@ def combinations(
             raise document.error(("sweep", path), reason)
     names = list(entries) if isinstance(entries, dict) and entries else [""]
     of_entry = {
-        name: {path: values for path, values in sweep.items() if _entry_of(path, apart, names) in (None, name)}
+        name: {
+            path: values
+            for path, values in sweep.items()
+            if _entry_of(path, apart, names) in (None, name)
+        }
         for name in names
     }
     if sum(math.prod(map(len, paths.values())) for paths in of_entry.values()) > 10_000:
         raise document.error(("sweep",), "more than 10000 combinations")
     combined = []
-    for entry, values in ((name, values) for name in names for values in itertools.product(*of_entry[name].values())):
+    for entry, values in (
+        (name, values) for name in names for values in itertools.product(*of_entry[name].values())
+    ):
         assignments = dict(zip(of_entry[entry], values, strict=True))
         varied = _assigned(document, assignments)
         try:
@@ -103,7 +113,10 @@ def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
 
 
 def _assigned(document: Document, assignments: dict[str, Any]) -> Document:
-    """Return the document without its sweep, with all assignments. Raises InputError if a path does not exist."""
+    """Return the document without its sweep, with all assignments.
+
+    Raises InputError if a path does not exist.
+    """
     varied = document
     if isinstance(document.content, dict):
         content = {key: item for key, item in document.content.items() if key != "sweep"}
@@ -133,7 +146,10 @@ def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
 
 
 def _blamed(
-    document: Document, assignments: dict[str, Any], validate: Callable[[Document], Any], error: InputError
+    document: Document,
+    assignments: dict[str, Any],
+    validate: Callable[[Document], Any],
+    error: InputError,
 ) -> InputError:
     """Return the error, at the sweep's line if the document is valid without the assignments."""
     if not assignments or _fault(_assigned(document, {}), validate):
@@ -141,7 +157,9 @@ def _blamed(
     for path, value in assignments.items():
         if fault := _fault(_assigned(document, {path: value}), validate):
             index = document.content["sweep"][path].index(value)
-            return document.error(("sweep", path) if UNKNOWN in fault else ("sweep", path, index), fault)
+            return document.error(
+                ("sweep", path) if UNKNOWN in fault else ("sweep", path, index), fault
+            )
     values = ", ".join(f"{path} = {value}" for path, value in assignments.items())
     return document.error(("sweep",), f"with {values}: {_without_position(error)}")
 

@@ -21,10 +21,16 @@ Kind = TypeVar("Kind")
 
 
 class Checked(ABCMeta):
-    """Metaclass that validates the arguments of a dataclass, and of its subclasses, by their fields' types."""
+    """Metaclass that validates the arguments of a dataclass by its fields' types.
+
+    Those of its subclasses are validated by their fields' types, too.
+    """
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Return an object. Raises InputError if an argument has another type, is missing, unknown, or out of range."""
+        """Return an object.
+
+        Raises InputError if an argument has another type, is missing, unknown, or out of range.
+        """
         try:
             return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
         except InputError:
@@ -39,7 +45,10 @@ class Checked(ABCMeta):
 
 
 class Validated(metaclass=Checked):
-    """Base of dataclasses that validate their arguments in Python; YAML is validated by pydantic itself."""
+    """Base of dataclasses that validate their arguments in Python.
+
+    YAML is validated by pydantic itself.
+    """
 
 
 class Configuration(Validated):
@@ -59,7 +68,9 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
     return called
 
 
-def check_range(name: str, numbers: float | Iterable[float], low: float, high: float, unit: str = "") -> None:
+def check_range(
+    name: str, numbers: float | Iterable[float], low: float, high: float, unit: str = ""
+) -> None:
     """Raise ValueError unless a number, or each of several, lies within a range."""
     for number in [numbers] if isinstance(numbers, int | float) else numbers:
         if not low <= number <= high:
@@ -75,15 +86,27 @@ def check_ranges(owner: Any, low: float, high: float, *names: str) -> None:
 
 def check_positive_fields(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is None, or positive and finite."""
-    _check_fields(owner, names, lambda value: 0 < value < float("inf"), "must be positive and finite")
+    _check_fields(
+        owner, names, lambda value: 0 < value < float("inf"), "must be positive and finite"
+    )
 
 
 def check_not_negative(owner: Any, *names: str) -> None:
-    """Raise ValueError unless each named field of an object is None, or zero or positive, and finite."""
-    _check_fields(owner, names, lambda value: 0 <= value < float("inf"), "must be zero or positive, and finite")
+    """Raise ValueError unless each named field is None, or zero or positive, and finite.
+
+    The fields are those of an object.
+    """
+    _check_fields(
+        owner,
+        names,
+        lambda value: 0 <= value < float("inf"),
+        "must be zero or positive, and finite",
+    )
 
 
-def _check_fields(owner: Any, names: Iterable[str], fits: Callable[[Any], bool], message: str) -> None:
+def _check_fields(
+    owner: Any, names: Iterable[str], fits: Callable[[Any], bool], message: str
+) -> None:
     """Raise ValueError with a message unless each named field of an object is None or fits."""
     for name in names:
         if (value := getattr(owner, name)) is not None and not fits(value):
@@ -91,7 +114,10 @@ def _check_fields(owner: Any, names: Iterable[str], fits: Callable[[Any], bool],
 
 
 def real_array(values: Any, label: str) -> NDArray[Any]:
-    """Return numbers as an array. Raises InputError for complex, masked and ragged arrays, and for other objects."""
+    """Return numbers as an array.
+
+    Raises InputError for complex, masked and ragged arrays, and for other objects.
+    """
     if isinstance(values, np.ma.MaskedArray):
         raise InputError(f"{label}: a masked array; fill it with NaN: values.filled(numpy.nan)")
     try:
@@ -105,18 +131,28 @@ def real_array(values: Any, label: str) -> NDArray[Any]:
 
 
 def as_double(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array without extended precision (`longdouble`), which no solver and no linear algebra takes."""
-    return array.astype(np.float64) if array.dtype.kind == "f" and array.dtype.itemsize > 8 else array
+    """Return an array without extended precision (`longdouble`).
+
+    No solver and no linear algebra takes that.
+    """
+    return (
+        array.astype(np.float64) if array.dtype.kind == "f" and array.dtype.itemsize > 8 else array
+    )
 
 
-def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:
+def _arguments(
+    owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]
+) -> dict[str, Any]:
     """Return validated arguments by parameter."""
     try:
         given = _signature(owner).bind(*args, **kwargs).arguments
     except TypeError as error:
         raise InputError(f"{name}: {error}") from error
     checks = _checks(owner)
-    return {word: checks[word](value, f"{name}: {word}") if word in checks else value for word, value in given.items()}
+    return {
+        word: checks[word](value, f"{name}: {word}") if word in checks else value
+        for word, value in given.items()
+    }
 
 
 @cache
@@ -130,7 +166,10 @@ def _signature(owner: Any) -> inspect.Signature:
 
 @cache
 def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
-    """Return functions (value, label) → validated value by parameter; types without a check are omitted."""
+    """Return functions (value, label) → validated value by parameter.
+
+    Types without a check are omitted.
+    """
     try:
         hints = typing.get_type_hints(owner, include_extras=True)
     except NameError:  # a class in a notebook, or types that are imported for type checkers only
@@ -139,8 +178,13 @@ def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
 
 
 def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
-    """Return a function (value, label) → validated argument of a type; None for a type without a check."""
-    parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
+    """Return a function (value, label) → validated argument of a type.
+
+    None for a type without a check.
+    """
+    parts = (
+        typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
+    )
     kinds = tuple(part for part in parts if isinstance(part, type))
     validator = schema_of(hint)
     is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
@@ -149,7 +193,11 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
     def checked(value: Any, label: str) -> Any:
         if is_array:
             none = value is None and type(None) in parts
-            return value if none else np.asarray(real_array(value, label), np.float64 if number else None)
+            return (
+                value
+                if none
+                else np.asarray(real_array(value, label), np.float64 if number else None)
+            )
         if validator is None:
             if isinstance(value, kinds):
                 return value
@@ -177,7 +225,9 @@ def _plain(value: Any, label: str) -> Any:
 
 @cache
 def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
-    """Return the objects of a class that installed packages register in a group of entry points, ordered by name.
+    """Return the objects of a class that installed packages register, ordered by name.
+
+    They are registered in a group of entry points.
 
     Raises InputError if an object cannot be loaded, or is of another class.
     """
@@ -197,7 +247,10 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
 
 
 def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
-    """Return the object with this `kind`. Raises InputError, with a noun such as 'plot', unless exactly one has it."""
+    """Return the object with this `kind`.
+
+    Raises InputError, with a noun such as 'plot', unless exactly one has it.
+    """
     kinds = [str(getattr(member, "kind", "")) for member in known]
     if kinds.count(kind) != 1:
         count = f"there are two {noun}s" if kind in kinds else f"there is no {noun}"
@@ -207,7 +260,9 @@ def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Marker of Annotated[A | B, ByKind()]: validation selects the member by the `kind: Literal[...]` of the input.
+    """Marker of Annotated[A | B, ByKind()].
+
+    Validation selects the member by the `kind: Literal[...]` of the input.
 
     Attributes
     ----------
@@ -221,7 +276,10 @@ class ByKind:
     default: str = ""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return the tagged union of the members, one choice for each literal; called by pydantic."""
+        """Return the tagged union of the members, one choice for each literal.
+
+        Called by pydantic.
+        """
         members = typing.get_args(source)
         choices = {
             kind: handler.generate_schema(member)
@@ -231,14 +289,23 @@ class ByKind:
         tag = self._tag if self.default else "kind"
         tagged = {"type": "tagged-union", "discriminator": tag, "choices": choices}
         base = _base(members)
-        # In Python, objects of an unregistered subclass, such as one in a notebook, are members, too.
+        # In Python, objects of an unregistered subclass, such as one in a notebook, are members,
+        # too.
         made = {"type": "is-instance", "cls": base}
         either = {"type": "union", "choices": [made, tagged], "mode": "left_to_right"}
         registered = base not in (object, Configuration, Validated)
-        return {"type": "json-or-python", "json_schema": tagged, "python_schema": either if registered else tagged}
+        return {
+            "type": "json-or-python",
+            "json_schema": tagged,
+            "python_schema": either if registered else tagged,
+        }
 
     def _tag(self, value: Any) -> Any:
-        return value.get("kind", self.default) if isinstance(value, dict) else getattr(value, "kind", None)
+        return (
+            value.get("kind", self.default)
+            if isinstance(value, dict)
+            else getattr(value, "kind", None)
+        )
 
 
 def kinds_of(member: Any) -> tuple[str, ...]:
@@ -249,7 +316,8 @@ def kinds_of(member: Any) -> tuple[str, ...]:
 def shipped(union: Any) -> tuple[type[Any], ...]:
     """Return the classes of Annotated[A | B, ByKind(group)] without those of installed packages.
 
-    It serves code that runs while a module is imported: packages import that module, and cannot be loaded before it.
+    It serves code that runs while a module is imported: packages import that module, and cannot be
+    loaded before it.
     """
     return typing.get_args(typing.get_args(union)[0])
 
@@ -270,7 +338,9 @@ def members_by_kind(union: Any) -> dict[str, type[Any]]:
 
 def _base(members: tuple[type[Any], ...]) -> type[Any]:
     """Return the nearest class from which all members derive."""
-    return next(kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members))
+    return next(
+        kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members)
+    )
 
 
 def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[type[Any]]:
@@ -283,6 +353,8 @@ def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[t
             raise InputError(f"{named} is no {base.__name__}")
         kinds = kinds_of(added)
         if not kinds or not set(kinds).isdisjoint(taken):
-            raise InputError(f"{named} needs kind: Literal['...'] with a word unlike {', '.join(taken)}")
+            raise InputError(
+                f"{named} needs kind: Literal['...'] with a word unlike {', '.join(taken)}"
+            )
         taken += kinds
         yield added

@@ -1,4 +1,7 @@
-"""Atomic writing of files: outputs appear completely or not at all, and never replace inputs of the same command."""
+"""Atomic writing of files.
+
+Outputs appear completely or not at all, and never replace inputs of the same command.
+"""
 
 import fcntl
 import os
@@ -20,7 +23,10 @@ from lampest.files.process import in_bytes
 
 @dataclass(frozen=True)
 class Touched:
-    """Files of a command so far: read, written, and its own ones, which it may read and write again."""
+    """Files of a command so far: read, written, and its own ones.
+
+    It may read and write its own ones again.
+    """
 
     read: set[Path] = field(default_factory=set)
     written: set[Path] = field(default_factory=set)
@@ -36,9 +42,10 @@ _TOUCHED: ContextVar[Touched | None] = ContextVar("files touched by a command", 
 
 @contextmanager
 def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
-    """Refuse, within the block, outputs that would replace an input, under any name, or another output.
+    """Refuse, within the block, outputs that would replace an input or another output.
 
-    `inputs` are files that will be read. See `note_read` and `check_output`.
+    An input is recognised under any name. `inputs` are files that will be read. See `note_read` and
+    `check_output`.
     """
     before = _TOUCHED.set(_TOUCHED.get() or Touched())
     try:
@@ -50,16 +57,19 @@ def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
 
 
 def note_read(path: Path) -> None:
-    """Register a file as read, except the command's own ones; every function that reads a user's files calls it."""
+    """Register a file as read, except the command's own ones.
+
+    Every function that reads a user's files calls it.
+    """
     touched = _TOUCHED.get()
     if touched and not touched.owns(path.absolute()):
         touched.read.add(path.absolute())
 
 
 def own(path: Path) -> None:
-    """Declare a file, or a folder's files, as both input and output. Raises InputError if it was read before.
+    """Declare a file, or a folder's files, as both input and output.
 
-    Called before the first of both.
+    Raises InputError if it was read before. Called before the first of both.
     """
     _refuse_touched(path)
     if touched := _TOUCHED.get():
@@ -91,7 +101,10 @@ def _same(path: Path, known: Path) -> bool:
 
 @contextmanager
 def _to_write(path: Path) -> Iterator[None]:
-    """Create the folder of an output. Raises InputError as `check_output`, and for errors of the disk in the block."""
+    """Create the folder of an output.
+
+    Raises InputError as `check_output`, and for errors of the disk in the block.
+    """
     check_output(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,14 +115,18 @@ def _to_write(path: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path next to `path`; the file gets its name once it is complete and on disk.
+    """Yield a temporary path next to `path`.
 
-    Raises InputError as `check_output`, and if the folder cannot be written or the disk is full; no file remains then.
-    Temporary files of killed processes of this computer are removed.
+    The file gets its name once it is complete and on disk.
+
+    Raises InputError as `check_output`, and if the folder cannot be written or the disk is full; no
+    file remains then. Temporary files of killed processes of this computer are removed.
     """
     with _to_write(path):
         _remove_abandoned(path)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.part")
+        unfinished = path.with_name(
+            f".{path.name}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.part"
+        )
         os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         try:
             yield unfinished
@@ -125,7 +142,10 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the names in a folder to the disk: without this, a new file may be gone after a power failure."""
+    """Write the names in a folder to the disk.
+
+    Without this, a new file may be gone after a power failure.
+    """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):  # a file system that cannot do it for folders
@@ -135,7 +155,10 @@ def sync_folder(folder: Path) -> None:
 
 
 def _host() -> str:
-    """Return four characters that identify this computer: others may share the folder and have equal process ids."""
+    """Return four characters that identify this computer.
+
+    Others may share the folder and have equal process ids.
+    """
     return f"{crc32(os.uname().nodename.encode()) % 2**16:04x}"
 
 
@@ -151,7 +174,10 @@ def _remove_abandoned(path: Path) -> None:
 
 @contextmanager
 def folder_beside(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder next to `path`, which is removed at the end. Raises InputError as `whole_file`."""
+    """Yield a temporary folder next to `path`, which is removed at the end.
+
+    Raises InputError as `whole_file`.
+    """
     with _to_write(path), TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         yield Path(folder)
 
@@ -163,10 +189,20 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def check_output(path: Path) -> None:
-    """Raise InputError unless `path` is free, or a regular file that is neither an input nor another output."""
+    """Raise InputError unless `path` is free, or a regular file.
+
+    The file must be neither an input nor another output.
+    """
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
-    kinds = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
+    kinds = {
+        "d": "a folder",
+        "l": "a link",
+        "c": "a device",
+        "b": "a device",
+        "p": "a pipe",
+        "s": "a socket",
+    }
     if kind := kinds.get(_letter(path)):
         raise InputError(f"{path}: is {kind}; an output replaces regular files alone")
     _refuse_touched(path)
@@ -177,26 +213,38 @@ def check_room(path: Path, size: int) -> None:
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     free = shutil.disk_usage(folder).free
     if size > free:
-        raise InputError(f"{path}: {in_bytes(size)} may be needed on the disk, and {in_bytes(free)} are free")
+        raise InputError(
+            f"{path}: {in_bytes(size)} may be needed on the disk, and {in_bytes(free)} are free"
+        )
 
 
 def output_folder(folder: Path) -> Path:
-    """Return a folder, created if absent. Raises InputError if it is the root, no folder, or cannot be created."""
+    """Return a folder, created if absent.
+
+    Raises InputError if it is the root, no folder, or cannot be created.
+    """
     if folder.resolve() == Path(folder.resolve().anchor):
         raise InputError(f"{folder}: is the root of all files, no folder for results")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
+        raise InputError(
+            f"{folder}: cannot be written ({getattr(error, 'strerror', None) or error})"
+        ) from error
     return folder
 
 
 def inner_folder(folder: Path, name: str) -> Path:
-    """Return a folder within a folder. Raises InputError if it is no folder, or a link that leads out."""
+    """Return a folder within a folder.
+
+    Raises InputError if it is no folder, or a link that leads out.
+    """
     inner = folder / name
     letter = _letter(inner)
     if letter == "l" and not inner.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{inner}: is a link that leads out of {folder}; nothing is written or removed there")
+        raise InputError(
+            f"{inner}: is a link that leads out of {folder}; nothing is written or removed there"
+        )
     if letter not in ("", "d", "l"):
         raise InputError(f"{inner}: is no folder")
     return inner
@@ -219,7 +267,10 @@ def opened_for_locking(path: Path, *, make: bool = False) -> int:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold a shared lock on a file within the block, at most until the process ends; it does not affect readers."""
+    """Hold a shared lock on a file within the block, at most until the process ends.
+
+    It does not affect readers.
+    """
     with os.fdopen(opened_for_locking(path), "rb") as handle:
         fcntl.flock(handle, fcntl.LOCK_SH)
         yield
@@ -248,4 +299,6 @@ def _letter(path: Path) -> str:
     except FileNotFoundError:
         return ""
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
+        raise InputError(
+            f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})"
+        ) from error

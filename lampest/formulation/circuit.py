@@ -1,8 +1,9 @@
 """Circuit of one panel: nodes, and the branches between them.
 
-Every line has a terminal, where the electronics connect. Between the terminals lie the cells and, where the lines
-resist, the wire: one node on the row and one on the column of every crossing. Nodes that are joined by no resistance
-are one node. Without wire, contacts and touching lines the nodes are the lines, rows before columns.
+Every line has a terminal, where the electronics connect. Between the terminals lie the cells and,
+where the lines resist, the wire: one node on the row and one on the column of every crossing. Nodes
+that are joined by no resistance are one node. Without wire, contacts and touching lines the nodes
+are the lines, rows before columns.
 """
 
 from dataclasses import dataclass, replace
@@ -57,11 +58,16 @@ class Circuit:
     read: NDArray[np.bool_]
 
     @classmethod
-    def of_readout(cls, readout: Readout, shape: tuple[int, int], wiring: Wiring | None) -> "tuple[Circuit, ...]":
+    def of_readout(
+        cls, readout: Readout, shape: tuple[int, int], wiring: Wiring | None
+    ) -> "tuple[Circuit, ...]":
         """Return the circuit of every address of a readout."""
         circuit = cls.of(shape, wiring)
         addresses = readout.addresses(np.ones(shape))
-        return tuple(replace(circuit, held=np.isinf(address.ties), read=address.read) for address in addresses)
+        return tuple(
+            replace(circuit, held=np.isinf(address.ties), read=address.read)
+            for address in addresses
+        )
 
     @classmethod
     def of(cls, shape: tuple[int, int], wiring: Wiring | None) -> "Circuit":
@@ -72,25 +78,40 @@ class Circuit:
         row, column = (numbers.ravel() for numbers in np.indices(shape))
         if wiring is None:
             none = np.zeros((2, 0), dtype=np.intp)
-            return cls(shape, len(lines), lines, np.stack([row, rows + column]), none, np.zeros(0), *state)
-        # Before nodes are joined: terminals, then the row's and the column's node of every crossing.
+            return cls(
+                shape, len(lines), lines, np.stack([row, rows + column]), none, np.zeros(0), *state
+            )
+        # Before nodes are joined: terminals, then the row's and the column's node of every
+        # crossing.
         crossings = np.arange(rows * columns).reshape(shape)
         on_row = len(lines) + crossings
         on_column = on_row + crossings.size
         ends, ohm = _wire(wiring, on_row, on_column)
-        joined = np.array([[group[0], line] for group in wiring.joined for line in group[1:]], dtype=np.intp)
+        joined = np.array(
+            [[group[0], line] for group in wiring.joined for line in group[1:]], dtype=np.intp
+        )
         touching = np.concatenate([ends[:, ohm == 0], joined.reshape(-1, 2).T], axis=1)
         total = len(lines) + 2 * crossings.size
         links = scipy.sparse.coo_array((np.ones(touching.shape[1]), touching), shape=(total, total))
         count, node = scipy.sparse.csgraph.connected_components(links, directed=False)
         resisting = ohm > 0
         cell_ends = node[np.stack([on_row.ravel(), on_column.ravel()])]
-        return cls(shape, int(count), node[lines], cell_ends, node[ends[:, resisting]], 1 / ohm[resisting], *state)
+        return cls(
+            shape,
+            int(count),
+            node[lines],
+            cell_ends,
+            node[ends[:, resisting]],
+            1 / ohm[resisting],
+            *state,
+        )
 
     @property
     def lines_only(self) -> bool:
         """Whether every line is one node of its own, without wire, and none is held at ground."""
-        return self.count == len(self.terminals) and not len(self.wire_siemens) and not self.held.any()
+        return (
+            self.count == len(self.terminals) and not len(self.wire_siemens) and not self.held.any()
+        )
 
     @cached_property
     def free(self) -> Nodes:
@@ -98,13 +119,19 @@ class Circuit:
         return np.setdiff1d(np.arange(self.count), self.terminals[self.held])
 
     def potentials(self, lines: Nodes) -> Array:
-        """Return the given potentials: 1 V at held lines among the excited ones, 0 elsewhere, (nodes, patterns)."""
+        """Return the given potentials: 1 V at held lines among the excited ones, 0 elsewhere.
+
+        Shape (nodes, patterns).
+        """
         volt = np.zeros((self.count, len(lines)))
         volt[self.terminals[lines], np.arange(len(lines))] = self.held[lines]
         return volt
 
     def currents(self, lines: Nodes) -> Array:
-        """Return the given currents: 1 A into lines that are excited and not held, 0 elsewhere, (nodes, patterns)."""
+        """Return the given currents: 1 A into lines that are excited and not held, 0 elsewhere.
+
+        Shape (nodes, patterns).
+        """
         into = np.zeros((self.count, len(lines)))
         into[self.terminals[lines], np.arange(len(lines))] = ~self.held[lines]
         return into
@@ -132,10 +159,16 @@ class Circuit:
     def at_terminals(self) -> casadi.DM:
         """T, (nodes, lines): 1 where a line's terminal is the node."""
         lines = len(self.terminals)
-        return casadi.DM.triplet(self.terminals.tolist(), list(range(lines)), casadi.DM.ones(lines), self.count, lines)
+        return casadi.DM.triplet(
+            self.terminals.tolist(), list(range(lines)), casadi.DM.ones(lines), self.count, lines
+        )
 
-    def balance(self, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, voltage: casadi.SX) -> casadi.SX:
-        """Return the net current out of every node: B(g ∘ BᵀV) + W V + diag(T t) V, (nodes, patterns).
+    def balance(
+        self, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, voltage: casadi.SX
+    ) -> casadi.SX:
+        """Return the net current out of every node: B(g ∘ BᵀV) + W V + diag(T t) V.
+
+        Shape (nodes, patterns).
 
         Parameters
         ----------
@@ -172,7 +205,9 @@ class Circuit:
         ground = np.bincount(self.terminals, np.where(self.held, 0.0, tie), self.count)
         cells = self._cell_incidence
         admittance = scipy.sparse.csc_array(
-            (cells * (1 / cell_resistance.ravel())) @ cells.T + self._wire_admittance + scipy.sparse.diags_array(ground)
+            (cells * (1 / cell_resistance.ravel())) @ cells.T
+            + self._wire_admittance
+            + scipy.sparse.diags_array(ground)
         )
         lines = np.arange(len(self.terminals))
         volt = self.potentials(lines)
@@ -186,7 +221,10 @@ class Circuit:
 
 
 def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array]:
-    """Return the ends (2, pieces) and resistances (pieces,) ohm of contacts and of the segments between crossings."""
+    """Return the ends and resistances of contacts and of the segments between crossings.
+
+    The ends have shape (2, pieces), the resistances (pieces,) ohm.
+    """
     rows, columns = on_row.shape
     lines = wiring.lines
     contacts = wiring.contact_ohm(on_row.shape)
@@ -194,7 +232,8 @@ def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array
     from_top = lines.columns_leave == "top"
     paths = [(row, on_row[row] if from_left else on_row[row, ::-1]) for row in range(rows)]
     paths += [
-        (rows + column, on_column[:, column] if from_top else on_column[::-1, column]) for column in range(columns)
+        (rows + column, on_column[:, column] if from_top else on_column[::-1, column])
+        for column in range(columns)
     ]
     ends = list[tuple[int, int]]()
     ohm = list[float]()
@@ -206,7 +245,10 @@ def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array
 
 
 def _incidence(nodes: int, ends: Nodes) -> scipy.sparse.csc_array:
-    """Return the incidence of branches, sparse (nodes, branches): +1 at the first end, −1 at the second."""
+    """Return the incidence of branches, sparse (nodes, branches).
+
+    It is +1 at the first end, −1 at the second.
+    """
     branch = np.arange(ends.shape[1])
     entries = np.repeat([1.0, -1.0], len(branch))
     places = ends.ravel(), np.tile(branch, 2)

@@ -1,4 +1,7 @@
-"""Numbers of a program for given data: start, parameters, bounds and units, by the names of the program's blocks."""
+"""Numbers of a program for given data: start, parameters, bounds and units.
+
+They are given by the names of the program's blocks.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +14,8 @@ from lampest.formulation.patterns import Excitation
 from lampest.formulation.program import Program, unit_of
 from lampest.panel.panel import Array
 
-SPLIT_START = 0.01  # distance of p, q from their bound 0 at the start, in split units: IPOPT's default of bound_push
+# Distance of p, q from their bound 0 at the start, in split units: IPOPT's default of bound_push.
+SPLIT_START = 0.01
 MIN_VOLTAGE = 1e-3  # smallest unit of a voltage, relative to the largest voltage of its kind
 MIN_SPLIT_UNIT = 1e-12  # unit of split residuals that are all zero, in their own unit
 
@@ -36,15 +40,19 @@ class Multipliers:
     def in_units(self, program: Program, scale: float, cost_scale: float) -> "Multipliers":
         """Return the multipliers in other units.
 
-        Multipliers are ∂f/∂(right-hand side), f = φ/`cost_scale`. Balances have no unit; conductances are in 1/`scale`,
-        voltages in `scale`.
+        Multipliers are ∂f/∂(right-hand side), f = φ/`cost_scale`. Balances have no unit;
+        conductances are in 1/`scale`, voltages in `scale`.
         """
         share = self.cost_scale / cost_scale
         of_bounds = program.unknown.named(self.of_bounds * share)
         of_bounds["conductance"] = of_bounds["conductance"] * self.scale / scale
         stacked = program.unknown.stacked(of_bounds)
         return replace(
-            self, of_bounds=stacked, of_equations=self.of_equations * share, scale=scale, cost_scale=cost_scale
+            self,
+            of_bounds=stacked,
+            of_equations=self.of_equations * share,
+            scale=scale,
+            cost_scale=cost_scale,
         )
 
 
@@ -62,7 +70,8 @@ class ProgramResult:
         IPOPT's return status.
     iterations : int
     corrected : bool
-        Whether IPOPT corrected the inertia in any iteration: there was negative curvature along the equations.
+        Whether IPOPT corrected the inertia in any iteration: there was negative curvature along the
+        equations.
     """
 
     unknown: Array
@@ -107,47 +116,68 @@ class Instance:
 
     @classmethod
     def of(
-        cls, program: Program, circuits: Sequence[Circuit], excitation: Excitation, blocks: Sequence[Evaluation]
+        cls,
+        program: Program,
+        circuits: Sequence[Circuit],
+        excitation: Excitation,
+        blocks: Sequence[Evaluation],
     ) -> "Instance":
-        """Return the instance that begins at the cells of the evaluations, one for each block of frames."""
+        """Return the instance that begins at the cells of the evaluations.
+
+        There is one evaluation for each block of frames.
+        """
         known = _Known(circuits, excitation, blocks)
         scale = float(np.exp(np.mean(np.log(known.uniform))))
-        cost_scale = float(np.mean([float(block.cell_costs) or block.cost_scale for block in blocks]))
+        cost_scale = float(
+            np.mean([float(block.cell_costs) or block.cost_scale for block in blocks])
+        )
         voltages = known.voltages(known.cells, scale)
         size = {
             name: np.maximum(np.abs(part), MIN_VOLTAGE * np.abs(part).max(initial=0.0))
             for name, part in voltages.items()
         }
-        units = {"scale": scale, "cost_scale": cost_scale, **{unit_of(name): part for name, part in size.items()}}
+        units = {
+            "scale": scale,
+            "cost_scale": cost_scale,
+            **{unit_of(name): part for name, part in size.items()},
+        }
         values = {**known.given, "tie": known.tie * scale, "weights": blocks[0].weights, **units}
 
         def stacked(cells: Array, voltages: dict[str, Array], split: Array | float) -> Array:
             scaled = {name: part / size[name] for name, part in voltages.items()}
             own = {name: unknown.start for name, unknown in program.own.items()}
-            return program.unknown.stacked({"conductance": scale / cells, **scaled, "split": split, **own})
+            return program.unknown.stacked(
+                {"conductance": scale / cells, **scaled, "split": split, **own}
+            )
 
-        # Unit of split residuals: the largest one of the start and of the apparent resistances, because a start at the
-        # baseline may leave none.
+        # Unit of split residuals: the largest one of the start and of the apparent resistances,
+        # because a start at the baseline may leave none.
         parameter = program.parameter.stacked({**values, "split_scale": 1.0})
         residuals = program.split_residuals(stacked(known.cells, voltages, 0.0), parameter)
         split_scale = MIN_SPLIT_UNIT
         if residuals:
             apparent = stacked(known.apparent, known.voltages(known.apparent, scale), 0.0)
             groups = [*residuals, *program.split_residuals(apparent, parameter)]
-            split_scale = max(split_scale, *(float(np.abs(group).max(initial=0)) for group in groups))
+            split_scale = max(
+                split_scale, *(float(np.abs(group).max(initial=0)) for group in groups)
+            )
         parts = [side for group in residuals for side in (group, -group)]
         split = [np.maximum(side / split_scale, 0) + SPLIT_START for side in parts]
         start = stacked(known.cells, voltages, np.concatenate([np.zeros(0), *split]))
         lower = {name: unknown.lower for name, unknown in program.own.items()}
         upper = {name: unknown.upper for name, unknown in program.own.items()}
         limits = [
-            program.equation.stacked({part.name: getattr(part, side) for part in program.constraints}, default=0.0)
+            program.equation.stacked(
+                {part.name: getattr(part, side) for part in program.constraints}, default=0.0
+            )
             for side in ("lower", "upper")
         ]
         return cls(
             program,
             start,
-            program.unknown.stacked({"conductance": scale / known.upper, "split": 0.0, **lower}, default=-np.inf),
+            program.unknown.stacked(
+                {"conductance": scale / known.upper, "split": 0.0, **lower}, default=-np.inf
+            ),
             program.unknown.stacked({"conductance": scale / known.lower, **upper}, default=np.inf),
             program.parameter.stacked({**values, "split_scale": split_scale}),
             (limits[0], limits[1]),
@@ -158,16 +188,25 @@ class Instance:
         )
 
     def cells_of(self, result: ProgramResult) -> Array:
-        """Return the cells of a result, (frames, rows, columns) ohm; on a bound where its multiplier says so."""
+        """Return the cells of a result, (frames, rows, columns) ohm.
+
+        They are on a bound where its multiplier says so.
+        """
         place = self.program.unknown
         conductance, pull, low, high = (
-            place.named(column)["conductance"] for column in (result.unknown, result.of_bounds, self.lower, self.upper)
+            place.named(column)["conductance"]
+            for column in (result.unknown, result.of_bounds, self.lower, self.upper)
         )
         with np.errstate(divide="ignore"):
-            return np.asarray(self.scale / on_bounds(conductance, pull, low, high)).reshape(self.shape)
+            return np.asarray(self.scale / on_bounds(conductance, pull, low, high)).reshape(
+                self.shape
+            )
 
     def duals_of(self, result: ProgramResult, slope: Array) -> Array:
-        """Return the duals z of absolute losses, (residuals,), `slope` the weights of their residuals."""
+        """Return the duals z of absolute losses, (residuals,).
+
+        `slope` are the weights of their residuals.
+        """
         weights = np.maximum(slope * self.split_scale / self.cost_scale, np.finfo(float).tiny)
         return np.asarray(self.program.equation.named(result.of_equations)["split"] / weights)
 
@@ -177,7 +216,10 @@ class Instance:
 
 
 def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) -> Array:
-    """Return the conductances, put on a bound where its multiplier exceeds the distance to it; all (…, cells)."""
+    """Return the conductances, put on a bound where its multiplier exceeds the distance to it.
+
+    All have shape (…, cells).
+    """
     lowered = np.where(-multiplier > conductance - low, low, conductance)
     return np.where(multiplier > high - conductance, high, lowered)
 
@@ -216,7 +258,10 @@ class _Known:
 
     @property
     def tie(self) -> Array:
-        """Ties of the lines, (frames, addresses, lines) siemens; 0 for lines at ground, which the circuit knows."""
+        """Ties of the lines, (frames, addresses, lines) siemens.
+
+        0 for lines at ground, which the circuit knows.
+        """
         ties = self._frames([data.ties for data in self.data])
         ties = ties.reshape(len(ties), len(self.circuits), -1)
         return np.where(np.isinf(ties), 0.0, ties)
@@ -228,10 +273,15 @@ class _Known:
 
     @property
     def lower(self) -> Array:
-        """Lower bounds of the cells; smaller cells than `Readout.nearly_shorted` do not change any reading."""
+        """Lower bounds of the cells.
+
+        Smaller cells than `Readout.nearly_shorted` do not change any reading.
+        """
         return self._frames(
             [
-                np.minimum(np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper)
+                np.minimum(
+                    np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper
+                )
                 for data in self.data
             ]
         )
@@ -242,12 +292,17 @@ class _Known:
         first = self.data[0]
         sources = self.data[0].given.sources()
         return {
-            name: np.concatenate([data.flat[name] for data in self.data]) if sources[name].per_frame else values
+            name: np.concatenate([data.flat[name] for data in self.data])
+            if sources[name].per_frame
+            else values
             for name, values in first.flat.items()
         }
 
     def voltages(self, cells: Array, scale: float) -> dict[str, Array]:
-        """Return the voltages of cells (frames, rows, columns) by name, frame after frame, in `scale`."""
+        """Return the voltages of cells (frames, rows, columns) by name.
+
+        They are given frame after frame, in `scale`.
+        """
         readout = self.data[0].readout
         solved = [
             self.excitation.voltages(circuit, readout, circuit.voltages(one, tie))

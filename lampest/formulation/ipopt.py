@@ -1,8 +1,9 @@
 """IPOPT: the program's derivatives, the options, and a solve from a cold or a warm start.
 
-A cold start has a barrier parameter of its own choice, which leads the iterates away from the bounds and into low
-minima. A warm start has IPOPT's own multipliers of an earlier solve, and a small barrier parameter. A fine solve goes
-on from the end of another one to the digits that double precision holds.
+A cold start has a barrier parameter of its own choice, which leads the iterates away from the
+bounds and into low minima. A warm start has IPOPT's own multipliers of an earlier solve, and a
+small barrier parameter. A fine solve goes on from the end of another one to the digits that double
+precision holds.
 Source: Wächter & Biegler, Mathematical Programming 106, 2006.
 """
 
@@ -17,7 +18,9 @@ from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.program import Program
 from lampest.panel.compiled import CasadiOwner, guarded
 
-PUSH = 1e-9  # distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a cell
+# Distance that IPOPT keeps from a bound, relative to max(bound, 1); far below the accuracy of a
+# cell.
+PUSH = 1e-9
 # MUMPS orders by METIS (5), up to MAX_AMD_UNKNOWNS by AMD (0), and permutes nothing for scaling (0)
 # (docs/studies/speed.md). A relaxed bound of 0 would let conductances come back negative.
 MAX_AMD_UNKNOWNS = 300
@@ -28,8 +31,9 @@ COMMON = {
     "print_level": 0,
     "sb": "yes",
 }
-# The barrier parameter stays below a hundredth of the unit of the objective. Without this limit the adaptive rule lets
-# it grow by decades where readings are far from linear (driven lines), and cells end at their bounds.
+# The barrier parameter stays below a hundredth of the unit of the objective. Without this limit the
+# adaptive rule lets it grow by decades where readings are far from linear (driven lines), and cells
+# end at their bounds.
 COLD = {"mu_strategy": "adaptive", "mu_max": 0.01}
 GIVEN_MULTIPLIERS = {"warm_start_init_point": "yes", "mu_strategy": "adaptive"}
 WARM = {
@@ -40,8 +44,8 @@ WARM = {
     "mu_init": 1e-6,
     "mu_max": 1e-4,
 }
-# Readings of shorts are decades below the others, and so are their parts of the optimality conditions: IPOPT goes on
-# below its usual tolerance, with pivots that keep digits.
+# Readings of shorts are decades below the others, and so are their parts of the optimality
+# conditions: IPOPT goes on below its usual tolerance, with pivots that keep digits.
 FINE = {
     **GIVEN_MULTIPLIERS,
     "warm_start_bound_push": 1e-20,
@@ -80,9 +84,17 @@ class Limits:
         return {"tol": self.tolerance, "max_iter": self.max_iterations, **self._wall_time()}
 
     def fine_options(self) -> dict[str, Any]:
-        """Return the options of a fine solve, which ends where it no longer comes closer than the usual tolerance."""
+        """Return the options of a fine solve.
+
+        It ends where it no longer comes closer than the usual tolerance.
+        """
         most = min(FINE_ITERATIONS, self.max_iterations)
-        return {"tol": FINE_TOLERANCE, "acceptable_tol": self.tolerance, "max_iter": most, **self._wall_time()}
+        return {
+            "tol": FINE_TOLERANCE,
+            "acceptable_tol": self.tolerance,
+            "max_iter": most,
+            **self._wall_time(),
+        }
 
     def _wall_time(self) -> dict[str, float]:
         return {} if np.isinf(self.seconds) else {"max_wall_time": self.seconds}
@@ -119,13 +131,15 @@ class Interface(CasadiOwner):
 
     @guarded
     def minimise(self, instance: Instance, multipliers: Multipliers | None = None) -> ProgramResult:
-        """Return IPOPT's result for an instance of the program; a warm start has multipliers in its units.
+        """Return IPOPT's result for an instance of the program.
+
+        A warm start has multipliers in its units.
 
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C came during the solve: CasADi catches it, and ends IPOPT with a status of its own or an error that
-            quotes it.
+            Ctrl-C came during the solve: CasADi catches it, and ends IPOPT with a status of its own
+            or an error that quotes it.
         """
         solver = self._cold if multipliers is None else self._warm
         warm = {}
@@ -142,7 +156,9 @@ class Interface(CasadiOwner):
         stats = solver.stats()
         if stats["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
-        unknown, of_bounds, of_equations = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        unknown, of_bounds, of_equations = (
+            np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g")
+        )
         status = str(stats["return_status"])
         iterations = int(stats["iter_count"])
         corrected = any(stats["iterations"]["regularization_size"])
@@ -154,7 +170,9 @@ class Interface(CasadiOwner):
 
     @cached_property
     def _warm(self) -> casadi.Function:
-        return self._solver(FINE | self.limits.fine_options() if self.is_fine else WARM | self.limits.options())
+        return self._solver(
+            FINE | self.limits.fine_options() if self.is_fine else WARM | self.limits.options()
+        )
 
     def _solver(self, chosen: dict[str, Any]) -> casadi.Function:
         scaling = {"nlp_scaling_method": "gradient-based"} if self.scaled else {}

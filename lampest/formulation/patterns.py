@@ -1,9 +1,12 @@
-"""Patterns of excitation, the one place in which the formulations differ, and the network of one frame.
+"""Patterns of excitation, and the network of one frame.
 
-A pattern is a distribution of currents into the terminals, with one voltage an unknown for each node and pattern:
+The patterns are the one place in which the formulations differ. A pattern is a distribution of
+currents into the terminals, with one voltage an unknown for each node and pattern:
 
-    per_pixel   one pattern a pixel, as the electronics drive it: current enters row j and leaves column k
-    nodal       one pattern a line: a unit current enters it. Those of the pixels are sums of these (superposition)
+    per_pixel   one pattern a pixel, as the electronics drive it: current enters row j and leaves
+                column k
+    nodal       one pattern a line: a unit current enters it. Those of the pixels are sums of these
+                (superposition)
 
 Source: paper, equations (2)-(9).
 """
@@ -33,10 +36,11 @@ class NetworkSymbols:
     voltages : mapping of str to casadi.SX
         Unknown voltages by name, one column each, for unit currents, in `units`.
     units : mapping of str to casadi.SX
-        Unit of every voltage, a parameter: voltages of driven, floating and sensed lines differ by decades.
+        Unit of every voltage, a parameter: voltages of driven, floating and sensed lines differ by
+        decades.
     balance : casadi.SX, shape (equations, 1)
-        Kirchhoff's current law at every node: the net current out of it, less the current that enters. Zero at a
-        solution, bilinear in conductances and voltages.
+        Kirchhoff's current law at every node: the net current out of it, less the current that
+        enters. Zero at a solution, bilinear in conductances and voltages.
     reading : casadi.SX, shape (cells, 1)
         Readings y = h(V), row-major, in the readout's unit.
     """
@@ -47,8 +51,13 @@ class NetworkSymbols:
     reading: casadi.SX
 
 
-def joined_addresses(circuits: Sequence[Circuit], networks: Sequence[NetworkSymbols]) -> NetworkSymbols:
-    """Return the network of one frame from those of its addresses, each with the readings that it takes."""
+def joined_addresses(
+    circuits: Sequence[Circuit], networks: Sequence[NetworkSymbols]
+) -> NetworkSymbols:
+    """Return the network of one frame from those of its addresses.
+
+    Each has the readings that it takes.
+    """
     if len(networks) == 1:
         return networks[0]
     names = networks[0].voltages
@@ -96,7 +105,12 @@ class Excitation(ABC):
 
     @abstractmethod
     def network(
-        self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+        self,
+        circuit: Circuit,
+        readout: Readout,
+        conductance: casadi.SX,
+        tie: casadi.SX,
+        scale: casadi.SX,
     ) -> NetworkSymbols:
         """Return the unknown voltages and the equations of one frame's network.
 
@@ -116,7 +130,8 @@ class Excitation(ABC):
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the values of `NetworkSymbols.voltages` in a solved network, V/A.
 
-        `response`, (nodes, lines), are the voltages of all nodes for a unit current into each terminal.
+        `response`, (nodes, lines), are the voltages of all nodes for a unit current into each
+        terminal.
         """
 
 
@@ -124,23 +139,31 @@ class Excitation(ABC):
 class Nodal(Excitation):
     """One pattern a line.
 
-    Of lines without wire the voltages are the symmetric matrix Z. With the n lines of the shorter side driven, and the
-    m others far, the unknowns are half of the driven block of Z, the voltages of the far lines, and the far lines' own
-    voltage Z_ff where the readout reads it. By reciprocity the balance of a far line under its own current needs no
-    further voltage. That is n(n + 1)/2 + mn + m unknowns in place of (m + n)².
+    Of lines without wire the voltages are the symmetric matrix Z. With the n lines of the shorter
+    side driven, and the m others far, the unknowns are half of the driven block of Z, the voltages
+    of the far lines, and the far lines' own voltage Z_ff where the readout reads it. By reciprocity
+    the balance of a far line under its own current needs no further voltage. That is n(n + 1)/2 +
+    mn + m unknowns in place of (m + n)².
     """
 
     kind: Literal["nodal"] = "nodal"
 
     def network(
-        self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+        self,
+        circuit: Circuit,
+        readout: Readout,
+        conductance: casadi.SX,
+        tie: casadi.SX,
+        scale: casadi.SX,
     ) -> NetworkSymbols:
         """Return the network; see `Excitation.network`."""
         if circuit.lines_only:
             return _network_of_lines(circuit, readout, conductance, tie, scale)
         lines, pattern = _patterns(circuit, readout)
         unknowns = _Unknowns()
-        entries, balance = _excited(unknowns, "node_voltage", circuit, lines, conductance, tie, scale)
+        entries, balance = _excited(
+            unknowns, "node_voltage", circuit, lines, conductance, tie, scale
+        )
         impedance = casadi.SX(len(pattern), len(pattern))
         for line, number in enumerate(pattern):
             if number >= 0:
@@ -151,17 +174,26 @@ class Nodal(Excitation):
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
         if not circuit.lines_only:
-            return {"node_voltage": response[np.ix_(circuit.free, _patterns(circuit, readout)[0])].T.ravel()}
+            return {
+                "node_voltage": response[
+                    np.ix_(circuit.free, _patterns(circuit, readout)[0])
+                ].T.ravel()
+            }
         driven, far = _sides(circuit.shape)
         half = response[np.ix_(driven, driven)][np.tril_indices(len(driven))]
         voltages = {"driven_voltage": half, "far_voltage": response[np.ix_(far, driven)].T.ravel()}
-        return voltages | ({"own_voltage": np.diag(response)[far]} if _reads_far(circuit, readout) else {})
+        return voltages | (
+            {"own_voltage": np.diag(response)[far]} if _reads_far(circuit, readout) else {}
+        )
 
 
 def _network_of_lines(
     circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
 ) -> NetworkSymbols:
-    """Return the nodal network of lines without wire, in the unknowns of a symmetric Z; see `Nodal`."""
+    """Return the nodal network of lines without wire, in the unknowns of a symmetric Z.
+
+    See `Nodal`.
+    """
     driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
     size = len(driven)
     others = len(far)
@@ -171,33 +203,43 @@ def _network_of_lines(
     half = unknowns.new("driven_voltage", size * (size + 1) // 2)
     far_voltage = unknowns.new("far_voltage", others, size)
     own = unknowns.new("own_voltage", others) if reads_far else casadi.SX.zeros(others)
-    # Columns of Z: the driven lines' own patterns; of each far line's pattern only its voltage and, by reciprocity,
-    # those of the driven lines, which are all neighbours of its node.
+    # Columns of Z: the driven lines' own patterns; of each far line's pattern only its voltage and,
+    # by reciprocity, those of the driven lines, which are all neighbours of its node.
     impedance = casadi.SX(count, count)
     impedance[driven, driven] = casadi.triu2symm(casadi.SX(casadi.Sparsity.upper(size), half))
     impedance[far, driven] = far_voltage
     impedance[driven, far] = far_voltage.T
     impedance[far, far] = casadi.diag(own)
     balance = circuit.balance(conductance, tie, scale, impedance) - casadi.DM.eye(count)
-    lower = casadi.vertcat(*(balance[line, driven[: place + 1]].T for place, line in enumerate(driven)))
+    lower = casadi.vertcat(
+        *(balance[line, driven[: place + 1]].T for place, line in enumerate(driven))
+    )
     equations = [lower, casadi.vec(balance[far, driven])]
     if reads_far:
         equations.append(casadi.diag(balance)[far])
-    return unknowns.network(casadi.vertcat(*equations), _reading(circuit, readout, impedance, scale))
+    return unknowns.network(
+        casadi.vertcat(*equations), _reading(circuit, readout, impedance, scale)
+    )
 
 
 @dataclass(frozen=True)
 class PerPixel(Excitation):
     """One pattern a pixel (paper, equations 5 to 9).
 
-    Two-point: a unit current enters row j and leaves column k, R_jk = V_j − V_k. Other readouts take two patterns, a
-    unit current into row j and one into column k, or the first alone where their reading does not depend on Z_kk.
+    Two-point: a unit current enters row j and leaves column k, R_jk = V_j − V_k. Other readouts
+    take two patterns, a unit current into row j and one into column k, or the first alone where
+    their reading does not depend on Z_kk.
     """
 
     kind: Literal["per_pixel"] = "per_pixel"
 
     def network(
-        self, circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+        self,
+        circuit: Circuit,
+        readout: Readout,
+        conductance: casadi.SX,
+        tie: casadi.SX,
+        scale: casadi.SX,
     ) -> NetworkSymbols:
         """Return the network; see `Excitation.network`."""
         unknowns = _Unknowns()
@@ -206,14 +248,22 @@ class PerPixel(Excitation):
         if isinstance(readout, TwoPointReadout) and not circuit.held.any():
             voltage = unknowns.new("pixel_voltage", circuit.count, len(row))
             into = circuit.currents(row) - circuit.currents(column)
-            balance = casadi.vec(circuit.balance(conductance, tie, scale, voltage) - casadi.DM(into))
-            at_row, at_column = (_chosen(voltage, circuit.terminals[line], numbers) for line in (row, column))
+            balance = casadi.vec(
+                circuit.balance(conductance, tie, scale, voltage) - casadi.DM(into)
+            )
+            at_row, at_column = (
+                _chosen(voltage, circuit.terminals[line], numbers) for line in (row, column)
+            )
             return unknowns.network(balance, scale * (at_row - at_column))
-        from_row, balance = _excited(unknowns, "from_row_voltage", circuit, row, conductance, tie, scale)
+        from_row, balance = _excited(
+            unknowns, "from_row_voltage", circuit, row, conductance, tie, scale
+        )
         own_row, mutual = (_chosen(from_row, line, numbers) for line in (row, column))
         own_column = mutual
         if reads_own(readout, *circuit.shape)[1]:
-            entries, more = _excited(unknowns, "from_column_voltage", circuit, column, conductance, tie, scale)
+            entries, more = _excited(
+                unknowns, "from_column_voltage", circuit, column, conductance, tie, scale
+            )
             own_column = _chosen(entries, column, numbers)
             balance = casadi.vertcat(balance, more)
         entries_of_cells = [
@@ -239,17 +289,21 @@ EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (N
 
 
 def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
-    """Return the numbers of the lines of the shorter side, which are driven, and of the other one, which are far."""
+    """Return the numbers of the lines of the shorter side, and of those of the other one.
+
+    The lines of the shorter side are driven, those of the other one are far.
+    """
     rows, columns = shape
     sides = np.split(np.arange(rows + columns), [rows])
     return (sides[1], sides[0]) if rows >= columns else (sides[0], sides[1])
 
 
 def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
-    """Return the driven lines, one of those that touch, and the number of each line's pattern, −1 without one.
+    """Return the driven lines, one of those that touch, and the number of each line's pattern.
 
-    Lines of a side whose own voltage the readout does not read need no pattern: by reciprocity, the patterns of the
-    other side have the voltages between both.
+    The number is −1 for a line without one. Lines of a side whose own voltage the readout does not
+    read need no pattern: by reciprocity, the patterns of the other side have the voltages between
+    both.
     """
     rows, columns = circuit.shape
     reads = reads_own(readout, rows, columns)
@@ -277,9 +331,10 @@ def _excited(
     tie: casadi.SX,
     scale: casadi.SX,
 ) -> tuple[casadi.SX, casadi.SX]:
-    """Return the entries K of all lines for the excitation of some, (lines, patterns), and the current balance.
+    """Return the entries K of all lines for the excitation of some, (lines, patterns).
 
-    K is the voltage of a line, or the current that a line at ground takes; see `DifferenceNetwork`.
+    The current balance is returned, too. K is the voltage of a line, or the current that a line at
+    ground takes; see `DifferenceNetwork`.
     """
     voltage = casadi.SX(casadi.DM(circuit.potentials(lines)))
     voltage[circuit.free.tolist(), :] = unknowns.new(name, len(circuit.free), len(lines))
@@ -292,27 +347,45 @@ def _excited(
 
 
 def _unit(circuit: Circuit, first: Numbers, second: Numbers, scale: casadi.SX) -> casadi.SX:
-    """Return the unit of K between pairs of lines, (pairs, 1): `scale` ohm, its inverse between lines at ground."""
+    """Return the unit of K between pairs of lines, (pairs, 1).
+
+    It is `scale` ohm, its inverse between lines at ground.
+    """
     power = 1.0 - circuit.held[first].astype(float) - circuit.held[second].astype(float)
     return casadi.SX(casadi.vertcat(*(scale**exponent for exponent in power.tolist())))
 
 
 def _chosen(values: casadi.SX, rows: Numbers, columns: list[int]) -> casadi.SX:
     """Return one entry of each column, (columns, 1)."""
-    return casadi.vertcat(*(values[int(row), column] for row, column in zip(rows, columns, strict=True)))
+    return casadi.vertcat(
+        *(values[int(row), column] for row, column in zip(rows, columns, strict=True))
+    )
 
 
-def _reading(circuit: Circuit, readout: Readout, impedance: casadi.SX, scale: casadi.SX) -> casadi.SX:
-    """Return the readings (cells, 1) from K between the lines, (lines, lines) in units of `scale`."""
+def _reading(
+    circuit: Circuit, readout: Readout, impedance: casadi.SX, scale: casadi.SX
+) -> casadi.SX:
+    """Return the readings (cells, 1) from K between the lines.
+
+    K has shape (lines, lines), in units of `scale`.
+    """
     rows, columns = circuit.shape
     own = casadi.diag(impedance)
-    entries = [casadi.repmat(own[:rows], 1, columns), casadi.repmat(own[rows:].T, rows, 1), impedance[:rows, rows:]]
+    entries = [
+        casadi.repmat(own[:rows], 1, columns),
+        casadi.repmat(own[rows:].T, rows, 1),
+        impedance[:rows, rows:],
+    ]
     if readout.homogeneous and not circuit.held.any():
         return casadi.vec(casadi.SX(scale * readout.reading(*entries)).T)
     row, column = _lines_of_cells(circuit)
     pairs = ((row, row), (column, column), (row, column))
     units = [_grid(circuit, _unit(circuit, *pair, scale)) for pair in pairs]
-    return casadi.vec(casadi.SX(readout.reading(*(unit * entry for unit, entry in zip(units, entries, strict=True)))).T)
+    return casadi.vec(
+        casadi.SX(
+            readout.reading(*(unit * entry for unit, entry in zip(units, entries, strict=True)))
+        ).T
+    )
 
 
 def _grid(circuit: Circuit, values: casadi.SX) -> casadi.SX:

@@ -6,11 +6,13 @@
                 y = h(V)                        the readout
                 r_low ≤ r ≤ r_high              native bounds
 
-Units make all numbers of order one: conductances are s/r with s a typical resistance, voltages for unit currents have
-the size of their start, and the cost is divided by that of a cell at readings of zero. A loss without a second
-derivative everywhere enters by parts p, q ≥ 0 of its residuals (`Loss.lowered`). All derivatives are exact and sparse.
+Units make all numbers of order one: conductances are s/r with s a typical resistance, voltages for
+unit currents have the size of their start, and the cost is divided by that of a cell at readings of
+zero. A loss without a second derivative everywhere enters by parts p, q ≥ 0 of its residuals
+(`Loss.lowered`). All derivatives are exact and sparse.
 
-Source: paper, equations (2)-(24); Wächter & Biegler, Mathematical Programming 106, 2006 (the method of IPOPT).
+Source: paper, equations (2)-(24); Wächter & Biegler, Mathematical Programming 106, 2006 (the method
+of IPOPT).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -130,7 +132,8 @@ class Program(CasadiOwner):
     given : Given
         Readings, noise and earlier frames.
     tie, weight, scale, cost_scale, split_scale : casadi.SX
-        Ties (lines, frames · addresses) in 1/s, weights of the terms, s in ohm, units of costs and split residuals.
+        Ties (lines, frames · addresses) in 1/s, weights of the terms, s in ohm, units of costs and
+        split residuals.
     own : mapping of str to OwnUnknown
         Unknowns that a user adds.
     added : casadi.SX, shape (1, 1)
@@ -156,7 +159,12 @@ class Program(CasadiOwner):
 
     @classmethod
     def build(
-        cls, cost: Cost, readout: Readout, circuits: Sequence[Circuit], patterns: Excitation, blocks: int = 1
+        cls,
+        cost: Cost,
+        readout: Readout,
+        circuits: Sequence[Circuit],
+        patterns: Excitation,
+        blocks: int = 1,
     ) -> "Program":
         """Return the program of a cost, over a number of independent blocks of frames.
 
@@ -172,13 +180,21 @@ class Program(CasadiOwner):
         frames = blocks * cost.frames
         rows, columns = cost.panel.shape
         tie = casadi.SX.sym("tie", rows + columns, frames * len(circuits))
-        scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
+        scale, cost_scale, split_scale = (
+            casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale")
+        )
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
         networks = tuple(
             joined_addresses(
                 circuits,
                 [
-                    patterns.network(circuit, readout, conductance[:, frame], tie[:, frame * len(circuits) + at], scale)
+                    patterns.network(
+                        circuit,
+                        readout,
+                        conductance[:, frame],
+                        tie[:, frame * len(circuits) + at],
+                        scale,
+                    )
                     for at, circuit in enumerate(circuits)
                 ],
             )
@@ -239,9 +255,14 @@ class Program(CasadiOwner):
             If the name is taken, or a number is out of range.
         """
         if name in self.unknown.symbols:
-            raise InputError(f"the program has an unknown {name} already: {', '.join(self.unknown.symbols)}")
+            raise InputError(
+                f"the program has an unknown {name} already: {', '.join(self.unknown.symbols)}"
+            )
         if not (lower < upper and sd > 0):
-            raise InputError(f"unknown {name} needs lower < upper and sd > 0, not {lower:g}, {upper:g} and {sd:g}")
+            raise InputError(
+                f"unknown {name} needs lower < upper and sd > 0, not {lower:g}, {upper:g} and "
+                f"{sd:g}"
+            )
         symbol = casadi.SX.sym(name, size)
         begin = float(np.clip(mean, lower, upper)) if start is None else start
         prior = casadi.sumsqr((symbol - mean) / sd) if np.isfinite(sd) else 0
@@ -249,7 +270,9 @@ class Program(CasadiOwner):
         return replace(self, own=own, added=self.added + prior), symbol
 
     def with_reading(self, changed: Callable[[casadi.SX], Any]) -> "Program":
-        """Return the program whose terms read changed(y) in place of y, (cells, frames) in the readout's unit.
+        """Return the program whose terms read changed(y) in place of y.
+
+        Shape (cells, frames), in the readout's unit.
 
         Raises
         ------
@@ -261,12 +284,19 @@ class Program(CasadiOwner):
         return replace(self, reading=reading)
 
     def with_cost(self, added: casadi.SX) -> "Program":
-        """Return the program with a further cost, one number in the unit of φ. Raises InputError for another shape."""
+        """Return the program with a further cost, one number in the unit of φ.
+
+        Raises InputError for another shape.
+        """
         _check_shape("an own cost", casadi.SX(added), (1, 1))
         return replace(self, added=self.added + added)
 
-    def subject_to(self, name: str, expression: casadi.SX, lower: float = 0.0, upper: float | None = None) -> "Program":
-        """Return the program with a constraint lower ≤ expression ≤ upper; an equation if there is no upper limit.
+    def subject_to(
+        self, name: str, expression: casadi.SX, lower: float = 0.0, upper: float | None = None
+    ) -> "Program":
+        """Return the program with a constraint lower ≤ expression ≤ upper.
+
+        It is an equation if there is no upper limit.
 
         Raises
         ------
@@ -277,10 +307,14 @@ class Program(CasadiOwner):
         if expression.shape[1] != 1 or not expression.shape[0]:
             rows, columns = expression.shape
             raise InputError(
-                f"constraint {name} is {rows} × {columns}, not a column (rows, 1); casadi.vec makes one of a matrix"
+                f"constraint {name} is {rows} × {columns}, not a column (rows, 1); casadi.vec "
+                "makes one of a matrix"
             )
         if not casadi.depends_on(expression, self.unknown.column):
-            raise InputError(f"constraint {name} depends on none of the unknowns {', '.join(self.unknown.symbols)}")
+            raise InputError(
+                f"constraint {name} depends on none of the unknowns "
+                f"{', '.join(self.unknown.symbols)}"
+            )
         constraint = Constraint(name, expression, lower, lower if upper is None else upper)
         return replace(self, constraints=(*self.constraints, constraint))
 
@@ -291,7 +325,9 @@ class Program(CasadiOwner):
         size = self.cost.frames
         for first in range(0, self.conductance.shape[1], size):
             block = slice(first, first + size)
-            symbols = Symbols(self.cell_resistance[:, block], self.reading[:, block], self._given_of(block))
+            symbols = Symbols(
+                self.cell_resistance[:, block], self.reading[:, block], self._given_of(block)
+            )
             pairs += self.cost.residuals(symbols)
         return program_groups(summands(self.cost.terms, pairs, self.weight))
 
@@ -302,7 +338,10 @@ class Program(CasadiOwner):
 
     @guarded
     def split_residuals(self, unknown: Array, parameter: Array) -> list[Array]:
-        """Return the residuals of each group that is split into p and q, at numbers of x and of the parameters."""
+        """Return the residuals of each group that is split into p and q.
+
+        They are evaluated at numbers of x and of the parameters.
+        """
         values = self._split_residuals(unknown, parameter) if self._split_residuals.n_out() else ()
         several = values if isinstance(values, tuple) else (values,)
         return [np.asarray(value).ravel() for value in several]
@@ -310,13 +349,18 @@ class Program(CasadiOwner):
     @cached_property
     def _split_residuals(self) -> casadi.Function:
         split = [group for group in self.groups if group[0].loss.enters != "whole"]
-        residuals = [casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split]
+        residuals = [
+            casadi.densify(casadi.vertcat(*(part.residual for part in group))) for group in split
+        ]
         return casadi.Function("split", [self.unknown.column, self.parameter.column], residuals)
 
     def _given_of(self, block: slice) -> Given:
         """Return the inputs of one block of frames."""
         sources = self.given.sources()
-        some = {name: value[:, block] if sources[name].per_frame else value for name, value in self.given.named()}
+        some = {
+            name: value[:, block] if sources[name].per_frame else value
+            for name, value in self.given.named()
+        }
         return replace(self.given, **some)
 
     @cached_property
@@ -328,23 +372,36 @@ class Program(CasadiOwner):
         }
         split = casadi.vertcat(EMPTY, *(side for part in self.lowered for side in part.split))
         own = {name: unknown.symbol for name, unknown in self.own.items()}
-        return Blocks({"conductance": casadi.vec(self.conductance), **voltages, "split": split, **own})
+        return Blocks(
+            {"conductance": casadi.vec(self.conductance), **voltages, "split": split, **own}
+        )
 
     @cached_property
     def parameter(self) -> Blocks:
-        """Parameters by name: the fields of `Given`, units of voltages, ties, weights, and the units of the program."""
+        """Parameters by name: the fields of `Given`, units, ties and weights.
+
+        The units are those of voltages, and those of the program.
+        """
         given = {name: casadi.vec(symbol) for name, symbol in self.given.named()}
         voltages = {
             unit_of(name): casadi.vertcat(*(network.units[name] for network in self.networks))
             for name in self.networks[0].units
         }
-        units = {"scale": self.scale, "cost_scale": self.cost_scale, "split_scale": self.split_scale}
-        return Blocks({**given, **voltages, "tie": casadi.vec(self.tie), "weights": self.weight, **units})
+        units = {
+            "scale": self.scale,
+            "cost_scale": self.cost_scale,
+            "split_scale": self.split_scale,
+        }
+        return Blocks(
+            {**given, **voltages, "tie": casadi.vec(self.tie), "weights": self.weight, **units}
+        )
 
     @cached_property
     def equation(self) -> Blocks:
         """Constraints: 'balance' of the currents, 'split' (p − q = x), and own ones."""
-        split = casadi.vertcat(EMPTY, *(part.equation for part in self.lowered if part.equation is not None))
+        split = casadi.vertcat(
+            EMPTY, *(part.equation for part in self.lowered if part.equation is not None)
+        )
         own = {constraint.name: constraint.expression for constraint in self.constraints}
         balance = casadi.vertcat(*(network.balance for network in self.networks))
         return Blocks({"balance": balance, "split": split, **own})
@@ -352,7 +409,9 @@ class Program(CasadiOwner):
     @cached_property
     def objective(self) -> casadi.SX:
         """φ/cost_scale."""
-        return (sum((part.objective for part in self.lowered), casadi.SX(0)) + self.added) / self.cost_scale
+        return (
+            sum((part.objective for part in self.lowered), casadi.SX(0)) + self.added
+        ) / self.cost_scale
 
     @property
     def nlp(self) -> dict[str, casadi.SX]:
@@ -366,39 +425,56 @@ class Program(CasadiOwner):
 
     @cached_property
     def derivatives(self) -> dict[str, casadi.Function]:
-        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian, with the names that CasADi expects."""
+        """Gradient of f, Jacobian of g, and Hessian of the Lagrangian.
+
+        They have the names that CasADi expects.
+        """
         nlp = self.nlp
         arguments = [nlp["x"], nlp["p"]]
         gradient = casadi.Function(
-            "nlp_grad_f", arguments, [nlp["f"], casadi.gradient(nlp["f"], nlp["x"])], ["x", "p"], ["f", "grad_f_x"]
+            "nlp_grad_f",
+            arguments,
+            [nlp["f"], casadi.gradient(nlp["f"], nlp["x"])],
+            ["x", "p"],
+            ["f", "grad_f_x"],
         )
         jacobian = casadi.Function(
-            "nlp_jac_g", arguments, [nlp["g"], casadi.jacobian(nlp["g"], nlp["x"])], ["x", "p"], ["g", "jac_g_x"]
+            "nlp_jac_g",
+            arguments,
+            [nlp["g"], casadi.jacobian(nlp["g"], nlp["x"])],
+            ["x", "p"],
+            ["g", "jac_g_x"],
         )
         return {"grad_f": gradient, "jac_g": jacobian, "hess_lag": self.hessian()}
 
     def hessian(self) -> casadi.Function:
         """Return the function (x, p, σ, λ) → ∇²(σf + λᵀg), upper triangle, (x, x) sparse.
 
-        The current balance is bilinear: its second derivatives are one block between conductances and voltages, which
-        follow each other in x. Everything else is differentiated twice.
+        The current balance is bilinear: its second derivatives are one block between conductances
+        and voltages, which follow each other in x. Everything else is differentiated twice.
         """
         unknown = self.unknown.column
         weight = casadi.SX.sym("weight")
         multiplier = casadi.SX.sym("multiplier", self.equation.column.shape[0])
         count = self.equation.sizes["balance"]
-        voltages = casadi.vertcat(*(self.unknown.symbols[name] for name in self.networks[0].voltages))
+        voltages = casadi.vertcat(
+            *(self.unknown.symbols[name] for name in self.networks[0].voltages)
+        )
         others = self.equation.column[count:]
         lagrangian = weight * self.objective + casadi.dot(multiplier[count:], others)
         full = casadi.jacobian(casadi.gradient(lagrangian, unknown), unknown, {"symmetric": True})
-        slope = casadi.gradient(casadi.dot(multiplier[:count], self.equation.symbols["balance"]), voltages)
+        slope = casadi.gradient(
+            casadi.dot(multiplier[:count], self.equation.symbols["balance"]), voltages
+        )
         block = casadi.jacobian(slope, self.unknown.symbols["conductance"])
         first = self.unknown.sizes["conductance"]
         upper = casadi.SX(*full.shape)
         upper[:first, first : first + voltages.shape[0]] = block.T
         arguments = [unknown, self.parameter.column, weight, multiplier]
         names = ["x", "p", "lam_f", "lam_g"]
-        return casadi.Function("nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"])
+        return casadi.Function(
+            "nlp_hess_l", arguments, [casadi.triu(full) + upper], names, ["hess_gamma_x_x"]
+        )
 
 
 def unit_of(name: str) -> str:

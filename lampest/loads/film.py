@@ -2,32 +2,38 @@
 
     p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = β·creep(u)
 
-f is the response curve, p_w the pressure of the water at rest, β the cell's gain κ times the share that bending leaves.
+f is the response curve, p_w the pressure of the water at rest, β the cell's gain κ times the share
+that bending leaves.
 
-Hysteresis: loading follows the response curve, unloading lags behind it, and no effect remains after a load.
+Hysteresis: loading follows the response curve, unloading lags behind it, and no effect remains
+after a load.
 
     p_e = w_0 p + Σ w_i z_i,   z_i held between p and b_i p
 
-A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. The memory
-is erased where the load crosses zero. The inverse is exact, because p_e is strictly monotone and piecewise linear in p,
-w_0 > 0. From a peak P the film unloads along the hyperbola
+A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p,
+b_i > 1. The memory is erased where the load crosses zero. The inverse is exact, because p_e is
+strictly monotone and piecewise linear in p, w_0 > 0. From a peak P the film unloads along the
+hyperbola
 
     p_e/P = s²t/(1 + (s² − 1)t),   t = p/P,   s = (1 + η)/(1 − η),
 
 whose largest gap from the line is η, at t = 1/(1 + s).
-Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its inverse; Kuhnen,
-Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15, 26170 (2015).
+Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its
+inverse; Kuhnen, Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15,
+26170 (2015).
 
 Creep: a response a that grows with the logarithm of time, and fades likewise.
 
     a = u + c Σ_j s_j,   ds_j/dt = (u − s_j)/τ_j,   τ_j = 1, 10, … 10⁵ s
 
-u is the film's instantaneous response; c is the creep per decade. One Kelvin-Voigt element in each decade makes
-Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day. A load that was applied for a time T
-leaves c u log10((T + t)/t) at a time t after it. Creep within the first second belongs to the response curve. The
-creep is one of ln r, because tunnelling makes ln r linear in the gap between conducting grains, and the gap creeps.
-Sources: Zhang et al., J. Polym. Sci. B 38, 2739 (2000); data sheets of Interlink's FSR; Krejčí & Kuhnen, IEE Proc.
-Control Theory Appl. 148, 185 (2001), a row of relaxations beside hysteresis, and the inverse of both.
+u is the film's instantaneous response; c is the creep per decade. One Kelvin-Voigt element in each
+decade makes Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day. A
+load that was applied for a time T leaves c u log10((T + t)/t) at a time t after it. Creep within
+the first second belongs to the response curve. The creep is one of ln r, because tunnelling makes
+ln r linear in the gap between conducting grains, and the gap creeps.
+Sources: Zhang et al., J. Polym. Sci. B 38, 2739 (2000); data sheets of Interlink's FSR; Krejčí &
+Kuhnen, IEE Proc. Control Theory Appl. 148, 185 (2001), a row of relaxations beside hysteresis, and
+the inverse of both.
 """
 
 from dataclasses import dataclass, replace
@@ -38,10 +44,12 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, VACUUM_KPA, Film, Response, Strength
 
-# Corners of the piecewise linear hyperbola, as ln(s t/(1 − t)), 0 at the largest gap; its error is 0.4 % of the peak.
+# Corners of the piecewise linear hyperbola, as ln(s t/(1 − t)), 0 at the largest gap; its error is
+# 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)
 DECADES = 10.0 ** np.arange(6)  # τ_j, s
-# Strengths of creep per decade that `FilmKnown.estimated` compares; denser where posteriors are narrower.
+# Strengths of creep per decade that `FilmKnown.estimated` compares; denser where posteriors are
+# narrower.
 CREEPS = Film.most["creep_per_decade"] * np.linspace(0, 1, 81) ** 2
 # Compared shares of a cell's largest ln r/r0 that remain after a load and do not fade.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
@@ -75,26 +83,43 @@ class Plays:
         corners = 1 / (1 + steep / cut)
         effective = 1 / (1 + 1 / (steep * cut))
         # slopes of the lines; differences of successive slopes give w_i, the last slope is w_0
-        slopes = np.diff(effective, axis=0, prepend=0, append=1) / np.diff(corners, axis=0, prepend=0, append=1)
+        slopes = np.diff(effective, axis=0, prepend=0, append=1) / np.diff(
+            corners, axis=0, prepend=0, append=1
+        )
         weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * corners])
         return cls(weight, 1 / corners, np.zeros_like(corners))
 
     def after(self, pressure: Array) -> "Plays":
-        """Return the plays after a monotone change to a pressure (...) kPa: z_i clipped between p and b_i p."""
+        """Return the plays after a monotone change to a pressure (...) kPa.
+
+        They are z_i clipped between p and b_i p.
+        """
         far = self.reach * pressure
-        return replace(self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
+        return replace(
+            self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far))
+        )
 
     def effective(self, pressure: Array) -> Array:
         """Return p_e = w_0 p + Σ w_i z_i (...) kPa of the next pressure p."""
-        return np.asarray(self.weight[0] * pressure + (self.weight[1:] * self.after(pressure).held).sum(axis=0))
+        return np.asarray(
+            self.weight[0] * pressure + (self.weight[1:] * self.after(pressure).held).sum(axis=0)
+        )
 
     def pressure(self, effective: Array) -> Array:
-        """Return the next pressure p (...) kPa from p_e, the inverse of `effective`; ±∞ and NaN are preserved."""
+        """Return the next pressure p (...) kPa from p_e, the inverse of `effective`.
+
+        ±∞ and NaN are preserved.
+        """
         if not self.weight[1:].any():  # no hysteresis, the usual case
             return np.asarray(effective / self.weight[0])
-        # p_e is linear between the corners p = z_i, z_i/b_i and 0, where a play begins or ends to move.
-        corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
-        # Beyond all corners every play follows p or b_i p, so one further point on each side gives the outer lines.
+        # p_e is linear between the corners p = z_i, z_i/b_i and 0, where a play begins or ends to
+        # move.
+        corners = np.sort(
+            np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]),
+            axis=0,
+        )
+        # Beyond all corners every play follows p or b_i p, so one further point on each side gives
+        # the outer lines.
         corners = np.concatenate([corners[:1] - 1, corners, corners[-1:] + 1])
         play = Plays(self.weight[:, None], self.reach[:, None], self.held[:, None])
         reached = play.effective(corners)
@@ -104,7 +129,9 @@ class Plays:
             for values in (corners, reached)
             for step in (0, 1)
         )
-        return np.asarray(start + (effective - low) * np.where(high > low, (end - start) / (high - low), 1.0))
+        return np.asarray(
+            start + (effective - low) * np.where(high > low, (end - start) / (high - low), 1.0)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +155,10 @@ class Creep:
         return cls(strength, np.zeros((len(DECADES), *np.shape(strength))))
 
     def after(self, at_once: Array, seconds: float) -> "Creep":
-        """Return the creep after an interval in s with constant u (...): s_j ← u + (s_j − u) e^{−t/τ_j}."""
+        """Return the creep after an interval in s with constant u (...).
+
+        It is s_j ← u + (s_j − u) e^{−t/τ_j}.
+        """
         return replace(self, crept=at_once + (self.crept - at_once) * self._kept(seconds))
 
     def answer(self, at_once: Array, seconds: float) -> Array:
@@ -170,10 +200,17 @@ class FilmMemory:
 
     @classmethod
     def at_rest(
-        cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response = PUBLISHED
+        cls,
+        hysteresis: Array,
+        creep_per_decade: Array,
+        gain: Array,
+        water: Array,
+        response: Response = PUBLISHED,
     ) -> "FilmMemory":
         """Return the memory of a film that has lain unloaded for long."""
-        return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
+        return cls(
+            Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response
+        )
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
         """Return the film after a load, and ln(r/r_rest) at its end.
@@ -186,14 +223,18 @@ class FilmMemory:
             Duration of the interval.
         """
         effective = self.plays.effective(pressure)
-        at_once = self.response.logarithm(self.water) - self.response.logarithm(self.water + effective)
+        at_once = self.response.logarithm(self.water) - self.response.logarithm(
+            self.water + effective
+        )
         answer = self.gain * self.creep.answer(at_once, seconds)
-        return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)), -answer
+        return replace(
+            self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)
+        ), -answer
 
     def pressure(self, change: Array, seconds: float) -> Array:
-        """Return the pressure (...) kPa from ln(r/r_rest) = `change` at the end of an interval in s, at least a vacuum.
+        """Return the pressure (...) kPa from ln(r/r_rest) = `change` at the end of an interval.
 
-        ±∞ and NaN are preserved.
+        The interval is in s, and the pressure at least a vacuum. ±∞ and NaN are preserved.
         """
         return self.plays.pressure(self.effective(change, seconds))
 
@@ -204,19 +245,30 @@ class FilmMemory:
         return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
 
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
-        """Return the film after an interval in s from ln(r/r_rest) = `change` at its end; NaN leaves cells as is."""
+        """Return the film after an interval in s from ln(r/r_rest) = `change` at its end.
+
+        NaN leaves cells as is.
+        """
         known = np.isfinite(change)
         after, _ = self.answered(self.pressure(np.where(known, change, 0.0), seconds), seconds)
         held = np.where(known, after.plays.held, self.plays.held)
         crept = np.where(known, after.creep.crept, self.creep.crept)
-        return replace(self, plays=replace(self.plays, held=held), creep=replace(self.creep, crept=crept))
+        return replace(
+            self, plays=replace(self.plays, held=held), creep=replace(self.creep, crept=crept)
+        )
 
     def fading(self, seconds: float) -> Array:
-        """Return ln(r/r_rest) (...) after an interval in s without load, the fading memory of earlier loads."""
+        """Return ln(r/r_rest) (...) after an interval in s without load.
+
+        It is the fading memory of earlier loads.
+        """
         return -self.gain * self.creep.answer(np.zeros(np.shape(self.creep.strength)), seconds)
 
     def at_once(self, change: Array, seconds: float) -> Array:
-        """Return β u (...), −ln(r/r_rest) without creep, from ln(r/r_rest) = `change` after an interval in s."""
+        """Return β u (...), −ln(r/r_rest) without creep, after an interval in s.
+
+        It is determined from ln(r/r_rest) = `change`.
+        """
         return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
 
 
@@ -227,11 +279,14 @@ class MemoryErrors:
     Attributes
     ----------
     unloaded, drift : float
-        Standard deviation of ln r/r0 of an untouched cell, beside the estimate's error: constant, and for each minute.
+        Standard deviation of ln r/r0 of an untouched cell, beside the estimate's error: constant,
+        and for each minute.
     memory, cell_memory : float
-        Relative errors of a cell's predicted memory, because peaks fall between frames; the second where cells differ.
+        Relative errors of a cell's predicted memory, because peaks fall between frames; the second
+        where cells differ.
     loaded_range : float
-        Range of ln r/r0, uniform, under the alternative that a load still presses; both have equal prior odds.
+        Range of ln r/r0, uniform, under the alternative that a load still presses; both have equal
+        prior odds.
     open_cell : float
         ln r/r0 beyond which a cell is open.
     independent_frames : float
@@ -253,7 +308,10 @@ class MemoryErrors:
     lasting_share: float = 0.5
 
     def resting_sd(self, minutes: float) -> float:
-        """Return the standard deviation of ln r/r0 of an untouched cell some minutes after its zero."""
+        """Return the standard deviation of ln r/r0 of an untouched cell.
+
+        It is that some minutes after the cell's zero.
+        """
         return hypot(self.unloaded, self.drift * minutes)
 
 
@@ -276,8 +334,8 @@ class FilmKnown:
     cells : (array, array) or None
         Creep of each cell and its standard deviation, (rows, columns), estimated from a recording.
     residue : float
-        Root mean square of the permanent residue after a load, as a share of the cell's largest ln r/r0; before a
-        recording is evaluated its prior mean.
+        Root mean square of the permanent residue after a load, as a share of the cell's largest ln
+        r/r0; before a recording is evaluated its prior mean.
     """
 
     film: Film
@@ -302,32 +360,46 @@ class FilmKnown:
         parts = list[str]()
         mean, sd = (100 * number for number in self.creep)
         if self.film.hysteresis == "auto":
-            parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")
+            parts.append(
+                f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, "
+                "assumed"
+            )
         if self.film.creep_per_decade == "auto":
-            parts.append(f"creep {mean:.1f} +- {sd:.1f} % for each decade, {self.origin}" if sd else NO_CREEP)
+            parts.append(
+                f"creep {mean:.1f} +- {sd:.1f} % for each decade, {self.origin}" if sd else NO_CREEP
+            )
         return "; ".join(parts)
 
     def at_rest(self, water: Array, response: Response) -> FilmMemory:
         """Return the films at rest in water, (films, rows, columns).
 
-        The first is the mean film; each further film has one uncertain strength increased by its standard deviation.
+        The first is the mean film; each further film has one uncertain strength increased by its
+        standard deviation.
         """
-        films = [(0.0, 0.0), *[(1.0, 0.0)] * (self.hysteresis.sd > 0), *[(0.0, 1.0)] * (self.creep.sd > 0)]
+        films = [
+            (0.0, 0.0),
+            *[(1.0, 0.0)] * (self.hysteresis.sd > 0),
+            *[(0.0, 1.0)] * (self.creep.sd > 0),
+        ]
         plus, plus_creep = np.array(films).T[..., None, None] * np.ones(water.shape)
         creep, creep_sd = self.cells or self.creep
         gap = self.hysteresis.mean + plus * self.hysteresis.sd
         strength = creep + plus_creep * creep_sd
-        return FilmMemory.at_rest(gap, strength, self.film.answer * response.gains + 0 * gap, water, response)
+        return FilmMemory.at_rest(
+            gap, strength, self.film.answer * response.gains + 0 * gap, water, response
+        )
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
-        """Return the film with the posterior of its creep, given a recording; unchanged where the scene specifies it.
+        """Return the film with the posterior of its creep, given a recording.
 
-        After a load a cell still shows c Σ s_j and a constant share ρ of its largest response. With exponential priors
+        It is unchanged where the scene specifies it. After a load a cell still shows c Σ s_j and a
+        constant share ρ of its largest response. With exponential priors
 
             P(c, ρ | data) ∝ P(c) P(ρ) Π [½ N(u; 0, σ) + ½/`loaded_range`]
 
-        over frames and cells, where u is ln r/r_rest without both. Where cells may differ, each has its own posterior
-        about the common one. If the mean exceeds `most_creep`, the residue is not taken for creep.
+        over frames and cells, where u is ln r/r_rest without both. Where cells may differ, each has
+        its own posterior about the common one. If the mean exceeds `most_creep`, the residue is not
+        taken for creep.
 
         Parameters
         ----------
@@ -343,7 +415,9 @@ class FilmKnown:
         likelihood = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
         logarithm = likelihood - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
         # moments of c, marginal over ρ; then of ρ, integrated over c with the grid's spacing
-        mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0), CREEPS))
+        mean, shared = (
+            float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0), CREEPS)
+        )
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1)
         residue, residue_sd = _moments(volume, RESIDUES)
         if mean > ERRORS.most_creep:
@@ -355,12 +429,16 @@ class FilmKnown:
         if spread > shared:
             by_cell = _likelihood(*data, ERRORS.memory, residue[None])[0]
             cells = _moments(by_cell - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2, CREEPS)
-        origin = f"estimated from the recording, and {100 * lasting:.1f} % of a load may stay after it"
+        origin = (
+            f"estimated from the recording, and {100 * lasting:.1f} % of a load may stay after it"
+        )
         known = replace(self, creep=creep, residue=lasting, cells=cells)
         return replace(known, origin=origin) if shared <= 0.8 * usual.sd else known
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
-        """Return ln r/r_rest without creep, and its error by the uncertainty of creep, (frames, rows, columns).
+        """Return ln r/r_rest without creep, and its error by the uncertainty of creep.
+
+        Shape (frames, rows, columns).
 
         Parameters
         ----------
@@ -386,7 +464,10 @@ class FilmKnown:
 
 
 def _moments(logarithm: Array, grid: Array) -> tuple[Array, Array]:
-    """Return the mean and the standard deviation of a strength, (...), from ln P at the grid, (strengths, ...)."""
+    """Return the mean and the standard deviation of a strength, (...).
+
+    They are computed from ln P at the grid, (strengths, ...).
+    """
     wide = np.gradient(grid).reshape(-1, *[1] * (logarithm.ndim - 1))
     weight = np.exp(logarithm - logarithm.max(axis=0)) * wide
     weight = weight / weight.sum(axis=0)
@@ -394,7 +475,9 @@ def _moments(logarithm: Array, grid: Array) -> tuple[Array, Array]:
     return mean, np.sqrt(np.maximum(np.tensordot(grid**2, weight, 1) - mean**2, 0.0))
 
 
-def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: float, residues: Array) -> Array:
+def _likelihood(
+    gain: float, change: Array, sd: Array, time: Array, memory: float, residues: Array
+) -> Array:
     """Return ln P(frames of a cell | ρ, c) up to a constant, (residues, strengths, rows, columns).
 
     Parameters
@@ -411,7 +494,8 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: floa
         ρ.
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
-    felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded  # other cells are explained equally by every c
+    # Other cells are explained equally by every c.
+    felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded
     change = change[:, felt]
     sd = sd[:, felt]
     share = residues[:, None, None]
@@ -425,11 +509,14 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: floa
         if not known.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
-        answer = np.where(known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading)
+        answer = np.where(
+            known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading
+        )
         drift = ERRORS.resting_sd((frame_time - time[0]) / 60)
         stays = fading + share * peak
         variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (memory * stays) ** 2
-        # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting += P(no load)
+        # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting
+        # += P(no load)
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         density *= stays <= ERRORS.lasting_share * peak
         total += known * np.log((density + 1 / ERRORS.loaded_range) / 2)
@@ -438,5 +525,7 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, memory: floa
         creep = creep.after(creep.at_once(answer, seconds), seconds)
         last = float(frame_time)
     # the unloaded frames of a cell count as `independent_frames` at most
-    likelihood[..., felt] = total / np.maximum(resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0)
+    likelihood[..., felt] = total / np.maximum(
+        resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0
+    )
     return likelihood

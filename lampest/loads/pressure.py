@@ -1,8 +1,9 @@
-"""Pressures of loads from the ratio of cell resistances to their unloaded values; pressure of water; automatic tare.
+"""Pressures of loads from the ratio of cell resistances to their unloaded values.
 
-A new zero is taken where nothing touches the panel: in each of the last frames every cell must lie where noise, drift
-and the film's memory may have brought it. The mean of the first half of these frames is the new zero; the second half
-ensures that no load is about to arrive.
+Also the pressure of water, and the automatic tare. A new zero is taken where nothing touches the
+panel: in each of the last frames every cell must lie where noise, drift and the film's memory may
+have brought it. The mean of the first half of these frames is the new zero; the second half ensures
+that no load is about to arrive.
 """
 
 from collections.abc import Callable, Iterable
@@ -12,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
+from lampest.files.levels import (
+    MAD_TO_SIGMA,
+    MAX_MEAN_SQUARE,
+    NOISE_REACH,
+    OUTLIER_THRESHOLD,
+    TWO_SIDED,
+)
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.film import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
 from lampest.panel.conditions import Water
@@ -22,8 +29,9 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import systematic_of
 
-# ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
-# suction of a lamprey, 0.6 kPa, covers more than four cells, while the drift of films is independent in each cell.
+# ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3
+# kPa. The weakest suction of a lamprey, 0.6 kPa, covers more than four cells, while the drift of
+# films is independent in each cell.
 MAX_CHANGE = 0.15
 MAX_CHANGE_OF_FOUR = 0.06
 
@@ -61,14 +69,17 @@ class TareWatch:
     zeroed : float or None
         Time of the last zero, s; None before the first frame.
     frames : tuple of (array, float)
-        The last frames, at most `tare.frames`: ln r/r_zero without the film's memory (rows, columns), and time in s.
+        The last frames, at most `tare.frames`: ln r/r_zero without the film's memory (rows,
+        columns), and time in s.
     """
 
     tare: Tare
     zeroed: float | None = None
     frames: tuple[tuple[Array, float], ...] = ()
 
-    def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
+    def after(
+        self, left: Array, memory: Array, time: float
+    ) -> tuple["TareWatch", Array | None, str]:
         """Return the state after a frame, the new zero or None, and the reason or ''.
 
         Parameters
@@ -89,15 +100,18 @@ class TareWatch:
         if mean is None:
             return watch, None, ""
         message = (
-            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): no cell was off by "
-            f"more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
+            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): no "
+            "cell was off by "
+            f"more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's "
+            "memory allow"
         )
         return TareWatch(self.tare, time), mean, message
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
-        """Return the mean of the first half of the frames; None where it must not or need not be a new zero.
+        """Return the mean of the first half of the frames.
 
-        It must not where a frame shows a load, and need not where the mean is within its noise.
+        None where it must not or need not be a new zero. It must not where a frame shows a load,
+        and need not where the mean is within its noise.
         """
         frames = np.stack([left for left, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
@@ -105,11 +119,14 @@ class TareWatch:
         half = len(frames) // 2
         drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
         moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
-        # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square near 1 in every
-        # frame
+        # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square
+        # near 1 in every frame
         departure = frames[:, known] / np.hypot(noise, moved)
         mean = frames[:half].mean(axis=0)
-        quiet = np.abs(departure).max() < OUTLIER_THRESHOLD and (departure**2).mean(axis=1).max() < MAX_MEAN_SQUARE
+        quiet = (
+            np.abs(departure).max() < OUTLIER_THRESHOLD
+            and (departure**2).mean(axis=1).max() < MAX_MEAN_SQUARE
+        )
         worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
         if not (quiet and worth) or _stands_out(frames.mean(axis=0)):
             return None
@@ -117,12 +134,20 @@ class TareWatch:
 
 
 def sigma_of_frames(frames: Array) -> Array:
-    """Return the noise of one frame (...) from differences of successive frames (frames, ...); NaN is ignored."""
-    return np.asarray(MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2))
+    """Return the noise of one frame (...) from differences of successive frames.
+
+    The frames are (frames, ...); NaN is ignored.
+    """
+    return np.asarray(
+        MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2)
+    )
 
 
 def _stands_out(change: Array) -> bool:
-    """Return whether ln r/r0 (rows, columns) may show a load, in one cell or in the mean of four; NaN counts as 0."""
+    """Return whether ln r/r0 (rows, columns) may show a load.
+
+    It may show it in one cell or in the mean of four; NaN counts as 0.
+    """
     cells = np.pad(np.nan_to_num(change), 1)
     four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4
     return bool(np.abs(cells).max() > MAX_CHANGE or np.abs(four).max() > MAX_CHANGE_OF_FOUR)
@@ -145,12 +170,14 @@ class Pressure:
     errors : array, same shape
         Half the 68 % interval, kPa.
     own, common : array, same shape
-        Its two parts, kPa: each cell's own error, and the error that cells share, such as that of the film's curve.
+        Its two parts, kPa: each cell's own error, and the error that cells share, such as that of
+        the film's curve.
     saturated : array, same shape
-        1 where the response does not determine the pressure: the interval, water included, exceeds `told_kpa`.
+        1 where the response does not determine the pressure: the interval, water included, exceeds
+        `told_kpa`.
     pressing : array, same shape
-        1 where a load presses: ln r/r0 without the film's memory decreased by NOISE_REACH standard deviations, without
-        that of the response.
+        1 where a load presses: ln r/r0 without the film's memory decreased by NOISE_REACH standard
+        deviations, without that of the response.
     tared : tuple of str
         Reason for a new zero after each frame; '' where there was none.
     """
@@ -178,11 +205,13 @@ def pressure_of(
 ) -> Pressure:
     """Return the pressure p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b).
 
-    The ends of the interval are those of x, mapped like x, because f is monotone. Three errors are added in
-    quadrature: that of the estimate, separately for both sides, |T − T_b|·σ_α, and `response_sd`·|x|. If the scene
-    names a film, its memory of earlier frames is subtracted, and a possible residue is a further error.
+    The ends of the interval are those of x, mapped like x, because f is monotone. Three errors are
+    added in quadrature: that of the estimate, separately for both sides, |T − T_b|·σ_α, and
+    `response_sd`·|x|. If the scene names a film, its memory of earlier frames is subtracted, and a
+    possible residue is a further error.
 
-    Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
+    Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its
+    interval.
 
     Parameters
     ----------
@@ -198,13 +227,18 @@ def pressure_of(
     tare : Tare, optional
         Conditions of a new zero; by default there is none.
     own : array, same shape, optional
-        Standard deviation of log ratio of each cell's own error; by default that of the whole interval.
+        Standard deviation of log ratio of each cell's own error; by default that of the whole
+        interval.
     """
     if ratio.shape[1:] != scene.panel.shape or not ratio.shape == lower.shape == upper.shape:
-        raise ValueError("ratio, lower and upper must all be frames × rows × columns of the scene's panel")
+        raise ValueError(
+            "ratio, lower and upper must all be frames × rows × columns of the scene's panel"
+        )
     usable = np.isfinite(ratio) & (ratio > 0) & (lower >= 0) & (lower <= ratio) & (upper >= ratio)
     if not np.all(usable | (np.isnan(ratio) & np.isnan(lower) & np.isnan(upper))):
-        raise ValueError("a resistance over its unloaded value must be positive, finite and within its interval")
+        raise ValueError(
+            "a resistance over its unloaded value must be positive, finite and within its interval"
+        )
     track = PressureTrack.begin(scene, known, tare)
     if not track.remembers:
         return track.pressure(ratio, lower, upper, 0.0, own)
@@ -216,7 +250,10 @@ def pressure_of(
         track = track.after(ratio[number], float(at))
         tared.append(track.tared)
     maps = [name for name in vars(frames[0]) if name != "tared"]
-    return Pressure(**{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}, tared=tuple(tared))
+    return Pressure(
+        **{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps},
+        tared=tuple(tared),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +264,8 @@ class PressureTrack:
     ----------
     scene : Scene
     films : FilmMemory
-        The mean film, then films with one strength increased by a standard deviation, (films, rows, columns).
+        The mean film, then films with one strength increased by a standard deviation, (films, rows,
+        columns).
     zeros : array, shape (films, rows, columns)
         ln(r/r_rest) of the present zero, beside the memory.
     peak : array, shape (rows, columns)
@@ -253,22 +291,30 @@ class PressureTrack:
     tared: str = ""
 
     @classmethod
-    def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
+    def begin(
+        cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None
+    ) -> "PressureTrack":
         """Return the track before the first frame; `known` and `tare` as in `pressure_of`."""
         known = known or FilmKnown.specified(scene.film or Film())
         water = water_pressure(scene.panel, scene.water)
         films = known.at_rest(water, scene.response or PUBLISHED)
         residue = known.residue * known.film.remembers
         watch = None if tare is None else TareWatch(tare)
-        return cls(scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch)
+        return cls(
+            scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch
+        )
 
     @property
     def remembers(self) -> bool:
         """Whether the pressure of a frame depends on earlier frames."""
         return self.scene.film is not None or self.watch is not None
 
-    def pressure(self, ratio: Array, lower: Array, upper: Array, time: float, own: Array | None = None) -> Pressure:
-        """Return the pressure of the next frame at a time in s, or of several frames if the film has no memory.
+    def pressure(
+        self, ratio: Array, lower: Array, upper: Array, time: float, own: Array | None = None
+    ) -> Pressure:
+        """Return the pressure of the next frame at a time in s.
+
+        It may be that of several frames if the film has no memory.
 
         Parameters
         ----------
@@ -281,20 +327,26 @@ class PressureTrack:
         """
         change = self._change(ratio)
         remembered = self._kept(ratio, time)
-        # The mean film, and the alternatives with one strength increased: their differences are errors by the film's
-        # memory.
+        # The mean film, and the alternatives with one strength increased: their differences are
+        # errors by the film's memory.
         answer, *answers = -self._of_films(self.films.at_once, change, time)
         effective, *_ = self._of_films(self.films.effective, change, time)
         expected, *alternatives = self._of_films(self.films.pressure, change, time)
         share = np.where(effective == 0, 1.0, expected / np.where(effective == 0, 1.0, effective))
 
         def of_change(moved: Array) -> Array:
-            """Return p if ln r differed by `moved` at all times; hysteresis loops scale with the load."""
+            """Return p if ln r differed by `moved` at all times.
+
+            Hysteresis loops scale with the load.
+            """
             return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
 
-        # Error bars: estimate, residue and temperature, and response in quadrature in ln r; then mapped to pressure.
+        # Error bars: estimate, residue and temperature, and response in quadrature in ln r; then
+        # mapped to pressure.
         curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
-        shared = TWO_SIDED * np.hypot(remembered, np.hypot(response_sd(self.scene, answer), curve_sd) * answer)
+        shared = TWO_SIDED * np.hypot(
+            remembered, np.hypot(response_sd(self.scene, answer), curve_sd) * answer
+        )
         with np.errstate(divide="ignore"):
             fell = np.log(ratio) - np.log(lower)
             rose = np.log(upper) - np.log(ratio)
@@ -313,17 +365,31 @@ class PressureTrack:
         scatter = np.hypot(half, scatter_sd(self.scene, systematic_of(self.scene)) * answer)
         with np.errstate(invalid="ignore"):
             individual = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
-            common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - individual**2, 0.0)))
-            clear = -answer > NOISE_REACH * np.hypot(np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer))
+            common = np.where(
+                np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - individual**2, 0.0))
+            )
+            clear = -answer > NOISE_REACH * np.hypot(
+                np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer)
+            )
         lowest, highest = self.films.response.told_kpa
         saturated = (least + self.films.water < lowest) | (most + self.films.water > highest)
         pressing = clear & (expected > 0) & ~self.scene.broken
         return Pressure(
-            expected, least, most, errors, individual, common, saturated.astype(np.uint8), pressing.astype(np.uint8)
+            expected,
+            least,
+            most,
+            errors,
+            individual,
+            common,
+            saturated.astype(np.uint8),
+            pressing.astype(np.uint8),
         )
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
-        """Return the track after a frame of r/r_baseline (rows, columns) at a time in s; NaN leaves cells unchanged."""
+        """Return the track after a frame of r/r_baseline (rows, columns) at a time in s.
+
+        NaN leaves cells unchanged.
+        """
         if not self.remembers:
             return self
         change = self._change(ratio)
@@ -340,7 +406,9 @@ class PressureTrack:
         zero = self.zeros[0]
         watch, moved, tared = self.watch.after(change - (memory + zero), memory, time)
         if moved is not None:
-            track = track._zeroed(moved + (track.films.fading(track._seconds(time))[0] + zero), time)
+            track = track._zeroed(
+                moved + (track.films.fading(track._seconds(time))[0] + zero), time
+            )
         return replace(track, watch=watch, tared=tared)
 
     def rebased(self, time: float) -> "PressureTrack":
@@ -349,7 +417,10 @@ class PressureTrack:
         return replace(self._zeroed(np.zeros(self.scene.panel.shape), time), watch=watch)
 
     def _zeroed(self, change: Array, time: float) -> "PressureTrack":
-        """Return the track after an unloaded frame: the change that the memory does not explain is the new zero."""
+        """Return the track after an unloaded frame.
+
+        The change that the memory does not explain is the new zero.
+        """
         zeros = change - self.films.fading(self._seconds(time))
         return replace(self, zeros=np.where(np.isfinite(change), zeros, self.zeros), zeroed=time)
 
@@ -361,9 +432,10 @@ class PressureTrack:
         return np.asarray(np.log(ratio) - self.scene.common_change[0])
 
     def _kept(self, ratio: Array, time: float) -> Array:
-        """Return the standard deviation of ln r/r_rest without a load, by the film's residue, drift and common change.
+        """Return the standard deviation of ln r/r_rest without a load.
 
-        Residue and drift are multiplied by √(1 − x²/peak²): they matter as far as the largest load is gone.
+        It is that by the film's residue, drift and common change. Residue and drift are multiplied
+        by √(1 − x²/peak²): they matter as far as the largest load is gone.
         """
         change = self._change(ratio)
         spread = np.zeros(ratio.shape)
@@ -373,8 +445,12 @@ class PressureTrack:
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         return np.asarray(np.hypot(spread, self.scene.common_change[1]))
 
-    def _of_films(self, value: Callable[[Array, float], Array], change: Array, time: float) -> Array:
-        """Return a method of `FilmMemory`, `at_once`, `effective` or `pressure`, of a frame for all films, (films, …).
+    def _of_films(
+        self, value: Callable[[Array, float], Array], change: Array, time: float
+    ) -> Array:
+        """Return a method of `FilmMemory` of a frame for all films, (films, …).
+
+        The method is `at_once`, `effective` or `pressure`.
 
         Parameters
         ----------
@@ -389,11 +465,15 @@ class PressureTrack:
 
 def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
     """Return √Σ (alternative − expected)², of any shape."""
-    return np.asarray(np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0)))
+    return np.asarray(
+        np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0))
+    )
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
-    """Return the relative standard deviation of ln(r/r0) at a pressure, by the cells' scatter and the curve.
+    """Return the relative standard deviation of ln(r/r0) at a pressure.
+
+    It is that by the cells' scatter and the curve.
 
     Parameters
     ----------
@@ -407,14 +487,20 @@ def response_sd(scene: Scene, answer: Array) -> Array:
 
 
 def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
-    """Return each cell's own part of `response_sd`: measured gains, else the specified error, else RESPONSE_SD."""
+    """Return each cell's own part of `response_sd`.
+
+    It is from measured gains, else the specified error, else RESPONSE_SD.
+    """
     assumed = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
     measured = None if scene.response is None else scene.response.gain_sd
     return np.array(assumed if measured is None else measured)
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:
-    """Return the water's pressure p_w = ρ g (depth + y) of cells at y, (rows, columns) kPa; 0 without water."""
+    """Return the water's pressure p_w = ρ g (depth + y) of cells at y, (rows, columns) kPa.
+
+    0 without water.
+    """
     if water is None:
         return np.zeros(panel.shape)
     kpa_per_mm = 1e-6 * 1000 * GRAVITY
@@ -436,9 +522,9 @@ class Force(NamedTuple):
 
 
 def determined(scene: Scene, pressure: Array, *errors: Array) -> tuple[Array, ...]:
-    """Return p and its errors, (…, rows, columns) kPa, limited to the range that the response determines.
+    """Return p and its errors, limited to the range that the response determines.
 
-    At the limit the error is 0.
+    Shape (…, rows, columns), kPa. At the limit the error is 0.
     """
     if scene.response is None:
         return pressure, *errors
@@ -455,5 +541,11 @@ def total_force(scene: Scene, load: Pressure) -> Force:
     """Return the force of one frame, Σ p·pitch² over the pressed cells."""
     area = scene.panel.pitch_mm**2 * KPA_MM2
     pressed = load.pressing != 0
-    kpa, own, common = (part[pressed] for part in determined(scene, load.pressure, load.own, load.common))
-    return Force(float(area * kpa.sum()), sum_sd(area, own, common), int(np.sum((load.saturated != 0) & pressed)))
+    kpa, own, common = (
+        part[pressed] for part in determined(scene, load.pressure, load.own, load.common)
+    )
+    return Force(
+        float(area * kpa.sum()),
+        sum_sd(area, own, common),
+        int(np.sum((load.saturated != 0) & pressed)),
+    )

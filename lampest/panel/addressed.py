@@ -1,7 +1,8 @@
 """Networks of a readout that loads a panel differently at each address.
 
-Where several lines are loaded at once, each address of the readout has a network of its own, with its own impedance Z.
-Every reading, and each of its derivatives, is that of the network of its address.
+Where several lines are loaded at once, each address of the readout has a network of its own, with
+its own impedance Z. Every reading, and each of its derivatives, is that of the network of its
+address.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +17,9 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class AddressedNetwork(Network):
-    """Networks of a panel, one for each address of its readout; every network gives the readings of its address.
+    """Networks of a panel, one for each address of its readout.
+
+    Every network gives the readings of its address.
 
     Attributes
     ----------
@@ -38,16 +41,24 @@ class AddressedNetwork(Network):
     def _selected(self, values: Sequence[Array]) -> Array:
         """Return the readings (rows, columns, …) of each address from those of all networks."""
         pairs = zip(self.read_at, values, strict=True)
-        return np.asarray(sum(read.reshape(*read.shape, *(1,) * (part.ndim - 2)) * part for read, part in pairs))
+        return np.asarray(
+            sum(read.reshape(*read.shape, *(1,) * (part.ndim - 2)) * part for read, part in pairs)
+        )
 
     def read(self, entries: Entries) -> Array:
-        """Return h(p, q, t), (rows, columns), of entries (addresses, …): each reading from those of its address."""
+        """Return h(p, q, t), (rows, columns), of entries (addresses, …).
+
+        Each reading is from those of its address.
+        """
         addresses = zip(self.networks, zip(*entries, strict=True), strict=True)
         return self._selected([network.read(own) for network, own in addresses])
 
     @property
     def slopes(self) -> Entries:
-        """First derivatives (h_p, h_q, h_t) of each reading at its address, (rows, columns) each."""
+        """First derivatives (h_p, h_q, h_t) of each reading at its address.
+
+        Shape (rows, columns) each.
+        """
         row, column, mutual = zip(*(network.slopes for network in self.networks), strict=True)
         return self._selected(row), self._selected(column), self._selected(mutual)
 
@@ -72,14 +83,19 @@ class AddressedNetwork(Network):
         return AddressedSecondOrder(self, weights)
 
     def leaking(self, across: Array, siemens: float) -> Network:
-        return AddressedNetwork.of(tuple(network.leaking(across, siemens) for network in self.networks), self.read_at)
+        return AddressedNetwork.of(
+            tuple(network.leaking(across, siemens) for network in self.networks), self.read_at
+        )
 
     def condition(self) -> float:
         """Return the largest condition of all addresses; see `Network.condition`."""
         return max(network.condition() for network in self.networks)
 
     def response_of(self, response: Callable[[Network], Array]) -> Array:
-        """Return a response of readings (rows, columns, …), each from the network of its address."""
+        """Return a response of readings (rows, columns, …).
+
+        Each is from the network of its address.
+        """
         return self._selected([response(network) for network in self.networks])
 
 

@@ -1,9 +1,10 @@
-"""Lock of CasADi, and compiled CasADi functions of flat arrays without the cost of CasADi's conversions.
+"""Lock of CasADi, and compiled CasADi functions of flat arrays.
 
-CasADi releases Python's global lock in every call, and its reference counts are not thread-safe. All code that builds,
-calls or frees its objects is therefore `guarded`: one thread at a time. Objects that outlive such a call belong to a
-`CasadiOwner`. A guarded call must not read a cached property that makes another guarded call: Python 3.11 locks cached
-properties as well, so that two threads could wait for each other.
+The functions are without the cost of CasADi's conversions. CasADi releases Python's global lock in
+every call, and its reference counts are not thread-safe. All code that builds, calls or frees its
+objects is therefore `guarded`: one thread at a time. Objects that outlive such a call belong to a
+`CasadiOwner`. A guarded call must not read a cached property that makes another guarded call:
+Python 3.11 locks cached properties as well, so that two threads could wait for each other.
 """
 
 import os
@@ -33,21 +34,31 @@ _DROPPED: deque[Any] = deque()  # owners that nothing refers to any more
 
 
 def _unlock_child() -> None:
-    """Release the lock in a forked child, and renew the locks of cached properties (Python 3.11)."""
+    """Release the lock in a forked child, and renew the locks of cached properties.
+
+    The latter are those of Python 3.11.
+    """
     _LOCK.release()
     modules = [module for name, module in sys.modules.items() if name.startswith("lampest.")]
-    classes = {member for module in modules for member in vars(module).values() if isinstance(member, type)}
+    classes = {
+        member for module in modules for member in vars(module).values() if isinstance(member, type)
+    }
     for member in (member for owner in classes for member in vars(owner).values()):
         if isinstance(member, cached_property) and hasattr(member, "lock"):
             member.lock = RLock()
 
 
 # A process that forks waits for the lock, so that the child inherits no half-built node.
-os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_unlock_child)
+os.register_at_fork(
+    before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_unlock_child
+)
 
 
 def guarded(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that runs while no other thread uses CasADi, and frees objects that any thread dropped."""
+    """Return a function that runs while no other thread uses CasADi.
+
+    It also frees objects that any thread dropped.
+    """
 
     @wraps(function)
     def alone(*arguments: P.args, **named: P.kwargs) -> R:
@@ -56,18 +67,20 @@ def guarded(function: Callable[P, R]) -> Callable[P, R]:
             try:
                 return function(*arguments, **named)
             except BaseException as error:
-                clear_frames(error.__traceback__)  # a later handler would free the frames' symbols without the lock
+                # a later handler would free the frames' symbols without the lock
+                clear_frames(error.__traceback__)
                 raise
 
     return alone
 
 
 class CasadiOwner:
-    """Base of objects with CasADi attributes: any thread may drop them, and the next guarded call frees them.
+    """Base of objects with CasADi attributes.
 
-    Waiting for the lock in the destructor could deadlock, because the garbage collector may run while the thread holds
-    another lock. The destructor keeps the object itself. None of its steps is Python code, in which an interrupt could
-    land and be lost.
+    Any thread may drop them, and the next guarded call frees them. Waiting for the lock in the
+    destructor could deadlock, because the garbage collector may run while the thread holds another
+    lock. The destructor keeps the object itself. None of its steps is Python code, in which an
+    interrupt could land and be lost.
     """
 
     __del__ = property(partial(partial, _DROPPED.append))  # self.__del__() is _DROPPED.append(self)
@@ -75,7 +88,10 @@ class CasadiOwner:
 
 @dataclass(frozen=True, eq=False)
 class Compiled(CasadiOwner):
-    """CasADi function of flat arrays that returns the nonzeros of its output; ten times faster than a plain call."""
+    """CasADi function of flat arrays that returns the nonzeros of its output.
+
+    It is ten times faster than a plain call.
+    """
 
     function: "casadi.Function"
 
@@ -84,7 +100,9 @@ class Compiled(CasadiOwner):
         """Buffer, evaluation, argument arrays and result array; the arrays have fixed addresses."""
         buffer: Any
         buffer, trigger = self.function.buffer()
-        held: list[Array] = [np.empty(self.function.nnz_in(number)) for number in range(self.function.n_in())]
+        held: list[Array] = [
+            np.empty(self.function.nnz_in(number)) for number in range(self.function.n_in())
+        ]
         result: Array = np.empty(self.function.nnz_out(0))
         for number, argument in enumerate(held):
             buffer.set_arg(number, argument.data)
@@ -121,8 +139,12 @@ class Compiled(CasadiOwner):
     def structure(self) -> "scipy.sparse.csc_array":
         """Sparse matrix with the output's pattern and entries of one."""
         sparsity = self.function.sparsity_out(0)
-        rows, first = (np.array(numbers, dtype=np.int32) for numbers in (sparsity.row(), sparsity.colind()))
-        return scipy.sparse.csc_array((np.ones(len(rows)), rows, first), shape=self.function.size_out(0))
+        rows, first = (
+            np.array(numbers, dtype=np.int32) for numbers in (sparsity.row(), sparsity.colind())
+        )
+        return scipy.sparse.csc_array(
+            (np.ones(len(rows)), rows, first), shape=self.function.size_out(0)
+        )
 
     @cached_property
     def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -132,7 +154,10 @@ class Compiled(CasadiOwner):
 
 
 def with_entries(structure: "scipy.sparse.csc_array", entries: Array) -> "scipy.sparse.csc_array":
-    """Return a matrix of a given structure with new entries, without the checks of SciPy's constructor."""
+    """Return a matrix of a given structure with new entries.
+
+    It is made without the checks of SciPy's constructor.
+    """
     matrix = copy(structure)
     matrix.data = entries
     return matrix

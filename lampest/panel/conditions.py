@@ -1,6 +1,7 @@
 """Circumstances of a measurement: water and temperature, and who was measured in which experiment.
 
-Water and temperature change the resistance of cells. No estimate depends on the subject and the experiment.
+Water and temperature change the resistance of cells. No estimate depends on the subject and the
+experiment.
 """
 
 from dataclasses import dataclass
@@ -31,10 +32,10 @@ class Water(Configuration):
 
 @dataclass(frozen=True)
 class Temperature(Configuration):
-    """Effect of the film's temperature on every cell between baseline and measurement, r(T) = r(T_b)·exp(α (T − T_b)).
+    """Effect of the film's temperature on every cell between baseline and measurement.
 
-    The exponential agrees with 1 + α (T − T_b) within (α (T − T_b))²/2, and stays positive far from T_b. Raises
-    ValueError if a number is out of range.
+    It is r(T) = r(T_b)·exp(α (T − T_b)). The exponential agrees with 1 + α (T − T_b) within (α (T −
+    T_b))²/2, and stays positive far from T_b. Raises ValueError if a number is out of range.
 
     Attributes
     ----------
@@ -111,7 +112,8 @@ class Experiment(Configuration):
         Title in a few words.
     experimenter, institution : str
     water_temperature_celsius : float, or None
-        Temperature of the water around the panel in °C; the scene's key `temperature` describes its effect on the film.
+        Temperature of the water around the panel in °C; the scene's key `temperature` describes its
+        effect on the film.
     note : str
         Remarks.
 

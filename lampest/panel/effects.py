@@ -1,4 +1,7 @@
-"""Effects outside the scene: leaks between lines and contact resistances, and their influence on readings."""
+"""Effects outside the scene, and their influence on readings.
+
+They are leaks between lines and contact resistances.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -55,7 +58,10 @@ class Effect(ABC):
         return network
 
     def added(self, scene: Scene, network: Network) -> Array:
-        """Return the effect's contribution to the readings beside the changed network, (rows, columns)."""
+        """Return the effect's contribution to the readings, (rows, columns).
+
+        It is that beside the changed network.
+        """
         return np.zeros(network.conductance.shape)
 
     def where(self, rows: int) -> str:
@@ -80,7 +86,9 @@ class LineLeak(Effect):
         yield from (pairs, *((line,) for line in pairs))
 
     def sentence(self, rows: int) -> str:
-        where = f"{self.where(rows)} and the next one" if len(self.lines) == 1 else "neighbouring lines"
+        where = (
+            f"{self.where(rows)} and the next one" if len(self.lines) == 1 else "neighbouring lines"
+        )
         return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{self._since}"
 
     def changed(self, network: Network) -> Network:
@@ -101,7 +109,10 @@ class LooseContact(Effect):
 
     def sentence(self, rows: int) -> str:
         more = "more" if self.size > 0 else "less"
-        return f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of {self.where(rows)}{self._since}"
+        return (
+            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of "
+            f"{self.where(rows)}{self._since}"
+        )
 
     def added(self, scene: Scene, network: Network) -> Array:
         rows, columns = network.conductance.shape
@@ -112,9 +123,16 @@ class LooseContact(Effect):
 EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all effects that are searched for
 
 
-def with_effects(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
-    """Return the network with all effects, and their further contribution to its readings, (rows, columns)."""
-    added = sum((effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape))
+def with_effects(
+    effects: Sequence[Effect], scene: Scene, network: Network
+) -> tuple[Network, Array]:
+    """Return the network with all effects, and their further contribution.
+
+    The contribution is to its readings, (rows, columns).
+    """
+    added = sum(
+        (effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape)
+    )
     for effect in effects:
         network = effect.changed(network)
     return network, np.asarray(added)

@@ -18,18 +18,29 @@ MAX_LINES = 12  # a panel of many modules has numbers of each
 
 
 def estimated_lines(estimated: Mapping[str, tuple[float, float]] | None) -> tuple[str, ...]:
-    """Return a line for each number, such as 'ripple: 0.096 ± 0.057 LSB', and one for those beyond MAX_LINES.
+    """Return a line for each number, and one for those beyond MAX_LINES.
 
-    estimated : key of the scene → number and standard deviation, as in `Scene.estimated`; None without any.
+    Such a line is 'ripple: 0.096 ± 0.057 LSB'.
+
+    estimated : key of the scene → number and standard deviation, as in `Scene.estimated`; None
+        without any.
     """
     lines = [_line(key, *pair) for key, pair in (estimated or {}).items()]
     more = len(lines) - MAX_LINES
-    return (*lines[:MAX_LINES], f"{more} more numbers, which the scene of the results holds") if more > 0 else (*lines,)
+    return (
+        (*lines[:MAX_LINES], f"{more} more numbers, which the scene of the results holds")
+        if more > 0
+        else (*lines,)
+    )
 
 
-def about_recordings(scenes: Iterable[tuple[str, Mapping[str, tuple[float, float]] | None]]) -> tuple[str, ...]:
+def about_recordings(
+    scenes: Iterable[tuple[str, Mapping[str, tuple[float, float]] | None]],
+) -> tuple[str, ...]:
     """Return the lines of several recordings, each behind the recording's name, and each once."""
-    return tuple(dict.fromkeys(f"{name}: {line}" for name, held in scenes for line in estimated_lines(held)))
+    return tuple(
+        dict.fromkeys(f"{name}: {line}" for name, held in scenes for line in estimated_lines(held))
+    )
 
 
 def _line(key: str, number: float, deviation: float) -> str:

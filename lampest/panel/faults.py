@@ -1,4 +1,7 @@
-"""Known faults of a panel: cells and lines that are broken, lines that touch, modules that are not read."""
+"""Known faults of a panel.
+
+They are cells and lines that are broken, lines that touch, and modules that are not read.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -24,8 +27,8 @@ class Faults(Configuration):
     dead_modules : pairs of int
         Modules that are not read; their cells are not estimated.
     joined_rows, joined_columns : tuples of int
-        Groups of lines that touch at their terminals. They are one node with equal readings, which determine only the
-        sum of the conductances of their cells on one crossing line.
+        Groups of lines that touch at their terminals. They are one node with equal readings, which
+        determine only the sum of the conductances of their cells on one crossing line.
 
     >>> lampest.Faults(dead_rows=(1,)).open_cells(lampest.Panel(2, 3)).sum()
     np.int64(3)
@@ -58,18 +61,27 @@ class Faults(Configuration):
 
     def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
         """Return the groups of lines that are one node, by the numbers of the lines, rows first."""
-        return (*self.joined_rows, *(tuple(panel.rows + line for line in group) for group in self.joined_columns))
+        return (
+            *self.joined_rows,
+            *(tuple(panel.rows + line for line in group) for group in self.joined_columns),
+        )
 
     def check(self, panel: Panel) -> None:
-        """Raise ValueError unless all faults are on the panel, agree with each other, and leave an intact part."""
+        """Raise ValueError unless all faults are on the panel and agree with each other.
+
+        They must also leave an intact part.
+        """
         layout = panel.modules
         lines = self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
         if layout is not None and lines:
             raise ValueError(
-                "faults: every module has lines of its own; name those under modules: [{at: ..., faults: ...}]"
+                "faults: every module has lines of its own; name those under modules: [{at: ..., "
+                "faults: ...}]"
             )
         for place in self.dead_modules:
-            if layout is None or not (0 <= place[0] < layout.rows and 0 <= place[1] < layout.columns):
+            if layout is None or not (
+                0 <= place[0] < layout.rows and 0 <= place[1] < layout.columns
+            ):
                 raise ValueError(f"faults: there is no module {list(place)}")
         for row, column in (*self.open, *self.shorted):
             if not (0 <= row < panel.rows and 0 <= column < panel.columns):
@@ -81,7 +93,9 @@ class Faults(Configuration):
         for dead, joined, count, name in sides:
             touching = [line for group in joined for line in group]
             if any(len(group) < 2 for group in joined) or len(set(touching)) < len(touching):
-                raise ValueError(f"faults: joined_{name}s lists groups of two or more, each {name} once")
+                raise ValueError(
+                    f"faults: joined_{name}s lists groups of two or more, each {name} once"
+                )
             if set(touching) & set(dead):
                 raise ValueError(f"faults: a {name} cannot be dead and joined to another")
             for line in (*dead, *touching):
@@ -89,20 +103,29 @@ class Faults(Configuration):
                     raise ValueError(f"faults: there is no {name} {line}")
         if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
             raise ValueError("faults: a cell cannot be open and shorted")
-        read, conducting = (panel.present & ~gone for gone in (self.blind(panel), self.open_cells(panel)))
+        read, conducting = (
+            panel.present & ~gone for gone in (self.blind(panel), self.open_cells(panel))
+        )
         all_dead = layout is not None and len(set(self.dead_modules)) == layout.count
         if not (read.any() and conducting.any()) or all_dead:
             raise ValueError("faults: nothing is left of the panel")
 
-    def of_module(self, layout: Modules, number: int, module_faults: "Faults | None") -> "Faults | None":
-        """Return the faults of one module by its own rows and columns, including those in `own`; None without any."""
+    def of_module(
+        self, layout: Modules, number: int, module_faults: "Faults | None"
+    ) -> "Faults | None":
+        """Return the faults of one module by its own rows and columns, including those in `own`.
+
+        None without any.
+        """
         rows, columns = layout.cells(number)
         module_faults = module_faults or Faults()
 
         def inside(cells: tuple[tuple[int, int], ...]) -> list[tuple[int, int]]:
             moved = ((row - rows.start, column - columns.start) for row, column in cells)
             return [
-                place for place in moved if 0 <= place[0] < layout.each.rows and 0 <= place[1] < layout.each.columns
+                place
+                for place in moved
+                if 0 <= place[0] < layout.each.rows and 0 <= place[1] < layout.each.columns
             ]
 
         merged = replace(

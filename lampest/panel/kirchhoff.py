@@ -1,6 +1,7 @@
 """Kirchhoff's current law for a matrix of cells.
 
-Symbols: g (rows, columns) cell conductance in siemens; V potentials of the nodes in volt, rows before columns.
+Symbols: g (rows, columns) cell conductance in siemens; V potentials of the nodes in volt, rows
+before columns.
 """
 
 from typing import Any
@@ -11,10 +12,11 @@ from lampest.panel.panel import Array, check_line_memory
 
 
 def current_balance(incidence: Any, conductance: Any, potentials: Any) -> Any:
-    """Return the net current out of every node through the cells: I = B (g ∘ Bᵀ V), in ampere, as the potentials.
+    """Return the net current out of every node through the cells.
 
-    Of lines it is I_j = Σ_k g_jk (V_j − V_k) for a row and I_k = Σ_j g_jk (V_k − V_j) for a column. CasADi matrices
-    are accepted, as well as NumPy arrays. Source: paper, equation (2).
+    It is I = B (g ∘ Bᵀ V), in ampere, as the potentials. Of lines it is I_j = Σ_k g_jk (V_j − V_k)
+    for a row and I_k = Σ_j g_jk (V_k − V_j) for a column. CasADi matrices are accepted, as well as
+    NumPy arrays. Source: paper, equation (2).
 
     Parameters
     ----------
@@ -29,19 +31,28 @@ def current_balance(incidence: Any, conductance: Any, potentials: Any) -> Any:
 
 
 def laplacian(conductance: Array) -> Array:
-    """Return L, L·V = current_balance(B, g, V) of lines: (…, lines, lines) siemens, singular; paper, equation (3)."""
+    """Return L of L·V = current_balance(B, g, V) of lines, (…, lines, lines) siemens.
+
+    It is singular; paper, equation (3).
+    """
     rows, columns = conductance.shape[-2:]
     check_line_memory(rows, columns)
     return bipartite_matrix(line_sums(conductance), -conductance)
 
 
 def injected(conductance: Array, potentials: Array) -> Array:
-    """Return L·V, the current balance of potentials V (…, lines, patterns), rows before columns; the same shape."""
+    """Return L·V, the current balance of potentials V (…, lines, patterns).
+
+    Rows are before columns; it has the same shape.
+    """
     return bipartite(line_sums(conductance), -conductance, potentials)
 
 
 def bipartite_matrix(diagonal: Array, between: Array) -> Array:
-    """Return diag(d) + [[0, A], [Aᵀ, 0]], (…, lines, lines), for d (…, lines) and A (…, rows, columns)."""
+    """Return diag(d) + [[0, A], [Aᵀ, 0]], (…, lines, lines).
+
+    d is (…, lines), and A is (…, rows, columns).
+    """
     rows = between.shape[-2]
     lines = diagonal.shape[-1]
     matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
@@ -60,5 +71,8 @@ def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
 
 
 def line_sums(values: Array) -> Array:
-    """Return the sums over every row, then over every column, of values (…, rows, columns): (…, rows + columns)."""
+    """Return the sums of values (…, rows, columns) over every row, then over every column.
+
+    Shape (…, rows + columns).
+    """
     return np.concatenate([np.add.reduce(values, -1), np.add.reduce(values, -2)], axis=-1)

@@ -26,7 +26,8 @@ class SumOfSquares:
     jacobian : array, shape (n, unknowns)
         J.
     ridge : float
-        1/variance of a step, added to the diagonal of JᵀJ. Unknowns that no residual depends on keep their values.
+        1/variance of a step, added to the diagonal of JᵀJ. Unknowns that no residual depends on
+        keep their values.
     """
 
     residual: Array
@@ -74,21 +75,23 @@ P = TypeVar("P", bound=Linearised)
 class LevenbergMarquardt:
     """Levenberg–Marquardt method with its settings.
 
-    μ falls to a tenth after a step that gains more than half of the linear model's prediction. It grows tenfold after a
-    step that gains nothing.
+    μ falls to a tenth after a step that gains more than half of the linear model's prediction. It
+    grows tenfold after a step that gains nothing.
 
     Attributes
     ----------
     evaluations : int
         Maximum number of evaluations of the model.
     settled, share : float
-        The iteration ends if actual and predicted gain are both less than `settled` plus `share` of the cost.
+        The iteration ends if actual and predicted gain are both less than `settled` plus `share` of
+        the cost.
     damping : float
         First μ; with 0 the first step is a Gauss–Newton step.
     most_damping : float
         μ beyond which the iteration ends.
     longest : float or array
-        Largest change of an unknown in a step, for all or for each; longer steps are shortened as a whole.
+        Largest change of an unknown in a step, for all or for each; longer steps are shortened as a
+        whole.
     """
 
     evaluations: int
@@ -112,7 +115,8 @@ class LevenbergMarquardt:
         Parameters
         ----------
         model : callable
-            Function position → linearised sum of squares. A point whose cost is NaN is never accepted.
+            Function position → linearised sum of squares. A point whose cost is NaN is never
+            accepted.
         start : array, shape (unknowns,)
         bounds : tuple of array or float
             Lower and upper bounds of the unknowns.
@@ -133,7 +137,9 @@ class LevenbergMarquardt:
             damped = point.normal[free][:, free]
             step = np.zeros(len(free))
             scale = damped.diagonal()
-            step[free] = -np.linalg.solve(damped + damping * np.diag(np.where(scale > 0, scale, 1.0)), gradient[free])
+            step[free] = -np.linalg.solve(
+                damped + damping * np.diag(np.where(scale > 0, scale, 1.0)), gradient[free]
+            )
             step *= min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300))))
             moved = np.clip(position + step, low, high)
             step = moved - position

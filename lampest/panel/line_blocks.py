@@ -1,4 +1,7 @@
-"""Matrices over the lines of a panel whose rows are tied to columns alone, with several values on every line."""
+"""Matrices over the lines of a panel whose rows are tied to columns alone.
+
+There are several values on every line.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +14,9 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class LineBlocks:
-    """Symmetric matrix with a block diag(d_ab) + [[0, A_ab], [A_abᵀ, 0]] for values a and b of every line.
+    """Symmetric matrix with a block for values a and b of every line.
+
+    The block is diag(d_ab) + [[0, A_ab], [A_abᵀ, 0]].
 
     Attributes
     ----------
@@ -36,14 +41,20 @@ class LineBlocks:
     def inverse(self) -> Callable[[Array], Array]:
         """Return the product with the inverse, (k·lines,).
 
-        The lines of the longer side are eliminated one by one, so that the cost is that of an inverse over the shorter
-        side and of the entries of A. Raises LinAlgError if a pivot is singular, ValueError if one is not finite.
+        The lines of the longer side are eliminated one by one, so that the cost is that of an
+        inverse over the shorter side and of the entries of A. Raises LinAlgError if a pivot is
+        singular, ValueError if one is not finite.
         """
         count = len(self.diagonal)
         rows, columns = self.between.shape[-2:]
-        short, long = (slice(rows), slice(rows, None)) if rows <= columns else (slice(rows, None), slice(rows))
+        short, long = (
+            (slice(rows), slice(rows, None))
+            if rows <= columns
+            else (slice(rows, None), slice(rows))
+        )
         between = self.between if rows <= columns else self.between.swapaxes(-1, -2)
-        # E = A P⁻¹ with the pivots P of the eliminated lines, and the Schur complement S = D − E Aᵀ of the others
+        # E = A P⁻¹ with the pivots P of the eliminated lines, and the Schur complement S = D − E Aᵀ
+        # of the others
         pivots = np.linalg.inv(np.asarray_chkfinite(self.diagonal[..., long].transpose(2, 0, 1)))
         eliminated = max(rows, columns)
         kept = count * min(rows, columns)
@@ -61,7 +72,9 @@ class LineBlocks:
             solution = np.empty_like(on_lines)
             inner = within @ (on_lines[:, short].ravel() - shares @ outer.ravel())
             solution[:, short] = inner.reshape(count, -1)
-            solution[:, long] = np.einsum("lab,lb->al", pivots, outer - (inner @ flat).reshape(outer.shape))
+            solution[:, long] = np.einsum(
+                "lab,lb->al", pivots, outer - (inner @ flat).reshape(outer.shape)
+            )
             return solution.ravel()
 
         return solve

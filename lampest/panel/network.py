@@ -1,8 +1,9 @@
 """Solved networks of cells with the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
-A readout defines the ties t of the lines to ground (siemens) and the readings y = h(p, q, t) with p = Z_jj, q = Z_kk,
-t = Z_jk. All derivatives follow from these two. They are in u = log r. With D = Z·B, B the ±1 incidence vectors of the
-cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights w of the readings, d(Σ w y) = tr(W dZ) with
+A readout defines the ties t of the lines to ground (siemens) and the readings y = h(p, q, t) with p
+= Z_jj, q = Z_kk, t = Z_jk. All derivatives follow from these two. They are in u = log r. With D =
+Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights w of the
+readings, d(Σ w y) = tr(W dZ) with
 W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]]. CasADi differentiates h.
 """
 
@@ -34,7 +35,9 @@ class ReadCircuit(Hashable, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NormalByLines:
-    """Matrix diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U the incidence of cells and lines.
+    """Matrix diag(own) + V·mixed·Vᵀ over cells.
+
+    V = [diag(v)·U for v in along], and U is the incidence of cells and lines.
 
     Attributes
     ----------
@@ -54,8 +57,8 @@ class NormalByLines:
 class Network(ABC):
     """Solved network of a panel.
 
-    Networks of floating lines may have leading axes, for many networks at once. The impedance Z, (lines, lines) ohm, is
-    private to the network.
+    Networks of floating lines may have leading axes, for many networks at once. The impedance Z,
+    (lines, lines) ohm, is private to the network.
 
     Attributes
     ----------
@@ -101,19 +104,29 @@ class Network(ABC):
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
-        row, column, mutual = (slope * part for slope, part in zip(self.slopes, change, strict=True))
+        row, column, mutual = (
+            slope * part for slope, part in zip(self.slopes, change, strict=True)
+        )
         return np.asarray(row + column + mutual)
 
     def forward(self, step: Array) -> Array:
-        """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns); (rows + columns)³ operations."""
+        """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns).
+
+        It takes (rows + columns)³ operations.
+        """
         return self.read_change(self.changes(step))
 
     def changes(self, step: Array) -> Entries:
         """Return the entries of dZ = Z L_{g·p} Z."""
-        return self.entries_of_product(self._impedance, injected(step / self.cell_resistance, self._impedance))
+        return self.entries_of_product(
+            self._impedance, injected(step / self.cell_resistance, self._impedance)
+        )
 
     def adjoint(self, weights: Array) -> Array:
-        """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns); (rows + columns)³ operations."""
+        """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns).
+
+        It takes (rows + columns)³ operations.
+        """
         return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
     def loading(self, weights: Array) -> Loading:
@@ -122,16 +135,23 @@ class Network(ABC):
 
     def drawn(self, loading: Loading) -> Array:
         """Return bᵀ(Z W Z)b of every cell, (rows, columns)."""
-        return across(self.entries_of_product(self._impedance, bipartite(*loading, self._impedance)))
+        return across(
+            self.entries_of_product(self._impedance, bipartite(*loading, self._impedance))
+        )
 
     @cached_property
     def potential_differences(self) -> Array:
         """D = Z·B (…, lines, cells) ohm: across every cell for a unit current into every line."""
-        differences = self._impedance[..., : self.rows, None] - self._impedance[..., None, self.rows :]
+        differences = (
+            self._impedance[..., : self.rows, None] - self._impedance[..., None, self.rows :]
+        )
         return differences.reshape(*self._impedance.shape[:-1], -1)
 
     def entry_responses(self) -> Entries:
-        """Return g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells)."""
+        """Return g_c·(D_jc², D_kc², D_jc·D_kc).
+
+        Their shapes are (rows, cells), (columns, cells), (rows, columns, cells).
+        """
         row, column = np.split(self.potential_differences, [self.rows])
         conductance = self.conductance.ravel()
         return row**2 * conductance, column**2 * conductance, row[:, None] * (column * conductance)
@@ -163,18 +183,24 @@ class Network(ABC):
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
 
-        In the base class it contains the diagonal of J only; kinds of networks may add the parts of lines.
+        In the base class it contains the diagonal of J only; kinds of networks may add the parts of
+        lines.
         """
         diagonal: Array = weight * self.own_response() ** 2
         none = LineBlocks(np.zeros((0, 0, sum(diagonal.shape))), np.zeros((0, 0, *diagonal.shape)))
         return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), none, none)
 
     def potentials(self) -> Array:
-        """Return the potential of every line while a unit current enters line `pattern`, (lines, patterns) V/A."""
+        """Return the potential of every line, (lines, patterns) V/A.
+
+        It is that while a unit current enters line `pattern`.
+        """
         return self._impedance
 
     def leaking(self, across: Array, siemens: float) -> "Network":
-        """Return the network with conductances between lines, for its readings; Woodbury's Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
+        """Return the network with conductances between lines, for its readings.
+
+        It uses Woodbury's Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
 
         Parameters
         ----------
@@ -189,10 +215,10 @@ class Network(ABC):
         return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
 
     def condition(self) -> float:
-        """Return Σ_l |L_ll Z_ll| over the lines, the amplification of the rounding of L in any reading.
+        """Return Σ_l |L_ll Z_ll| over the lines.
 
-        An error ε_l of L_ll changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN for a broken
-        inverse.
+        It is the amplification of the rounding of L in any reading. An error ε_l of L_ll changes
+        bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN for a broken inverse.
         """
         driving_point = self._impedance.diagonal(axis1=-2, axis2=-1)
         return float(np.abs(line_sums(self.conductance) * driving_point).sum(axis=-1).max())
@@ -204,7 +230,10 @@ class Network(ABC):
         return diagonal[..., :rows, None], diagonal[..., None, rows:], matrix[..., :rows, rows:]
 
     def entries_of_product(self, left: Array, right: Array, *, symmetric: bool = True) -> Entries:
-        """Return the entries of ½(P + Pᵀ), P = left·right, without its other products; fewer if P is symmetric."""
+        """Return the entries of ½(P + Pᵀ), P = left·right, without its other products.
+
+        They are fewer if P is symmetric.
+        """
         rows = self.rows
         diagonal = np.einsum("...ij,...ji->...i", left, right)
         mutual = left[..., :rows, :] @ right[..., rows:]
@@ -227,7 +256,9 @@ class Network(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecondOrder:
-    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) of the readings, Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw).
+    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) of the readings.
+
+    Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw).
 
     Attributes
     ----------
@@ -257,7 +288,8 @@ class SecondOrder:
     def products(self, step: Array) -> tuple[Array, Array]:
         """Return J·p and H·p for a step p of u, (rows, columns) each.
 
-        H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by the change of the slopes of h.
+        H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by the change of the slopes
+        of h.
         """
         network = self.network
         currents = injected(step / network.cell_resistance, network._impedance)
@@ -268,8 +300,13 @@ class SecondOrder:
         return network.read_change(change), second / network.cell_resistance
 
     def change_of_slopes(self, change: Entries) -> list[Array]:
-        """Return w·(h_pp dp + h_pq dq + h_pt dt), and the same of h_q and h_t, for changes (…) of (p, q, t)."""
-        changes: list[Array] = [np.zeros(np.broadcast_shapes(*(part.shape for part in change))) for _ in change]
+        """Return w·(h_pp dp + h_pq dq + h_pt dt), and the same of h_q and h_t.
+
+        They are those for changes (…) of (p, q, t).
+        """
+        changes: list[Array] = [
+            np.zeros(np.broadcast_shapes(*(part.shape for part in change))) for _ in change
+        ]
         for name, curvature in self.network.curvatures.items():
             weighted = self.weights * curvature
             weighted = weighted.reshape(*weighted.shape, *(1,) * (changes[0].ndim - 2))
@@ -287,7 +324,9 @@ class SecondOrder:
         if self.network.curvatures:
             # Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i
             row, column, mutual = self.network.entry_responses()
-            by_row, by_column, by_mutual = self.change_of_slopes((row[:, None], column[None], mutual))
+            by_row, by_column, by_mutual = self.change_of_slopes(
+                (row[:, None], column[None], mutual)
+            )
             matrix += row.T @ by_row.sum(axis=1) + column.T @ by_column.sum(axis=0)
             matrix += mutual.reshape(-1, len(matrix)).T @ by_mutual.reshape(-1, len(matrix))
         return matrix
@@ -310,11 +349,14 @@ def loading_of(row: Array, column: Array, mutual: Array) -> Loading:
 
 
 def inverse_of(conductance: Array, ties: Array) -> Array:
-    """Return Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm. Raises LinAlgError if a line is not connected.
+    """Return Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm.
 
-    The lines of the longer side are eliminated by hand, so that the cost is that of the shorter side's inverse and of
-    the entries of Z. With a the sums of the eliminated lines, the others form a network of conductances Gᵀ diag(a)⁻¹ G
-    with ties t + Gᵀ diag(a)⁻¹ t. Positive sums lose no digits where cells are decades apart.
+    Raises LinAlgError if a line is not connected.
+
+    The lines of the longer side are eliminated by hand, so that the cost is that of the shorter
+    side's inverse and of the entries of Z. With a the sums of the eliminated lines, the others form
+    a network of conductances Gᵀ diag(a)⁻¹ G with ties t + Gᵀ diag(a)⁻¹ t. Positive sums lose no
+    digits where cells are decades apart.
     Source: Grassmann, Taksar, Heyman, Operations Research 33 (1985).
     """
     rows, columns = conductance.shape[-2:]
@@ -334,7 +376,10 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
 
 
 def log_determinant(conductance: Array, ties: Array) -> float:
-    """Return ln det(L(g) + diag(t)) of a single network. Raises LinAlgError if a line is not connected."""
+    """Return ln det(L(g) + diag(t)) of a single network.
+
+    Raises LinAlgError if a line is not connected.
+    """
     if conductance.shape[0] < conductance.shape[1]:
         conductance, ties = _exchanged(conductance, ties)
     row_sums, _, schur = _without_rows(conductance, ties)
@@ -344,11 +389,16 @@ def log_determinant(conductance: Array, ties: Array) -> float:
 def _exchanged(conductance: Array, ties: Array) -> tuple[Array, Array]:
     """Return the conductances and ties of a network whose rows are columns."""
     rows = conductance.shape[-2]
-    return conductance.swapaxes(-1, -2), np.concatenate([ties[..., rows:], ties[..., :rows]], axis=-1)
+    return conductance.swapaxes(-1, -2), np.concatenate(
+        [ties[..., rows:], ties[..., :rows]], axis=-1
+    )
 
 
 def _without_rows(conductance: Array, ties: Array) -> tuple[Array, Array, Array]:
-    """Return a, diag(a)⁻¹ G, and the matrix of the columns' network without rows; see `inverse_of`."""
+    """Return a, diag(a)⁻¹ G, and the matrix of the columns' network without rows.
+
+    See `inverse_of`.
+    """
     total = line_sums(conductance) + ties
     if not total.all():
         raise np.linalg.LinAlgError("a line is not connected")
@@ -404,11 +454,12 @@ class TiedNetwork(Network):
 class DifferenceNetwork(TiedNetwork):
     """Network whose derivatives follow from the potential differences D across its cells.
 
-    A line with a tie of infinite conductance is held at ground. It is excited by a unit potential, any other line by a
-    unit current. With C the conductances between lines that are not held (ties included), −G those between held and
-    other lines, and A those between held lines, K = [[−(A − G C⁻¹ Gᵀ), G C⁻¹], [C⁻¹ Gᵀ, C⁻¹]] and the potentials of all
-    lines for each excitation are P = [[1, G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z. In every
-    case D = P·B and ∂K_ab/∂g_c = −D_ac D_bc. Nothing is lost to a tie that is only nearly infinite.
+    A line with a tie of infinite conductance is held at ground. It is excited by a unit potential,
+    any other line by a unit current. With C the conductances between lines that are not held (ties
+    included), −G those between held and other lines, and A those between held lines, K = [[−(A − G
+    C⁻¹ Gᵀ), G C⁻¹], [C⁻¹ Gᵀ, C⁻¹]] and the potentials of all lines for each excitation are P = [[1,
+    G C⁻¹], [0, C⁻¹]], held lines first. Without held lines K = P = Z. In every case D = P·B and
+    ∂K_ab/∂g_c = −D_ac D_bc. Nothing is lost to a tie that is only nearly infinite.
 
     Attributes
     ----------
@@ -428,17 +479,26 @@ class DifferenceNetwork(TiedNetwork):
 
     @abstractmethod
     def driven_through(self, sources: Array) -> Array:
-        """Return X·s, (cells, patterns) volt, for currents s (cells, patterns) ampere that are driven through cells."""
+        """Return X·s, (cells, patterns) volt, for currents driven through cells.
+
+        The currents s are (cells, patterns) ampere.
+        """
 
     def potentials(self) -> Array:
-        """Return the potential of every line (lines, patterns) for the excitation of line `pattern`."""
+        """Return the potential of every line (lines, patterns).
+
+        It is that for the excitation of line `pattern`.
+        """
         return self.excited.T
 
     def leaking(self, across: Array, siemens: float) -> Network:
         """Return the network with conductances between lines; see `Network.leaking`."""
         towards = self.excited @ across
         # Bᵀ Z B with Z the impedance of the lines that are not held
-        core = np.linalg.inv(np.eye(across.shape[1]) + siemens * across.T @ np.where(self.held[:, None], 0.0, towards))
+        core = np.linalg.inv(
+            np.eye(across.shape[1])
+            + siemens * across.T @ np.where(self.held[:, None], 0.0, towards)
+        )
         return replace(self, _impedance=self._impedance - siemens * towards @ core @ towards.T)
 
     def condition(self) -> float:
@@ -465,7 +525,10 @@ class DifferenceNetwork(TiedNetwork):
 
     @cached_property
     def transfer(self) -> Array:
-        """X (cells, cells), the potential differences for a unit current through every cell; see `SecondOrder`."""
+        """X (cells, cells), the potential differences for a unit current through every cell.
+
+        See `SecondOrder`.
+        """
         return self.driven_through(np.eye(self.conductance.size))
 
     def second_order(self, weights: Array) -> SecondOrder:
@@ -491,7 +554,9 @@ class DifferenceSecondOrder(SecondOrder):
         change = self.network.changes(step)
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
-        twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(step.shape)
+        twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(
+            step.shape
+        )
         return network.read_change(change), network.conductance * (
             twice + network.drawn(loading_of(*self.change_of_slopes(change)))
         )
@@ -527,14 +592,16 @@ class HeldNetwork(DifferenceNetwork):
         currents = sources.reshape(*self.conductance.shape, -1)
         entering = np.concatenate([currents.sum(axis=1), -currents.sum(axis=0)])
         potentials = np.where(self.held[:, None], 0.0, self.excited) @ entering
-        return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :]).reshape(sources.shape)
+        return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :]).reshape(
+            sources.shape
+        )
 
 
 def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
-    """Return K and P of `DifferenceNetwork`, (lines, lines) each, from the lines' admittance without ties, siemens.
+    """Return K and P of `DifferenceNetwork`, (lines, lines) each.
 
-    `ties` are (lines,) siemens, infinite where a line is held. Raises numpy.linalg.LinAlgError if a line is not
-    connected.
+    They are computed from the lines' admittance without ties, siemens. `ties` are (lines,) siemens,
+    infinite where a line is held. Raises numpy.linalg.LinAlgError if a line is not connected.
     """
     held = np.isinf(ties)
     other = ~held
@@ -546,15 +613,22 @@ def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
     entries[np.ix_(other, other)] = potentials[np.ix_(other, other)] = within
     entries[np.ix_(held, other)] = potentials[np.ix_(held, other)] = between
     entries[np.ix_(other, held)] = between.T
-    entries[np.ix_(held, held)] = -(admittance[np.ix_(held, held)] + between @ admittance[np.ix_(other, held)])
+    entries[np.ix_(held, held)] = -(
+        admittance[np.ix_(held, held)] + between @ admittance[np.ix_(other, held)]
+    )
     potentials[np.ix_(held, held)] = np.eye(int(held.sum()))
     return entries, potentials
 
 
 @guarded
 @lru_cache(maxsize=64)
-def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]) -> Compiled:
-    """Return the function of p, q and t, flat (rows · columns) each, with the named derivatives of h, flat."""
+def equation_derivatives(
+    readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]
+) -> Compiled:
+    """Return the function of p, q and t with the named derivatives of h, flat.
+
+    p, q and t are flat, (rows · columns) each.
+    """
     import casadi
 
     # Expressions of whole arrays: their number does not grow with the panel.
@@ -566,9 +640,12 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: t
     def derivative(name: str) -> Any:
         """Return the derivative by the entries that `name` lists, flat.
 
-        Every reading depends on its own entries only: along a change of all entries by one it is elementwise.
+        Every reading depends on its own entries only: along a change of all entries by one it is
+        elementwise.
         """
-        shorter: casadi.MX = derivative(name[:-1]) if name else casadi.vec(casadi.densify(reading).T)
+        shorter: casadi.MX = (
+            derivative(name[:-1]) if name else casadi.vec(casadi.densify(reading).T)
+        )
         return casadi.jtimes(shorter, flat[name[-1]], every) if name else shorter
 
     stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
@@ -578,7 +655,10 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int, names: t
 @guarded
 @lru_cache(maxsize=64)
 def reads_own(readout: ReadCircuit, rows: int, columns: int) -> tuple[bool, bool]:
-    """Return whether the reading depends on the rows' impedances Z_jj, and whether on the columns' Z_kk."""
+    """Return whether the reading depends on the rows' Z_jj, and whether on the columns' Z_kk.
+
+    Z_jj and Z_kk are impedances.
+    """
     import casadi
 
     row, column, mutual = (casadi.MX.sym(name, rows, columns) for name in SLOPES)

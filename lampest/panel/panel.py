@@ -1,4 +1,7 @@
-"""Panel: cells at crossings of rows and columns, their positions and neighbours, and finite differences over them."""
+"""Panel: cells at crossings of rows and columns, their positions and neighbours.
+
+Also finite differences over them.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,15 +16,21 @@ from lampest.files.typed import Configuration, check_positive_fields, check_rang
 
 Array = NDArray[np.floating[Any]]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
-MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
+# lines: matrices over fewer lines fit into 100 MB, and memory is not checked
+MAX_UNCHECKED_LINES = 2000
 CellPlace = tuple[int, int, float, float]
 
 
 def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
-    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines), such as L and Z."""
+    """Raise InputError if memory does not suffice for `matrices` matrices (lines, lines).
+
+    These are such as L and Z.
+    """
     lines = rows + columns
     if lines > MAX_UNCHECKED_LINES:
-        check_memory(8.0 * matrices * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)")
+        check_memory(
+            8.0 * matrices * lines**2, f"a panel of {rows} × {columns} cells ({lines} lines)"
+        )
 
 
 @dataclass(frozen=True)
@@ -57,7 +66,9 @@ class Modules(Configuration):
 
     def __post_init__(self) -> None:
         if min(self.rows, self.columns, self.each.rows, self.each.columns) < 1:
-            raise ValueError("modules need at least one row and one column of modules, and of cells in each")
+            raise ValueError(
+                "modules need at least one row and one column of modules, and of cells in each"
+            )
         check_ranges(self, 0, MAX_PITCH_MM, "seam_mm")
 
     @property
@@ -98,21 +109,26 @@ class Modules(Configuration):
 
 @dataclass(frozen=True)
 class Panel(Configuration):
-    """Matrix of rows and columns; cell (j, k) connects row j and column k and has the number j·columns + k.
+    """Matrix of rows and columns.
+
+    Cell (j, k) connects row j and column k and has the number j·columns + k.
 
     Attributes
     ----------
     rows, columns : int
         Number of lines on either side, at least 1.
     pitch_mm : float
-        Distance between neighbouring cells in millimetre, for positions and pictures; no equation uses it.
+        Distance between neighbouring cells in millimetre, for positions and pictures; no equation
+        uses it.
     cells : tuple of (row, column, x_mm, y_mm), or None
-        Crossings with a cell, and their positions. In a YAML file also the name of a table of these. None: every
-        crossing has a cell, at the pitch.
+        Crossings with a cell, and their positions. In a YAML file also the name of a table of
+        these. None: every crossing has a cell, at the pitch.
     modules : Modules, or None
-        Modules of which this panel is an image; they determine rows, columns and pitch. None: a panel of one network.
+        Modules of which this panel is an image; they determine rows, columns and pitch. None: a
+        panel of one network.
 
-    Raises ValueError if a number is out of range, or if two cells have the same crossing or position.
+    Raises ValueError if a number is out of range, or if two cells have the same crossing or
+    position.
 
     >>> lampest.Panel(2, 3, pitch_mm=8.0).shape
     (2, 3)
@@ -129,7 +145,9 @@ class Panel(Configuration):
             rows, columns = self.modules.shape
             pitch = self.modules.each.pitch_mm
             if (self.rows or rows, self.columns or columns) != (rows, columns):
-                raise ValueError(f"the modules make {rows} × {columns} cells, not {self.rows} × {self.columns}")
+                raise ValueError(
+                    f"the modules make {rows} × {columns} cells, not {self.rows} × {self.columns}"
+                )
             for name, value in (("rows", rows), ("columns", columns), ("pitch_mm", pitch)):
                 object.__setattr__(self, name, value)
             if self.cells is not None:
@@ -137,7 +155,8 @@ class Panel(Configuration):
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
         check_positive_fields(self, "pitch_mm")
-        check_ranges(self, 1e-3, MAX_PITCH_MM, "pitch_mm")  # a transistor's width, a street's length
+        # a transistor's width, a street's length
+        check_ranges(self, 1e-3, MAX_PITCH_MM, "pitch_mm")
         if self.cells is not None:
             self._check_cells(self.cells)
 
@@ -146,7 +165,9 @@ class Panel(Configuration):
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(f"cells: there is no crossing [{row}, {column}]")
             if not max(abs(x), abs(y)) <= MAX_PITCH_MM:
-                raise ValueError(f"cells: [{row}, {column}] must lie within {MAX_PITCH_MM:g} mm of the origin")
+                raise ValueError(
+                    f"cells: [{row}, {column}] must lie within {MAX_PITCH_MM:g} mm of the origin"
+                )
         if not cells:
             raise ValueError("cells: a panel needs at least one cell")
         if len({cell[:2] for cell in cells}) < len(cells):
@@ -177,14 +198,20 @@ class Panel(Configuration):
         check_line_memory(self.rows, self.columns, matrices)
 
     def centres_mm(self) -> tuple[Array, Array]:
-        """Return the positions of columns, x_k = k·pitch, and of rows, y_j = j·pitch, in mm, including seams."""
+        """Return the positions of columns and of rows in mm, including seams.
+
+        They are x_k = k·pitch of columns, and y_j = j·pitch of rows.
+        """
         x = np.arange(self.columns)
         y = np.arange(self.rows)
         if self.modules is None:
             return x * self.pitch_mm, y * self.pitch_mm
         module = self.modules.each
         seam = self.modules.seam_mm
-        return x * self.pitch_mm + x // module.columns * seam, y * self.pitch_mm + y // module.rows * seam
+        return (
+            x * self.pitch_mm + x // module.columns * seam,
+            y * self.pitch_mm + y // module.rows * seam,
+        )
 
     @property
     def extents_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -202,7 +229,10 @@ class Panel(Configuration):
 
     @cached_property
     def places_mm(self) -> Array:
-        """Positions x and y of every cell in mm, (2, rows, columns); NaN at crossings without a cell."""
+        """Positions x and y of every cell in mm, (2, rows, columns).
+
+        NaN at crossings without a cell.
+        """
         if self.cells is None:
             return np.stack(np.meshgrid(*self.centres_mm()))
         places = np.full((2, *self.shape), np.nan)
@@ -214,9 +244,9 @@ class Panel(Configuration):
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Pairs of neighbours: numbers of first cells, of second cells, distances in pitches.
 
-        Full rectangle: pairs along columns, then pairs along rows. Listed cells: pairs without another cell in the
-        circle whose diameter connects them (the Gabriel graph, which is connected; Gabriel & Sokal, Systematic Zoology
-        18, 1969).
+        Full rectangle: pairs along columns, then pairs along rows. Listed cells: pairs without
+        another cell in the circle whose diameter connects them (the Gabriel graph, which is
+        connected; Gabriel & Sokal, Systematic Zoology 18, 1969).
         """
         if self.cells is None:
             numbers = np.arange(self.crossings).reshape(self.shape)
@@ -226,7 +256,9 @@ class Panel(Configuration):
         # Gabriel graph of the listed cells, with distances in pitches.
         cells = np.flatnonzero(self.present)
         places = self.places_mm.reshape(2, -1)[:, cells].T
-        pairs = np.array([(cell, near) for cell in range(len(cells)) for near in circle_neighbours(places, cell)])
+        pairs = np.array(
+            [(cell, near) for cell in range(len(cells)) for near in circle_neighbours(places, cell)]
+        )
         first, second = pairs.reshape(-1, 2).astype(np.intp).T
         distance = np.hypot(*(places[first] - places[second]).T) / self.pitch_mm
         return cells[first], cells[second], distance
@@ -235,8 +267,8 @@ class Panel(Configuration):
 def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
     """Return the cells with larger numbers that are neighbours of a cell in the Gabriel graph.
 
-    Relative to the cell `number`, c lies in the circle with the diameter from 0 to b if c·c ≤ c·b. `places` are the
-    positions of all cells, (cells, 2).
+    Relative to the cell `number`, c lies in the circle with the diameter from 0 to b if c·c ≤ c·b.
+    `places` are the positions of all cells, (cells, 2).
     """
     way = places - places[number]
     square = np.sum(way**2, axis=1)
@@ -245,7 +277,8 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
         if not np.any(candidates & (square > square[nearest])):
             break
         # From the nearest cell c outwards: every b with c in its circle is no neighbour.
-        within = square[nearest] <= 1.01 * (way @ way[nearest])  # 1 %: positions are written with three digits
+        # 1 %: positions are written with three digits
+        within = square[nearest] <= 1.01 * (way @ way[nearest])
         within[nearest] = False
         candidates &= ~within
     after = np.flatnonzero(candidates)
@@ -253,9 +286,10 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
 
 
 def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
-    """Return the number of the connected part of each line, (lines,); None if the cells connect all lines.
+    """Return the number of the connected part of each line, (lines,).
 
-    `conducting`, (rows, columns), states which crossings conduct.
+    None if the cells connect all lines. `conducting`, (rows, columns), states which crossings
+    conduct.
     """
     rows, columns = conducting.shape
     row = np.arange(rows)
@@ -272,22 +306,33 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
 
 
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
-    """Return whether numbers that are finite and not zero are outside the range of physical quantities."""
+    """Return whether numbers are outside the range of physical quantities.
+
+    It does so for numbers that are finite and not zero.
+    """
     size = np.abs(values)
-    return np.asarray(np.isfinite(values) & (values != 0) & ((size < MIN_NUMBER) | (size > MAX_NUMBER)))
+    return np.asarray(
+        np.isfinite(values) & (values != 0) & ((size < MIN_NUMBER) | (size > MAX_NUMBER))
+    )
 
 
 def as_panels_have(values: Array) -> Array:
-    """Return numbers with those below the range of physical quantities as zero, and those above as ±infinity."""
+    """Return numbers limited to the range of physical quantities.
+
+    Those below the range are returned as zero, and those above as ±infinity.
+    """
     if not np.any(beyond := beyond_any_panel(values)):
         return values
-    return np.where(beyond, np.where(np.abs(values) < MIN_NUMBER, 0.0, np.copysign(np.inf, values)), values)
+    return np.where(
+        beyond, np.where(np.abs(values) < MIN_NUMBER, 0.0, np.copysign(np.inf, values)), values
+    )
 
 
 def difference_matrix(length: int) -> Array:
-    """Return D (length, length): central differences inside, one-sided at the border, zero for a single point.
+    """Return D (length, length) of finite differences.
 
-    The gradient of a matrix X is (D X, X Dᵀ). Source: MATLAB's `gradient` with unit spacing, which the paper's
-    equations (19)-(24) use.
+    They are central differences inside, one-sided at the border, zero for a single point. The
+    gradient of a matrix X is (D X, X Dᵀ). Source: MATLAB's `gradient` with unit spacing, which the
+    paper's equations (19)-(24) use.
     """
     return np.zeros((1, 1)) if length == 1 else np.asarray(np.gradient(np.eye(length), axis=0))

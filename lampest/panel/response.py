@@ -1,7 +1,8 @@
 """Parameters of a piezoresistive film: response to pressure, hysteresis, creep and bending.
 
-The response is ln(r/r0) = κ·ln f(p) with a strictly decreasing curve f of the film, f(0) = 1, and a gain κ of each
-cell. The operators of hysteresis and creep, with their sources, are in `lampest.loads.film`.
+The response is ln(r/r0) = κ·ln f(p) with a strictly decreasing curve f of the film, f(0) = 1, and a
+gain κ of each cell. The operators of hysteresis and creep, with their sources, are in
+`lampest.loads.film`.
 """
 
 from abc import abstractmethod
@@ -17,10 +18,13 @@ from lampest.files.typed import ByKind, Configuration, check_ranges
 from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]
-# Straight lines per interval of a table: within 1/1000 of the interval's fall from the cubic, and exactly invertible.
+# Straight lines per interval of a table: within 1/1000 of the interval's fall from the cubic, and
+# exactly invertible.
 TABLE_PARTS = 16
 # Figure 1-e, kPa and r/r0: straight lines from 0 to 28 kPa, exponentials elsewhere.
-CURVE = np.array([[-10.0, 7.54], [0.0, 1.0], [2.5, 0.52], [28.0, 0.112], [40.0, 0.06], [235.0, 0.02]])
+CURVE = np.array(
+    [[-10.0, 7.54], [0.0, 1.0], [2.5, 0.52], [28.0, 0.112], [40.0, 0.06], [235.0, 0.02]]
+)
 CURVE_KPA, CURVE_RATIO = CURVE.T
 
 
@@ -35,7 +39,8 @@ class Response(Configuration):
     gain_sd : table (rows, columns), or None
         Relative standard deviation of κ; None: that of `systematic.response_sd`, or the usual one.
 
-    Raises ValueError if a gain is not positive, a deviation is negative, or rows have different lengths.
+    Raises ValueError if a gain is not positive, a deviation is negative, or rows have different
+    lengths.
     """
 
     gain: Table | None = None
@@ -47,22 +52,38 @@ class Response(Configuration):
                 raise ValueError(f"{name} needs one number for each column in each row")
             open_end = name == "gain"
             if not all(
-                isfinite(number) and number >= 0 and (number or not open_end) for row in table for number in row
+                isfinite(number) and number >= 0 and (number or not open_end)
+                for row in table
+                for number in row
             ):
-                raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'}, and finite")
+                raise ValueError(
+                    f"{name} must be {'positive' if open_end else 'zero or positive'}, and finite"
+                )
 
     def _tables(self) -> dict[str, Table]:
-        return {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
+        return {
+            name: table
+            for name in ("gain", "gain_sd")
+            if (table := getattr(self, name)) is not None
+        }
 
     def check(self, shape: tuple[int, int]) -> None:
         """Raise ValueError unless tables of cells have the panel's shape (rows, columns)."""
         for name, table in self._tables().items():
             if (len(table), len(table[0])) != shape:
-                raise ValueError(f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel")
+                raise ValueError(
+                    f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel"
+                )
 
     def of_cells(self, cells: tuple[slice, slice]) -> Self:
-        """Return the response with the gains of a part of the panel, given by slices of rows and columns."""
-        some = {name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in self._tables().items()}
+        """Return the response with the gains of a part of the panel.
+
+        The part is given by slices of rows and columns.
+        """
+        some = {
+            name: tuple(row[cells[1]] for row in table[cells[0]])
+            for name, table in self._tables().items()
+        }
         return replace(self, **some)
 
     @property
@@ -79,7 +100,10 @@ class Response(Configuration):
         """Return the pressure p in kPa for ln f(p), any shape; ±∞ gives ∓∞, NaN gives NaN."""
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """Return the relative standard deviation of ln f(p) that all cells share, any shape; 0 for an exact curve."""
+        """Return the relative standard deviation of ln f(p) that all cells share, any shape.
+
+        0 for an exact curve.
+        """
         return np.zeros(np.shape(pressure))
 
     @property
@@ -90,16 +114,20 @@ class Response(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class TableResponse(Response):
-    """Response by points: a monotone cubic (PCHIP) through ln r, extrapolated linearly beyond the first and last point.
+    """Response by points: a monotone cubic (PCHIP) through ln r.
+
+    It is extrapolated linearly beyond the first and last point.
 
     Attributes
     ----------
     pressure_kpa : tuple of float
         Pressures in kPa, increasing, from 0 or below to above 0.
     resistance_ohm : tuple of float
-        Resistances at these pressures, decreasing. Only their ratio to the one at 0 kPa matters, so any unit serves.
+        Resistances at these pressures, decreasing. Only their ratio to the one at 0 kPa matters, so
+        any unit serves.
     sd : tuple of float, or None
-        Relative standard deviation of ln(r/r0) at each point that all cells share; None: the curve is exact.
+        Relative standard deviation of ln(r/r0) at each point that all cells share; None: the curve
+        is exact.
 
     Example: {kind: table, pressure_kpa: [0, 1, 5, 20], resistance_ohm: [30000, 9000, 2500, 800]}
 
@@ -119,8 +147,14 @@ class TableResponse(Response):
         pressure = np.array(self.pressure_kpa)
         ohm = np.array(self.resistance_ohm)
         if len(pressure) < 2 or len(pressure) != len(ohm):
-            raise ValueError("a table needs two or more points, as many of resistance_ohm as of pressure_kpa")
-        if not (np.all(np.isfinite(pressure)) and np.all(np.diff(pressure) > 0) and pressure[0] <= 0 < pressure[-1]):
+            raise ValueError(
+                "a table needs two or more points, as many of resistance_ohm as of pressure_kpa"
+            )
+        if not (
+            np.all(np.isfinite(pressure))
+            and np.all(np.diff(pressure) > 0)
+            and pressure[0] <= 0 < pressure[-1]
+        ):
             raise ValueError("pressure_kpa must rise from 0 or below to above 0")
         if not (np.all(np.isfinite(ohm)) and np.all(ohm > 0) and np.all(np.diff(np.log(ohm)) < 0)):
             raise ValueError("resistance_ohm must be positive, and fall where pressure_kpa rises")
@@ -150,7 +184,8 @@ class TableResponse(Response):
     @cached_property
     def _points(self) -> tuple[Array, Array]:
         """Points (kPa, ln f) of the piecewise linear curve, TABLE_PARTS for each interval."""
-        from scipy.interpolate import PchipInterpolator  # the import takes 0.1 s, and few scenes have a table
+        # The import takes 0.1 s, and few scenes have a table.
+        from scipy.interpolate import PchipInterpolator
 
         pressure = np.array(self.pressure_kpa)
         # ln f on TABLE_PARTS points per interval, zero at 0 kPa
@@ -200,13 +235,17 @@ class PowerResponse(Response):
     def logarithm(self, pressure: ArrayLike) -> Array:
         """Return ln f(p) = −n ln(1 + p/p1), and −n p/p1 for suction."""
         share = np.asarray(pressure, dtype=float) / self.scale_kpa
-        return np.asarray(-self.exponent * (np.log1p(np.maximum(share, 0.0)) + np.minimum(share, 0.0)))
+        return np.asarray(
+            -self.exponent * (np.log1p(np.maximum(share, 0.0)) + np.minimum(share, 0.0))
+        )
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         """Return p = p1 (e^{−x/n} − 1) for x = ln f, and −p1 x/n for suction."""
         fallen = -np.asarray(logarithm, dtype=float) / self.exponent
         with np.errstate(over="ignore"):
-            return np.asarray(self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0)))
+            return np.asarray(
+                self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0))
+            )
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
         return np.full(np.shape(pressure), self.sd)
@@ -228,8 +267,9 @@ class PublishedResponse(Response):
         28 … 40       falls exponentially from 0.112 to 0.06
         40 …          falls exponentially through 0.02 at 235
 
-    Beyond −10 and 235 kPa nothing is published; the last pieces are continued. Bent cells respond less: at 40 kPa by
-    −69 to −82 % instead of −94 % (figure 2-d). Source: paper, section II.A and figure 1-e.
+    Beyond −10 and 235 kPa nothing is published; the last pieces are continued. Bent cells respond
+    less: at 40 kPa by −69 to −82 % instead of −94 % (figure 2-d). Source: paper, section II.A and
+    figure 1-e.
 
     Example: {kind: published}
 
@@ -241,7 +281,8 @@ class PublishedResponse(Response):
 
     def logarithm(self, pressure: ArrayLike) -> Array:
         level = _straight_on(pressure, CURVE_KPA, CURVE_LEVEL)
-        # Inverse of `_level`: ln(f) in the linear part 0.112 ≤ f ≤ 1, shifted by the level's excess beyond it
+        # Inverse of `_level`: ln(f) in the linear part 0.112 ≤ f ≤ 1, shifted by the level's excess
+        # beyond it
         linear = np.clip(level, CURVE_RATIO[3], 1.0)
         return np.asarray(np.log(linear) + (level - linear))
 
@@ -250,12 +291,18 @@ class PublishedResponse(Response):
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        """Lowest published pressure, and 40 kPa; above, 1 % of the resistance is 1.8 kPa instead of 0.2 kPa."""
+        """Lowest published pressure, and 40 kPa.
+
+        Above, 1 % of the resistance is 1.8 kPa instead of 0.2 kPa.
+        """
         return float(CURVE_KPA[0]), float(CURVE_KPA[-2])
 
 
 def _level(logarithm: ArrayLike) -> Array:
-    """Return a function of ln f in which the published curve is piecewise linear: f, or ln f plus a constant."""
+    """Return a function of ln f in which the published curve is piecewise linear.
+
+    It is f, or ln f plus a constant.
+    """
     logarithm = np.asarray(logarithm, dtype=float)
     linear = np.clip(logarithm, np.log(CURVE_RATIO[3]), 0.0)
     return np.asarray(np.exp(linear) + (logarithm - linear))
@@ -266,10 +313,10 @@ CURVE_LEVEL = _level(np.log(CURVE_RATIO))
 
 @dataclass(frozen=True, kw_only=True)
 class BentSuction(PublishedResponse):
-    """Published curve with a power law for suction through the one published point, ln f = 2.02·(p/−10)^exponent.
+    """Published curve with a power law for suction through the one published point.
 
-    A straight line of r through that point corresponds to exponents of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of
-    2 kPa to one of about 2.
+    ln f = 2.02·(p/−10)^exponent. A straight line of r through that point corresponds to exponents
+    of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa to one of about 2.
     """
 
     exponent: float
@@ -287,24 +334,33 @@ AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKin
 
 
 def _straight_on(x: ArrayLike, at: Array, values: Array, parts: int = 1) -> Array:
-    """Return linear interpolation; beyond the table with the mean slope of its outer `parts` lines. NaN gives NaN."""
+    """Return linear interpolation; beyond the table with the mean slope of outer `parts` lines.
+
+    The lines are those of the table. NaN gives NaN.
+    """
     x = np.asarray(x, dtype=float)
     inside = np.interp(x, at, values)
     first = (values[parts] - values[0]) / (at[parts] - at[0])
     last = (values[-1] - values[-1 - parts]) / (at[-1] - at[-1 - parts])
-    return np.asarray(inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0))
+    return np.asarray(
+        inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0)
+    )
 
 
 VACUUM_KPA = -101.325  # vacuum relative to the standard atmosphere
-# Assumed standard deviation of a cell's ln(r/r0) at a pressure, as a fraction of ln f(p). The curve is the mean over
-# two cells, without published scatter (section II.A). The data sheet of a similar film (Interlink FSR 400) gives 6 %
-# from part to part, a hysteresis of 10 % and a drift of 5 % per decade of time.
+# Assumed standard deviation of a cell's ln(r/r0) at a pressure, as a fraction of ln f(p). The curve
+# is the mean over two cells, without published scatter (section II.A). The data sheet of a similar
+# film (Interlink FSR 400) gives 6 % from part to part, a hysteresis of 10 % and a drift of 5 % per
+# decade of time.
 RESPONSE_SD = 0.1
 PUBLISHED = PublishedResponse()
 
 
 def ratio_from_pressure(pressure: ArrayLike, response: Response = PUBLISHED) -> Array:
-    """Return r/r0 = f(p) of a cell with gain 1 for pressures in kPa, any shape; strictly decreasing."""
+    """Return r/r0 = f(p) of a cell with gain 1 for pressures in kPa, any shape.
+
+    It is strictly decreasing.
+    """
     return np.exp(response.logarithm(pressure))
 
 
@@ -313,8 +369,11 @@ def relative_change_from_pressure(pressure: ArrayLike) -> Array:
     return ratio_from_pressure(pressure) - 1.0
 
 
-# Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper, figure 2-a and -d).
-BENT = np.array([[0.0, 3050.0, -0.94], [20.0, 1030.0, -0.82], [30.3, 560.0, -0.69], [58.8, 350.0, -0.81]])
+# Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper,
+# figure 2-a and -d).
+BENT = np.array(
+    [[0.0, 3050.0, -0.94], [20.0, 1030.0, -0.82], [30.3, 560.0, -0.69], [58.8, 350.0, -0.81]]
+)
 CURVATURES, BENT_OHM, BENT_CHANGE = BENT.T
 
 
@@ -332,16 +391,19 @@ class Film(Configuration):
     Attributes
     ----------
     hysteresis : float or 'auto'
-        Largest difference between the pressures that the response curve gives for loading and for unloading in a full
-        cycle, over the largest pressure of the cycle. 'auto': unknown, 0.17 ± 0.1.
+        Largest difference between the pressures that the response curve gives for loading and for
+        unloading in a full cycle, over the largest pressure of the cycle. 'auto': unknown, 0.17 ±
+        0.1.
     creep_per_decade : float or 'auto'
-        Relative growth of ln(r/r0) for each decade of time under a constant load, and relative decay afterwards.
-        'auto': unknown; estimated from recordings in which a load was removed, otherwise 0.04 ± 0.04.
+        Relative growth of ln(r/r0) for each decade of time under a constant load, and relative
+        decay afterwards. 'auto': unknown; estimated from recordings in which a load was removed,
+        otherwise 0.04 ± 0.04.
     most : dict
         Largest allowed values of hysteresis and creep.
     usual : dict
-        Hysteresis and creep for 'auto'. For velostat a hysteresis of 10 to 25 % of full scale is published; data sheets
-        of similar films (Interlink FSR 400, Tekscan FlexiForce) state a creep below 5 % per decade, of the film alone.
+        Hysteresis and creep for 'auto'. For velostat a hysteresis of 10 to 25 % of full scale is
+        published; data sheets of similar films (Interlink FSR 400, Tekscan FlexiForce) state a
+        creep below 5 % per decade, of the film alone.
     deviation : float
         Relative standard deviation of hysteresis and creep that all cells share.
     cell_spread : float
@@ -354,7 +416,10 @@ class Film(Configuration):
     """
 
     most: ClassVar[dict[str, float]] = {"hysteresis": 0.6, "creep_per_decade": 0.5}
-    usual: ClassVar[dict[str, Strength]] = {"hysteresis": Strength(0.17, 0.1), "creep_per_decade": Strength(0.04, 0.04)}
+    usual: ClassVar[dict[str, Strength]] = {
+        "hysteresis": Strength(0.17, 0.1),
+        "creep_per_decade": Strength(0.04, 0.04),
+    }
     hysteresis: float | Literal["auto"] = 0.0
     creep_per_decade: float | Literal["auto"] = 0.0
     deviation: float = 0.0
@@ -374,23 +439,37 @@ class Film(Configuration):
         return bool(self.hysteresis or self.creep_per_decade)
 
     def strength(self, name: Literal["hysteresis", "creep_per_decade"]) -> Strength:
-        """Return hysteresis or creep as specified, or the usual one for 'auto', with the spread from cell to cell."""
+        """Return hysteresis or creep as specified, or the usual one for 'auto'.
+
+        It comes with the spread from cell to cell.
+        """
         value = getattr(self, name)
         mean, sd = self.usual[name] if value == "auto" else (value, value * self.deviation)
         return Strength(mean, hypot(sd, mean * self.cell_spread))
 
     @property
     def lowering(self) -> float:
-        """Ratio of r0 of a bent cell to that of a flat one; ln r0 is interpolated linearly in the curvature."""
-        return float(np.exp(np.interp(self.curvature_per_m, CURVATURES, np.log(BENT_OHM / BENT_OHM[0]))))
+        """Ratio of r0 of a bent cell to that of a flat one.
+
+        ln r0 is interpolated linearly in the curvature.
+        """
+        return float(
+            np.exp(np.interp(self.curvature_per_m, CURVATURES, np.log(BENT_OHM / BENT_OHM[0])))
+        )
 
     @property
     def answer(self) -> float:
-        """Ratio of ln(r/r0) of a bent cell to that of a flat one at equal pressure, assumed equal for all pressures."""
+        """Ratio of ln(r/r0) of a bent cell to that of a flat one at equal pressure.
+
+        It is assumed equal for all pressures.
+        """
         answers = np.log1p(BENT_CHANGE)
         return float(np.interp(self.curvature_per_m, CURVATURES, answers / answers[0]))
 
     @property
     def answer_sd(self) -> float:
-        """Relative standard deviation of `answer`: scatter of the published cells about a line in the curvature."""
+        """Relative standard deviation of `answer`.
+
+        It is the scatter of the published cells about a line in the curvature.
+        """
         return 0.15 if self.curvature_per_m else 0.0

@@ -1,4 +1,7 @@
-"""Scene of a measurement: panel, circuit and effects. Effects that a scene does not specify are not modelled."""
+"""Scene of a measurement: panel, circuit and effects.
+
+Effects that a scene does not specify are not modelled.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -13,7 +16,13 @@ from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, W
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.lines import SeriesPerLine, as_tuple, check_resistors, lines_text, per_line
+from lampest.panel.readouts.lines import (
+    SeriesPerLine,
+    as_tuple,
+    check_resistors,
+    lines_text,
+    per_line,
+)
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
 from lampest.panel.response import AnyResponse, Film
 from lampest.panel.sizes import Size, Systematic, check_sizes, plain_size
@@ -52,7 +61,8 @@ class Scene(Configuration):
     readout : AnyReadout, or None
         Electronics; None if only resistances are known, whose σ is then unknown.
     series_resistance_ohm : float or SeriesPerLine
-        Resistance in series with every two-point resistance (two multiplexer channels) in ohm, for all or each line.
+        Resistance in series with every two-point resistance (two multiplexer channels) in ohm, for
+        all or each line.
     faults : Faults, or None
         Known faults.
     water : Water, or None
@@ -60,39 +70,44 @@ class Scene(Configuration):
     temperature : Temperature, or None
         Temperature of the film and its effect on resistance; None: constant, or unknown.
     systematic : Systematic or {'typical', 'none'}, or None
-        Errors that all readings may share. 'typical': those of common electronics for the readout's kind, see
-        `lampest.panel.systematic`. None, 'none': absent.
+        Errors that all readings may share. 'typical': those of common electronics for the readout's
+        kind, see `lampest.panel.systematic`. None, 'none': absent.
     lines : Lines, or None
         Resistance of rows and columns themselves; None: zero.
     converter_memory : float or 'estimated', or None
-        Fraction of the previously converted channel that remains in a reading, in volt at the converter; see
-        `lampest.panel.readouts.readout`. None: zero.
+        Fraction of the previously converted channel that remains in a reading, in volt at the
+        converter; see `lampest.panel.readouts.readout`. None: zero.
     contacts : Contacts or 'estimated', or None
-        Resistance between the lines and their terminals, estimated together with the cells; 'estimated': single bad
-        contacts, searched for once and taken off the readings; None: none.
+        Resistance between the lines and their terminals, estimated together with the cells;
+        'estimated': single bad contacts, searched for once and taken off the readings; None: none.
     leaks : 'estimated', or None
         Leaks between neighbouring lines, searched for once and taken off the readings; None: none.
     gain : float or 'estimated', or None
         Relative standard deviation of each frame's gain; None: none.
     ripple : float or 'estimated', or None
-        Standard deviation of the interference that the lines of a scan share, in least significant bits; None: none.
+        Standard deviation of the interference that the lines of a scan share, in least significant
+        bits; None: none.
     motion : float or 'estimated', or None
         Share of the time between frames that a scan takes while loads move, 0 to 1; None: none.
     creep : float or 'estimated', or None
         Change of log r of all cells alike since the unloaded frames, which is no load; None: none.
     outliers : {'exclude', 'keep'}, or None
-        Readings of a single frame that differ from its neighbours in time, and frozen ones. None: excluded.
+        Readings of a single frame that differ from its neighbours in time, and frozen ones. None:
+        excluded.
     estimated : dict, or None
-        Of resolved scenes: key of each number that the recording determined → (number, standard deviation).
+        Of resolved scenes: key of each number that the recording determined → (number, standard
+        deviation).
     film : Film, or None
         Hysteresis, creep and bending of the film; None: absent.
     response : AnyResponse, or None
-        Response curve of the film and gains of its cells, see `lampest.panel.response`; None: no pressures.
+        Response curve of the film and gains of its cells, see `lampest.panel.response`; None: no
+        pressures.
     assumed : tuple of str
         Entries that the scene's file leaves to lampest's defaults, such as readout.readings.
     baseline : {'raw', 'subtracted'}, or None
-        'raw': readings are as converted, also where most are 0 at rest; 'subtracted': the firmware subtracted a resting
-        frame, which an import adds again. None: raw, and refused at import where they look otherwise.
+        'raw': readings are as converted, also where most are 0 at rest; 'subtracted': the firmware
+        subtracted a resting frame, which an import adds again. None: raw, and refused at import
+        where they look otherwise.
     purpose : {'mat'}, or None
         'mat': contacts of any form, no suction. None: also mouths and cups.
     subject, experiment : MeasuredSubject, or None
@@ -158,18 +173,25 @@ class Scene(Configuration):
         places = [module.at for module in self.modules or ()]
         for module in self.modules or ():
             where = list(module.at)
-            if layout is None or not (0 <= module.at[0] < layout.rows and 0 <= module.at[1] < layout.columns):
+            if layout is None or not (
+                0 <= module.at[0] < layout.rows and 0 <= module.at[1] < layout.columns
+            ):
                 raise ValueError(f"modules: there is no module {where}")
             if places.count(module.at) > 1:
                 raise ValueError(f"modules: module {where} is named twice")
             if module.readout is not None and type(module.readout) is not type(self.readout):
-                raise ValueError(f"modules: module {where} has a readout of another kind than the scene")
+                raise ValueError(
+                    f"modules: module {where} has a readout of another kind than the scene"
+                )
         if layout is not None:
             assert self.of_modules  # every scene checks itself
 
     @cached_property
     def of_modules(self) -> tuple["Scene", ...]:
-        """Scenes of all modules, by their numbers; equal ones are one object. The scene itself without modules."""
+        """Scenes of all modules, by their numbers; equal ones are one object.
+
+        The scene itself without modules.
+        """
         layout = self.panel.modules
         known = dict[Scene, Scene]()
         if layout is None:
@@ -187,7 +209,8 @@ class Scene(Configuration):
                 readout=module.readout or self.readout,
                 series_resistance_ohm=self.series_resistance_ohm if series is None else series,
                 faults=(self.faults or Faults()).of_module(layout, number, module.faults),
-                water=self.water and Water(self.water.top_row_depth_mm + self.panel.centres_mm()[1][cells[0].start]),
+                water=self.water
+                and Water(self.water.top_row_depth_mm + self.panel.centres_mm()[1][cells[0].start]),
                 response=self.response and self.response.of_cells(cells),
             )
             scenes.append(known.setdefault(scene, scene))
@@ -206,7 +229,11 @@ class Scene(Configuration):
         """Numbers of the modules that are not read."""
         layout = self.panel.modules
         faults = self.faults or Faults()
-        return () if layout is None else tuple(sorted({row * layout.columns + k for row, k in faults.dead_modules}))
+        return (
+            ()
+            if layout is None
+            else tuple(sorted({row * layout.columns + k for row, k in faults.dead_modules}))
+        )
 
     @cached_property
     def blind(self) -> NDArray[np.bool_]:
@@ -215,12 +242,18 @@ class Scene(Configuration):
 
     @cached_property
     def requested(self) -> NDArray[np.bool_]:
-        """Whether a frame should have a reading, boolean (rows, columns); it may have more, without a cell."""
+        """Whether a frame should have a reading, boolean (rows, columns).
+
+        It may have more, without a cell.
+        """
         return self.panel.present & ~self.blind
 
     @cached_property
     def open_cells(self) -> NDArray[np.bool_]:
-        """Whether a crossing does not conduct, without a cell or open by a fault, boolean (rows, columns)."""
+        """Whether a crossing does not conduct, boolean (rows, columns).
+
+        It is without a cell, or open by a fault.
+        """
         return ~self.panel.present | self._of_faults(Faults.open_cells)
 
     @cached_property
@@ -242,22 +275,34 @@ class Scene(Configuration):
         """Return a mask of the faults, (rows, columns); true for all cells of dead modules."""
         layout = self.panel.modules
         if layout is None:
-            return np.zeros(self.panel.shape, dtype=bool) if self.faults is None else mask(self.faults, self.panel)
+            return (
+                np.zeros(self.panel.shape, dtype=bool)
+                if self.faults is None
+                else mask(self.faults, self.panel)
+            )
         parts = np.stack([scene._of_faults(mask) for scene in self.of_modules])
         parts[list(self.dead_modules)] = True
         return layout.joined(parts)
 
     @property
     def assumed_text(self) -> str:
-        """Entries that the scene's file leaves open, with their values, such as 'readings: 20, adc_bits: 10'."""
+        """Entries that the scene's file leaves open, with their values.
+
+        The text is such as 'readings: 20, adc_bits: 10'.
+        """
         places = (path.partition(".") for path in self.assumed)
         named = ((name, getattr(getattr(self, room, None), name, None)) for room, _, name in places)
-        texts = ((name, f"{value:g}" if isinstance(value, float) else value) for name, value in named)
+        texts = (
+            (name, f"{value:g}" if isinstance(value, float) else value) for name, value in named
+        )
         return ", ".join(f"{name}: {text}" for name, text in texts if text is not None)
 
     @cached_property
     def circuit(self) -> Readout:
-        """Circuit by which readings follow from cells: the readout, or two-point resistances without one."""
+        """Circuit by which readings follow from cells.
+
+        It is the readout, or two-point resistances without one.
+        """
         return TwoPointReadout() if self.readout is None else self.readout.in_scene(self)
 
     @property
@@ -268,7 +313,10 @@ class Scene(Configuration):
 
     @property
     def series_lines(self) -> tuple[Array, Array]:
-        """Resistance in series with each row and with each column, ohm; half of a number that is for both channels."""
+        """Resistance in series with each row and with each column, ohm.
+
+        It is half of a number that is for both channels.
+        """
         rows, columns = self.panel.network.shape
         series = self.series_resistance_ohm
         if not isinstance(series, SeriesPerLine):
@@ -309,7 +357,10 @@ class Scene(Configuration):
 
     @property
     def common_change(self) -> tuple[float, float]:
-        """Change of log r of all cells since the unloaded frames, by temperature and creep, and its deviation."""
+        """Change of log r of all cells since the unloaded frames, and its deviation.
+
+        The change is by temperature and creep.
+        """
         warmth = self.temperature
         creep, creep_sd = (self.estimated or {}).get("creep", (0.0, 0.0))
         creep = creep if (known := plain_size(self.creep)) is None else known
@@ -332,7 +383,10 @@ class Scene(Configuration):
 
     @cached_property
     def wiring(self) -> Wiring | None:
-        """Wire, contacts and touching lines between terminals and cells; None without any of them."""
+        """Wire, contacts and touching lines between terminals and cells.
+
+        None without any of them.
+        """
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()
         wired = joined or lines.resist or self.contact_prior is not None

@@ -10,15 +10,16 @@ from lampest.files.typed import members_of, typed
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.scene import Scene
 
-CHECKED_DEFAULTS = {"polarity"}  # frames tell them: the check of the circuit names the other one where it fits better
+# Frames tell them: the check of the circuit names the other one where it fits better.
+CHECKED_DEFAULTS = {"polarity"}
 
 
 @typed
 def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     """Return the scene of a YAML file, which is the whole file or its entry `scene`.
 
-    `assigned` overrides entries by texts PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and
-    column.
+    `assigned` overrides entries by texts PATH=VALUE, such as readout.noise_lsb=1.2. Raises
+    InputError with line and column.
 
     >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
     >>> lampest.read_scene("scene.yaml").panel.shape
@@ -26,9 +27,13 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     """
     document = read_document(Path(path), assigned)
     if isinstance(document.content, dict) and "scene" in document.content:
-        document = replace(document, content=document.content["scene"], marks=document.marks["scene"])
+        document = replace(
+            document, content=document.content["scene"], marks=document.marks["scene"]
+        )
     scene: Scene = validated(document, Scene)
-    parts: dict[str, Any] = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
+    parts: dict[str, Any] = {"panel": scene.panel} | (
+        {} if scene.readout is None else {"readout": scene.readout}
+    )
     specified = {name: {"kind", *document.content[name]} for name in parts}
     if scene.panel.modules is not None:  # rows, columns and pitch follow from the modules
         specified["panel"] |= {"rows", "columns", *document.content["panel"]["modules"]["each"]}
@@ -42,11 +47,15 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
 
 
 def scene_text(scene: Scene) -> str:
-    """Return the scene as YAML; warns if the kind of its readout belongs to no installed package."""
+    """Return the scene as YAML.
+
+    Warns if the kind of its readout belongs to no installed package.
+    """
     if scene.readout is not None and type(scene.readout) not in members_of(AnyReadout):
         kind = getattr(scene.readout, "kind", type(scene.readout).__name__)
         warnings.warn(
-            f"readout.kind {kind} is not among the readouts of lampest or of an installed package: this file can be "
+            f"readout.kind {kind} is not among the readouts of lampest or of an installed package: "
+            "this file can be "
             "read again once it is (docs/howto/adding.md)",
             stacklevel=2,
         )

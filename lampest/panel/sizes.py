@@ -1,6 +1,7 @@
 """Sizes of effects in a scene: a number, or `estimated`, for the recording to determine.
 
-`Systematic` holds those of the errors that all readings share; `lampest.panel.systematic` has their effects.
+`Systematic` holds those of the errors that all readings share; `lampest.panel.systematic` has their
+effects.
 """
 
 from dataclasses import dataclass
@@ -15,31 +16,36 @@ Size = float | Literal["estimated"]
 
 @dataclass(frozen=True)
 class Systematic(Configuration):
-    """Systematic errors that all readings may share; they widen error bars and change no estimate. None: absent.
+    """Systematic errors that all readings may share.
 
-    Each is a number, or `estimated`: the recording determines it once, beginning with the size of common electronics.
+    They widen error bars and change no estimate. None: absent. Each is a number, or `estimated`:
+    the recording determines it once, beginning with the size of common electronics.
 
     Attributes
     ----------
     reference_tolerance : float or 'estimated', or None
-        Largest relative error of the reference resistor, or of all loads or feedback resistors together.
+        Largest relative error of the reference resistor, or of all loads or feedback resistors
+        together.
     channel_spread_ohm : float or 'estimated', or None
         Standard deviation of the resistance of each line's channel, in ohm.
     series_tolerance_ohm : float or 'estimated', or None
-        Standard deviation of a resistance in series with all driven lines, in addition to the scene's, in ohm.
+        Standard deviation of a resistance in series with all driven lines, in addition to the
+        scene's, in ohm.
     inl_lsb : float or 'estimated', or None
-        Standard deviation of the converter's smooth deviation from a straight line, in least significant bits.
+        Standard deviation of the converter's smooth deviation from a straight line, in least
+        significant bits.
     wire_ohm_per_cell : float or 'estimated', or None
-        Standard deviation of the wire of rows and columns from cell to cell, in addition to the scene's, in ohm.
+        Standard deviation of the wire of rows and columns from cell to cell, in addition to the
+        scene's, in ohm.
     reading_error : float or 'estimated', or None
         Standard deviation of the logarithm of a factor on each reading, the same in all frames.
     response_sd : float, or None
-        Relative standard deviation of each cell's response to pressure, in the logarithm of its resistance (bent film,
-        differing patches); it widens pressures only.
+        Relative standard deviation of each cell's response to pressure, in the logarithm of its
+        resistance (bent film, differing patches); it widens pressures only.
     model_error : float or 'estimated', or None
-        Standard deviation of the readings' errors of the model, in units of their noise σ, so that σ grows by
-        √(1 + model_error²). 0: none. None: from evidence that no penalty can imitate; 'estimated': from the residuals
-        of loaded frames, too. See `lampest.estimate.model_error`.
+        Standard deviation of the readings' errors of the model, in units of their noise σ, so that
+        σ grows by √(1 + model_error²). 0: none. None: from evidence that no penalty can imitate;
+        'estimated': from the residuals of loaded frames, too. See `lampest.estimate.model_error`.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01
@@ -57,7 +63,9 @@ class Systematic(Configuration):
     def __post_init__(self) -> None:
         if not 0 <= (plain_size(self.reference_tolerance) or 0.0) < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
-        check_sizes(self, MAX_OHM, "channel_spread_ohm", "series_tolerance_ohm", "wire_ohm_per_cell")
+        check_sizes(
+            self, MAX_OHM, "channel_spread_ohm", "series_tolerance_ohm", "wire_ohm_per_cell"
+        )
         check_sizes(self, 2.0**32, "inl_lsb")
         check_sizes(self, 10, "reading_error", "response_sd")
         check_sizes(self, 1e6, "model_error")
@@ -69,5 +77,8 @@ def plain_size(size: Size | None) -> float | None:
 
 
 def check_sizes(owner: Any, most: float, *names: str) -> None:
-    """Raise ValueError unless each named field of an object is None, 'estimated', or lies between 0 and `most`."""
+    """Raise ValueError unless each named field of an object is valid.
+
+    A field is valid if it is None, 'estimated', or lies between 0 and `most`.
+    """
     check_ranges(owner, 0, most, *(name for name in names if getattr(owner, name) != ESTIMATED))

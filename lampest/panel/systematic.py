@@ -1,8 +1,9 @@
-"""Systematic errors that all frames share: reference, channels, contacts, series, wire, the converter's curve.
+"""Systematic errors that all frames share.
 
-To first order the error of the estimate is K·U·z with the gain K and independent standard normal z. Every error has one
-or more columns of U, its effect on the readings, computed as a secant of the readout's equations. `SHARED_ERRORS` lists
-the errors.
+They are those of reference, channels, contacts, series, wire, and the converter's curve. To first
+order the error of the estimate is K·U·z with the gain K and independent standard normal z. Every
+error has one or more columns of U, its effect on the readings, computed as a secant of the
+readout's equations. `SHARED_ERRORS` lists the errors.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,15 +19,18 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 
 TYPICAL_CHANNEL_OHM = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
-SINES = 4  # sines of which a converter's curve consists; the mean square of their sum is the specified one
+# Sines of which a converter's curve consists; the mean square of their sum is the specified one.
+SINES = 4
 USUAL = Systematic(
-    # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of the typical value; resistors of
-    # the series E24 within 5 %. The sizes are such that 95 % intervals cover both at once.
+    # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of the typical
+    # value; resistors of the series E24 within 5 %. The sizes are such that 95 % intervals cover
+    # both at once.
     series_tolerance_ohm=35.0,
     reference_tolerance=0.06,
     inl_lsb=0.5,  # rms; data sheets of microcontrollers' converters promise 1 to 2 at most
     wire_ohm_per_cell=0.2,  # copper tape has none, conductive thread and printed silver 0.1 to 1
-    response_sd=0.25,  # flat film of one batch scatters by a tenth; bent, glued or old film responds differently
+    # Flat film of one batch scatters by a tenth; bent, glued or old film responds differently.
+    response_sd=0.25,
 )
 
 
@@ -41,10 +45,11 @@ class Possible:
     settings : tuple of str
         Fields of `Systematic` of the errors that were estimated, in the order of `SHARED_ERRORS`.
     root : array, shape (n, n), or None
-        Lower triangular root of the covariance of z of these errors, each with its columns; None: z are independent.
+        Lower triangular root of the covariance of z of these errors, each with its columns; None: z
+        are independent.
     in_sigma : float
-        Size of each reading's own error that σ of the readings includes, and so the choice of weights: the median of
-        the posterior (docs/studies/effects.md).
+        Size of each reading's own error that σ of the readings includes, and so the choice of
+        weights: the median of the posterior (docs/studies/effects.md).
     """
 
     sizes: Systematic
@@ -56,7 +61,8 @@ class Possible:
 def systematic_of(scene: Scene) -> Systematic | None:
     """Return the sizes of a scene's systematic errors; None without any.
 
-    An error that the scene calls `estimated` has the size of common electronics, its prior; without a size there, none.
+    An error that the scene calls `estimated` has the size of common electronics, its prior; without
+    a size there, none.
     """
     if scene.systematic is None or scene.systematic == "none":
         return None
@@ -64,27 +70,34 @@ def systematic_of(scene: Scene) -> Systematic | None:
     if scene.systematic == "typical":
         return usual
     prior = replace(usual, channel_spread_ohm=TYPICAL_CHANNEL_OHM)
-    return replace(scene.systematic, **{name: getattr(prior, name) for name in estimated_errors(scene)})
+    return replace(
+        scene.systematic, **{name: getattr(prior, name) for name in estimated_errors(scene)}
+    )
 
 
 def estimated_errors(scene: Scene) -> tuple[str, ...]:
     """Return the fields of `Systematic` that a scene calls `estimated`."""
     if not isinstance(scene.systematic, Systematic):
         return ()
-    return tuple(part.name for part in fields(Systematic) if getattr(scene.systematic, part.name) == ESTIMATED)
+    return tuple(
+        part.name
+        for part in fields(Systematic)
+        if getattr(scene.systematic, part.name) == ESTIMATED
+    )
 
 
 def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
-    """Return a sentence on the numbers of a circuit that frames cannot determine, with their assumed tolerances.
+    """Return a sentence on the numbers of a circuit that frames cannot determine.
 
-    The text is ASCII. It is '' for a scene without a readout, and for a readout that states no such numbers.
+    It states them with their assumed tolerances. The text is ASCII. It is '' for a scene without a
+    readout, and for a readout that states no such numbers.
 
     Parameters
     ----------
     scene : Scene
     of_changes : float or None
-        Median error of the changes ln(r/r0) of loaded cells by numbers at the ends of their tolerances; None where
-        it is unknown.
+        Median error of the changes ln(r/r0) of loaded cells by numbers at the ends of their
+        tolerances; None where it is unknown.
     """
     if scene.readout is None:
         return ""
@@ -103,30 +116,45 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     remaining = (
         ""
         if of_changes is None
-        else f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the median"
+        else f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the "
+        "median"
     )
     return (
-        f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; lampest calibrate "
+        f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
+        "lampest calibrate "
         "measures them"
     )
 
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
-    """Return ∂(reading)/∂ log(recorded), the effect of a factor on a recorded value, by central differences."""
+    """Return ∂(reading)/∂ log(recorded), by central differences.
+
+    It is the effect of a factor on a recorded value.
+    """
     recorded = scene.circuit.to_recorded(measured, scene)
     step = 1e-6
-    above, below = (scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1))
+    above, below = (
+        scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1)
+    )
     return np.asarray((above - below) / (2 * step))
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
-    """Return the readings' standard deviations, (frames, rows, columns), for a deviation `size` of log(recorded)."""
+    """Return the readings' standard deviations, (frames, rows, columns).
+
+    They are those for a deviation `size` of log(recorded).
+    """
     return size * np.abs(recorded_share(measured, scene)) if size else np.zeros(measured.shape)
 
 
 def _reference(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the column of the reference's relative error; `size` is the half width of a uniform distribution."""
-    return scene.circuit.shared_errors(network.cell_resistance, measured, scene, size / np.sqrt(3), 0.0)
+    """Return the column of the reference's relative error.
+
+    `size` is the half width of a uniform distribution.
+    """
+    return scene.circuit.shared_errors(
+        network.cell_resistance, measured, scene, size / np.sqrt(3), 0.0
+    )
 
 
 def _channels(network: Network, measured: Array, scene: Scene, size: float) -> Array:
@@ -142,15 +170,24 @@ def _series(network: Network, measured: Array, scene: Scene, size: float) -> Arr
 
 
 def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Array:
-    """Return the columns of a converter's curve, sines of ½, 1, 1½ and 2 periods over its range; none without one."""
+    """Return the columns of a converter's curve; none without one.
+
+    They are sines of ½, 1, 1½ and 2 periods over its range.
+    """
     if scene.readout is None:
         return np.zeros((0, *measured.shape))
     circuit = scene.circuit
     volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
     height = size * circuit.lsb_volt * np.sqrt(2 / SINES)
-    # √(2/SINES)·size·LSB·sin(π k V/V_full), k = 1, …, SINES: the mean square of the sum over the range is size²·LSB²
-    waves = height * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt))
-    ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
+    # √(2/SINES)·size·LSB·sin(π k V/V_full), k = 1, …, SINES: the mean square of the sum over the
+    # range is size²·LSB²
+    waves = height * np.sin(
+        np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt)
+    )
+    ends = [
+        circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene)
+        for sign in (0.5, -0.5)
+    ]
     return np.asarray(ends[0] - ends[1])
 
 
@@ -161,7 +198,8 @@ def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array
 
 def _each_reading(network: Network, measured: Array, scene: Scene, size: float) -> Array:
     """Return the columns of a factor on each recorded value."""
-    # Column c has the error of reading c alone: an identity over the cells times size·∂y/∂log(recorded).
+    # Column c has the error of reading c alone: an identity over the cells times
+    # size·∂y/∂log(recorded).
     shares = (size * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
     columns = np.zeros((shares.shape[-1], *shares.shape))
     np.einsum("c...c->...c", columns)[...] = shares
@@ -206,15 +244,23 @@ SHARED_ERRORS = (
 
 
 def error_columns(
-    errors: Iterable[SharedError], network: Network, measured: Array, scene: Scene, sizes: Systematic
+    errors: Iterable[SharedError],
+    network: Network,
+    measured: Array,
+    scene: Scene,
+    sizes: Systematic,
 ) -> Array:
-    """Return U, (n, …, rows, columns), of errors of one standard deviation each, in the readings' unit.
+    """Return U, (n, …, rows, columns), of errors of one standard deviation each.
 
-    `measured` are the readings of the network, (…, rows, columns). The reference has a column in every scene, of zeros
-    where its size is 0.
+    U is in the readings' unit. `measured` are the readings of the network, (…, rows, columns). The
+    reference has a column in every scene, of zeros where its size is 0.
     """
     sized = [(error, error.size(sizes)) for error in errors]
-    parts = [error.columns(network, measured, scene, size) for error, size in sized if size or error is REFERENCE]
+    parts = [
+        error.columns(network, measured, scene, size)
+        for error, size in sized
+        if size or error is REFERENCE
+    ]
     return np.concatenate([np.zeros((0, *measured.shape)), *parts])
 
 
@@ -232,8 +278,8 @@ class Shared:
     estimated : tuple of str
         Fields of `Systematic` of the errors with a joint posterior.
     root : array, shape (n, n), or None
-        Lower triangular root of the covariance of these errors, in units of their sizes; None: they are independent,
-        with their sizes as standard deviations.
+        Lower triangular root of the covariance of these errors, in units of their sizes; None: they
+        are independent, with their sizes as standard deviations.
     in_sigma : float
         Size of each reading's own error that σ of the readings includes.
     """
@@ -249,7 +295,8 @@ class Shared:
     def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
         """Return the shared errors of a scene; None without any.
 
-        Contacts have the prior of the scene. Errors have the sizes of `systematic_of` unless `possible` is given.
+        Contacts have the prior of the scene. Errors have the sizes of `systematic_of` unless
+        `possible` is given.
         """
         contacts = scene.contact_prior
         possible = Possible(systematic_of(scene) or Systematic()) if possible is None else possible
@@ -260,18 +307,26 @@ class Shared:
         return cls(sizes, scene, contact_root, possible.settings, possible.root, possible.in_sigma)
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
-        """Return the errors that remain if a method has unknowns for the errors `known`; None if none remain."""
+        """Return the errors that remain if a method has unknowns for the errors `known`.
+
+        None if none remain.
+        """
         if self.systematic is None:
             return None
         if known is None or known.systematic is None:
             return replace(self, contact_root=None)
         sd, size = (READING_ERROR.size(errors) for errors in (self.systematic, known.systematic))
-        return Shared(Systematic(reading_error=float(np.sqrt(sd**2 - size**2))), self.scene) if sd > size else None
+        return (
+            Shared(Systematic(reading_error=float(np.sqrt(sd**2 - size**2))), self.scene)
+            if sd > size
+            else None
+        )
 
     def columns(self, network: Network, measured: Array) -> Array:
-        """Return U, (cells, n), in the readings' unit: contacts, reference and channels, hidden errors.
+        """Return U, (cells, n), in the readings' unit.
 
-        `measured` are the readings of the network, (rows, columns).
+        Its columns are those of contacts, reference and channels, hidden errors. `measured` are the
+        readings of the network, (rows, columns).
         """
         parts = list[Array]()
         if self.contact_root is not None:
@@ -292,6 +347,9 @@ class Shared:
         return columns.reshape(len(columns), measured.size).T
 
     def own_error(self, measured: Array) -> Array:
-        """Return the standard deviation of each reading's own error, in the readings' unit, (frames, rows, columns)."""
+        """Return the standard deviation of each reading's own error.
+
+        It is in the readings' unit, with shape (frames, rows, columns).
+        """
         size = 0.0 if self.systematic is None else READING_ERROR.size(self.systematic)
         return own_errors(measured, self.scene, size)

@@ -1,6 +1,7 @@
 """Trust-region subproblem by preconditioned conjugate gradients (Steihaug and Toint).
 
-Source: Steihaug, SIAM J. Numer. Anal. 20, 1983; Conn, Gould & Toint, Trust-Region Methods, 2000, section 7.5.
+Source: Steihaug, SIAM J. Numer. Anal. 20, 1983; Conn, Gould & Toint, Trust-Region Methods, 2000,
+section 7.5.
 """
 
 from collections.abc import Callable
@@ -14,10 +15,13 @@ from lampest.panel.panel import Array
 
 Linear = Callable[[Array], Array]
 DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it saves
-MATRIX_CELLS = 600  # the same for problems with many products: absolute losses, joint pairs, error bars
+# The same for problems with many products: absolute losses, joint pairs, error bars.
+MATRIX_CELLS = 600
 MAX_DENSE = 1200  # unknowns beyond which matrices take seconds; products or samples replace them
-SUFFICIENT_DECREASE = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, section 3.1, algorithm 4.1
-MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance up to which a direction of negative curvature is followed
+# Of the predicted decrease, as in Nocedal & Wright, 2006, section 3.1, algorithm 4.1.
+SUFFICIENT_DECREASE = 1e-4
+# Relative change of a conductance up to which a direction of negative curvature is followed.
+MAX_RELATIVE_CHANGE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,9 @@ def steihaug(
     admits: Callable[[Array], bool] | None = None,
     most_products: int = 400,
 ) -> SubproblemStep:
-    """Return argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius, up to `accuracy` where the minimum is inside the radius.
+    """Return argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius.
+
+    It is correct up to `accuracy` where the minimum is inside the radius.
 
     Parameters
     ----------
@@ -67,11 +73,11 @@ def steihaug(
     accuracy : float
         ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
     radius : float
-        Trust radius; may be infinite. A direction of negative curvature is followed to the radius, or until an entry of
-        s reaches MAX_RELATIVE_CHANGE.
+        Trust radius; may be infinite. A direction of negative curvature is followed to the radius,
+        or until an entry of s reaches MAX_RELATIVE_CHANGE.
     admits : callable or None
-        Function s → whether the step is admissible. The iteration ends before an inadmissible step, except for the
-        first one. None: all are admissible.
+        Function s → whether the step is admissible. The iteration ends before an inadmissible step,
+        except for the first one. None: all are admissible.
     most_products : int
         Maximum number of products; the iteration then ends with the step so far.
     """
@@ -105,7 +111,9 @@ def steihaug(
             step = step + length * search
             residual = residual + length * image
             # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
-            return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
+            return SubproblemStep(
+                step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count
+            )
         longer = step + length * search
         if admits is not None and count > 1 and not admits(longer):
             break
@@ -121,12 +129,19 @@ def steihaug(
         mixed = ratio * (mixed + length * outer)
         outer = strength + ratio**2 * outer
     return SubproblemStep(
-        step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative=False, products=count
+        step,
+        float(np.sqrt(inner)),
+        -0.5 * float(step @ (gradient + residual)),
+        negative=False,
+        products=count,
     )
 
 
 def _length_to_radius(radius: float, inner: float, mixed: float, outer: float) -> float:
-    """Return t ≥ 0 with ‖s + t p‖_M = radius, for ‖s‖², sᵀMp and ‖p‖² in the norm of M; infinite without a radius."""
+    """Return t ≥ 0 with ‖s + t p‖_M = radius; infinite without a radius.
+
+    It is computed for ‖s‖², sᵀMp and ‖p‖² in the norm of M.
+    """
     if radius == inf:
         return inf
     # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
@@ -142,7 +157,10 @@ def _length_to_largest_change(step: Array, search: Array) -> float:
 
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
-    """Return the restriction of a product over `size` unknowns to the chosen ones (numbers), all others zero."""
+    """Return the restriction of a product over `size` unknowns to the chosen ones (numbers).
+
+    All others are zero.
+    """
     if len(chosen) == size:
         return product
     full = np.zeros(size)

@@ -1,1 +1,4 @@
-"""Uncertainty of an estimate: errors of log r due to the noise of the readings and the bias of the penalties."""
+"""Uncertainty of an estimate.
+
+It consists of errors of log r due to the noise of the readings and the bias of the penalties.
+"""

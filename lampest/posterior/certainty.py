@@ -14,14 +14,17 @@ from lampest.posterior.linear import LinearModel
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Certainty of log r, or of a change of it, all arrays of one shape such as (frames, rows, columns).
+    """Certainty of log r, or of a change of it.
+
+    All arrays are of one shape such as (frames, rows, columns).
 
     Attributes
     ----------
     deviation : array
         Standard deviation; infinite for an open cell.
     below, above : array
-        Extent of the 95 % interval below and above the estimate; `above` is infinite for an open cell.
+        Extent of the 95 % interval below and above the estimate; `above` is infinite for an open
+        cell.
     resolution, data_share : array
         Diagonal and row sums of the averaging kernel; 0 for cells at an active bound.
     common : array
@@ -48,10 +51,11 @@ class Certainty:
         shares: tuple[Array, Array],
         released: Callable[[NDArray[np.intp]], Array],
     ) -> "Certainty":
-        """Return the certainty of an estimate: two-sided for free cells, one-sided at active bounds.
+        """Return the certainty of an estimate.
 
-        Two-sided intervals end at most the noise of the reading below the lower bound. They are open above if they
-        reach the upper bound.
+        It is two-sided for free cells, one-sided at active bounds. Two-sided intervals end at most
+        the noise of the reading below the lower bound. They are open above if they reach the upper
+        bound.
 
         Parameters
         ----------
@@ -84,8 +88,12 @@ class Certainty:
             below.flat[pressed] = np.where(low, noise.flat[pressed], quantile)
         return cls(deviation, below, above, resolution, data_share, np.sqrt(shared))
 
-    def less(self, baseline: "Certainty", shared: Array, common: Array | None = None) -> "Certainty":
-        """Return the certainty of the change from a baseline, √(a² + b² − 2·shared) of deviations and of ends.
+    def less(
+        self, baseline: "Certainty", shared: Array, common: Array | None = None
+    ) -> "Certainty":
+        """Return the certainty of the change from a baseline.
+
+        It is √(a² + b² − 2·shared) of deviations and of ends.
 
         Parameters
         ----------
@@ -93,8 +101,8 @@ class Certainty:
         shared : array
             Covariance of the two errors.
         common : array or None
-            Covariance of their common parts; None if it is not known: then the whole deviation counts as each cell's
-            own.
+            Covariance of their common parts; None if it is not known: then the whole deviation
+            counts as each cell's own.
         """
 
         def joined(of_frame: Array, of_baseline: Array, shared: Array) -> Array:
@@ -105,32 +113,45 @@ class Certainty:
         return replace(
             self,
             deviation=joined(self.deviation, baseline.deviation, shared),
-            # The lower end of the difference combines the frame's lower with the baseline's upper end.
+            # The lower end of the difference combines the frame's lower with the baseline's upper
+            # end.
             below=joined(self.below, baseline.above, ends),
             above=joined(self.above, baseline.below, ends),
-            common=np.zeros(self.common.shape) if common is None else joined(self.common, baseline.common, common),
+            common=np.zeros(self.common.shape)
+            if common is None
+            else joined(self.common, baseline.common, common),
         )
 
     def reaching_farther(self, below: Array, above: Array) -> "Certainty":
-        """Return intervals with `below` and `above`, squares of extents in log r, added in quadrature."""
-        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
+        """Return intervals with `below` and `above` added in quadrature.
+
+        `below` and `above` are squares of extents in log r.
+        """
+        return replace(
+            self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above)
+        )
 
     def widened(self, answer: Array) -> "Certainty":
         """Return the certainty with further independent errors of unit variance.
 
-        `answer` is their effect on log r, (frames · cells, n). The part that moves all cells of a frame alike is added
-        to `common`.
+        `answer` is their effect on log r, (frames · cells, n). The part that moves all cells of a
+        frame alike is added to `common`.
         """
         shape = self.deviation.shape
         answers = answer.reshape(*shape[:-2], shape[-2] * shape[-1], -1)
-        variance, common = (part.reshape(shape) for part in ((answers**2).sum(axis=-1), common_variance(answers)))
+        variance, common = (
+            part.reshape(shape) for part in ((answers**2).sum(axis=-1), common_variance(answers))
+        )
         wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
         deviation = np.sqrt(self.deviation**2 + variance)
         common = np.sqrt(self.common**2 + common)
         return replace(wider, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
-        """Return the certainty with intervals of single cells (numbers) extended to at least `below` and `above`."""
+        """Return the certainty with intervals of single cells (numbers) extended.
+
+        They are extended to at least `below` and `above`.
+        """
         lower = self.below.copy()
         upper = self.above.copy()
         lower.flat[cells] = np.maximum(lower.flat[cells], below)
@@ -138,9 +159,14 @@ class Certainty:
         return replace(self, below=lower, above=upper)
 
     def by_conductance(self) -> "Certainty":
-        """Return the certainty with `above` at least −log(1 − above), the extent if the conductance falls linearly."""
+        """Return the certainty with `above` at least −log(1 − above).
+
+        This is the extent if the conductance falls linearly.
+        """
         with np.errstate(divide="ignore"):
-            return replace(self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0))))
+            return replace(
+                self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0)))
+            )
 
     def of_frame(self, frame: int) -> "Certainty":
         """Return the certainty of one frame, (rows, columns)."""
@@ -148,10 +174,10 @@ class Certainty:
 
 
 def common_variance(answer: Array) -> Array:
-    """Return the variance due to the common part of independent errors, Σ max(a² − (a − ā)², 0), (…, cells).
+    """Return the variance due to the common part of independent errors, (…, cells).
 
-    `answer` is the effect a of each of n errors on log r, (…, cells, n). The common part ā is its median over the
-    cells; a − ā is each cell's own part.
+    It is Σ max(a² − (a − ā)², 0). `answer` is the effect a of each of n errors on log r, (…, cells,
+    n). The common part ā is its median over the cells; a − ā is each cell's own part.
     """
     individual = answer - np.median(answer, axis=-2, keepdims=True)
     return np.asarray(np.maximum(answer**2 - individual**2, 0.0).sum(axis=-1))

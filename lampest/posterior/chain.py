@@ -1,10 +1,14 @@
-"""Block tridiagonal system with a border: consecutive frames, each tied to its neighbours, and shared unknowns.
+"""Block tridiagonal system with a border.
 
-H has the blocks A_t (cells, cells) of the frames, with the ties already on their diagonals; the diagonal blocks −Λ_t
-between the frames t and t + 1; B between frames and border; and C of the border. It is solved by Gaussian elimination
-in both directions. With S_1 = A_1, S_{t+1} = A_{t+1} − Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t, the diagonal blocks of the
-inverse are P_t = S_t⁻¹ + K_t P_{t+1} K_tᵀ.
-Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal. Appl. 13, 1992.
+It is that of consecutive frames, each tied to its neighbours, and shared unknowns.
+
+H has the blocks A_t (cells, cells) of the frames, with the ties already on their diagonals; the
+diagonal blocks −Λ_t between the frames t and t + 1; B between frames and border; and C of the
+border. It is solved by Gaussian elimination in both directions. With S_1 = A_1, S_{t+1} = A_{t+1} −
+Λ_t S_t⁻¹ Λ_t and K_t = S_t⁻¹ Λ_t, the diagonal blocks of the inverse are P_t = S_t⁻¹ + K_t P_{t+1}
+K_tᵀ.
+Source: Rauch, Tung & Striebel, AIAA Journal 3, 1965, in the form of Meurant, SIAM J. Matrix Anal.
+Appl. 13, 1992.
 """
 
 from dataclasses import dataclass, replace
@@ -66,13 +70,18 @@ class Chain:
 
     @cached_property
     def _follow(self) -> Array:
-        """E = H⁻¹ B of the frames alone, the response of the frames to the border, (frames, cells, n)."""
+        """E = H⁻¹ B of the frames alone, (frames, cells, n).
+
+        It is the response of the frames to the border.
+        """
         return self._solved(self.border)
 
     @cached_property
     def _border_precision(self) -> Array:
         """Schur complement C − Bᵀ H⁻¹ B of the border, (n, n)."""
-        return np.asarray(self.corner - np.einsum("tci,tcj->ij", self.border, self._follow, optimize=True))
+        return np.asarray(
+            self.corner - np.einsum("tci,tcj->ij", self.border, self._follow, optimize=True)
+        )
 
     @cached_property
     def border_covariance(self) -> Array:
@@ -80,9 +89,9 @@ class Chain:
         return positive_inverse(self._border_precision)
 
     def learned(self, count: int) -> Array:
-        """Return the precision of the border's first `count` unknowns due to the frames alone, (count, count).
+        """Return the precision of the border's first `count` unknowns, (count, count).
 
-        Their prior variance is one.
+        It is the precision due to the frames alone. Their prior variance is one.
         """
         return np.asarray(positive_inverse(self.border_covariance[:count, :count]) - np.eye(count))
 
@@ -101,13 +110,20 @@ class Chain:
         """
         corner = self.corner.copy()
         count = len(precision)
-        corner[:count, :count] += precision - positive_inverse(self.border_covariance[:count, :count])
+        corner[:count, :count] += precision - positive_inverse(
+            self.border_covariance[:count, :count]
+        )
         return replace(self, corner=corner)
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
-        """Return H⁻¹ x for the frames' part (frames, cells, m) and the border's part (n, m) of x."""
+        """Return H⁻¹ x for the frames' part and the border's part of x.
+
+        The frames' part is (frames, cells, m), the border's part (n, m).
+        """
         unbordered = self._solved(right)
-        moved = self.border_covariance @ (border - np.einsum("tci,tcm->im", self.border, unbordered, optimize=True))
+        moved = self.border_covariance @ (
+            border - np.einsum("tci,tcm->im", self.border, unbordered, optimize=True)
+        )
         return unbordered - self._follow @ moved, moved
 
     @cached_property
@@ -130,27 +146,42 @@ class Chain:
     @cached_property
     def variance(self) -> Array:
         """Diagonal of H⁻¹ over the frames, (frames, cells)."""
-        return np.asarray(np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2))
+        return np.asarray(
+            np.stack([np.diag(block) for block in self.blocks]) + np.sum(self._root**2, axis=2)
+        )
 
     def step_variance(self, shift: Array) -> Array:
-        """Return the variance of x_{t+1} − x_t − shift_t·border, (frames − 1, cells); `shift` (frames − 1, n)."""
+        """Return the variance of x_{t+1} − x_t − shift_t·border, (frames − 1, cells).
+
+        `shift` has shape (frames − 1, n).
+        """
         # Covariance of neighbouring frames: diag(K_t P_{t+1})
-        between = [np.einsum("ij,ji->i", gain, block) for gain, block in zip(self._gains, self.blocks[1:], strict=True)]
+        between = [
+            np.einsum("ij,ji->i", gain, block)
+            for gain, block in zip(self._gains, self.blocks[1:], strict=True)
+        ]
         variances = np.stack([np.diag(block) for block in self.blocks])
         steps = variances[1:] + variances[:-1] - 2 * np.asarray(between).reshape(self.tie.shape)
         moved = np.diff(self._follow, axis=0) + shift[:, None, :]
-        return np.asarray(steps + np.einsum("tci,ij,tcj->tc", moved, self.border_covariance, moved, optimize=True))
+        return np.asarray(
+            steps + np.einsum("tci,ij,tcj->tc", moved, self.border_covariance, moved, optimize=True)
+        )
 
     def covariance(self, frame: int) -> Array:
         """Return one frame's diagonal block of H⁻¹, (cells, cells)."""
         return np.asarray(self.blocks[frame] + self._root[frame] @ self._root[frame].T)
 
     def since(self, first: int) -> Array:
-        """Return the covariance of a frame with itself and all later ones, cell by cell, (frames − first, cells)."""
+        """Return the covariance of a frame with itself and all later ones, cell by cell.
+
+        Shape (frames − first, cells).
+        """
         across = np.eye(self.own.shape[1])
         covariances = [np.diag(self.blocks[first])]
         for gain, block in zip(self._gains[first:], self.blocks[first + 1 :], strict=True):
             # cov(x_first, x_t) = K_first ⋯ K_{t−1} P_t
             across = across @ gain
             covariances.append(np.einsum("ij,ji->i", across, block))
-        return np.asarray(np.stack(covariances) + np.sum(self._root[first:] * self._root[first], axis=2))
+        return np.asarray(
+            np.stack(covariances) + np.sum(self._root[first:] * self._root[first], axis=2)
+        )

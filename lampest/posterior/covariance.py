@@ -1,30 +1,31 @@
 """Posterior covariance of log r: as matrices over the cells, or from samples in product form.
 
-With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
-estimate is K·noise plus the bias of the penalties. Its covariance is
+With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ
+Ω, the error of the estimate is K·noise plus the bias of the penalties. Its covariance is
 
-    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + P Pᵀ + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
+    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + P Pᵀ + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ
+    M = Zᵀ Ω Z₀
 
 with these symbols:
 
     Ω    diagonal matrix of the curvatures ω of the residuals
     τ    standard deviations of the data
     V    columns of random errors that the readings of a frame share
-    P    independent errors of half the gradient due to penalties: σ λ Zᵀ ½ρ', the effect of the uncertainty σ of a
-         chosen weight's log λ (Wood, Pya & Säfken, J. Am. Stat. Assoc. 111, 2016), and the slope of a penalty's loss
-         beyond that of its curvature
+    P    independent errors of half the gradient due to penalties: σ λ Zᵀ ½ρ', the effect of the
+         uncertainty σ of a chosen weight's log λ (Wood, Pya & Säfken, J. Am. Stat. Assoc. 111,
+         2016), and the slope of a penalty's loss beyond that of its curvature
     S₀   covariance of the previous frame and of the baseline, as far as terms read them
-    B    share of a penalty residual's variance that is the previous frame's error, where a term weighs that error
-         (Joseph's form)
-    C    widening of a penalty residual x̂: the largest of 1, of ω x̂²/s², and of Σ ω x̂²/(s² γ) over its term, γ the
-         number of residuals of the term that the data determine. A penalty that does not suit the data therefore does
-         not lead to narrow error bars.
+    B    share of a penalty residual's variance that is the previous frame's error, where a term
+         weighs that error (Joseph's form)
+    C    widening of a penalty residual x̂: the largest of 1, of ω x̂²/s², and of Σ ω x̂²/(s² γ) over
+         its term, γ the number of residuals of the term that the data determine. A penalty that
+         does not suit the data therefore does not lead to narrow error bars.
 
 With C = 1 and equal noise of all data, S is the Laplace approximation s² A⁻¹.
 
-A sample is ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + P z₄ − M ε₀) with standard normal z. It costs one solve
-by conjugate gradients. Its covariance is S but for the prior term ε s⁴. Standard deviations from n samples scatter by
-1/√(2n).
+A sample is ε = A⁻¹ (Jᵀ Ω (τ z₁ + V z₃) + s Zᵀ √((C − B) Ω) z₂ + P z₄ − M ε₀) with standard normal
+z. It costs one solve by conjugate gradients. Its covariance is S but for the prior term ε s⁴.
+Standard deviations from n samples scatter by 1/√(2n).
 """
 
 from collections.abc import Callable
@@ -62,7 +63,8 @@ class DenseErrors:
     before : Memory or None
         Errors of the previous frame and of the baseline, if terms read these.
     drawn : array, shape (data rows, n), or None
-        V, random errors that the readings of a frame share; None if the errors of the readings are independent.
+        V, random errors that the readings of a frame share; None if the errors of the readings are
+        independent.
     """
 
     model: LinearModel
@@ -84,7 +86,10 @@ class DenseErrors:
         return self.sensitivity[:, self.model.free]
 
     def forward(self, change: Array) -> Array:
-        """Return the change of the data, (data rows, n), for changes of log r of all cells, (cells, n)."""
+        """Return the change of the data, (data rows, n), for changes of log r of all cells.
+
+        The changes of log r have shape (cells, n).
+        """
         return np.asarray(self.sensitivity @ change)
 
     def weighed(self, rows: Array) -> Array:
@@ -134,8 +139,8 @@ class DenseErrors:
     def determined(self, term: int) -> float:
         """Return the number of residuals of a term (number) that the data determine.
 
-        γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B the sum over terms. For a single term tr(B⁺ B_t) is the rank
-        of B_t.
+        γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B the sum over terms. For a single term
+        tr(B⁺ B_t) is the rank of B_t.
         """
         of_term = self.model.penalty_term == term
         rows = self._penalties
@@ -153,10 +158,17 @@ class DenseErrors:
 
     @cached_property
     def _carried(self) -> list[tuple[int, Array]]:
-        """Pairs of a number and −A⁻¹ M, (free, cells): effect of errors of the previous frame (0), the baseline (1)."""
+        """Pairs of a number and −A⁻¹ M, (free, cells).
+
+        The matrix is the effect of errors of the previous frame (0), the baseline (1).
+        """
         size = np.sqrt(self.model.penalty_curvature)[:, None]
         known = enumerate(self.model.known_jacobians)
-        return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
+        return [
+            (which, np.asarray(-self._pulls @ (rows.toarray() * size)))
+            for which, rows in known
+            if rows.nnz
+        ]
 
     @cached_property
     def _own(self) -> list[tuple[Array, Array]]:
@@ -167,7 +179,10 @@ class DenseErrors:
             (self.inverse, model.scale**2 * model.ignorance),
         ]
         if len(model.penalty_term):
-            parts += [(self._pulls, model.scale * self.widening), ((model.pulls[model.free].T @ self.inverse).T, 1.0)]
+            parts += [
+                (self._pulls, model.scale * self.widening),
+                ((model.pulls[model.free].T @ self.inverse).T, 1.0),
+            ]
         if self.drawn is not None:
             parts.append((self._gain @ self.drawn, 1.0))
         return [(rows * size, rows) for rows, size in parts]
@@ -184,13 +199,17 @@ class DenseErrors:
     @cached_property
     def variance(self) -> Array:
         """Diagonal of S, (free,)."""
-        return np.asarray(sum(np.sum(left * right, axis=1) for left, right in self._own + self._inherited))
+        return np.asarray(
+            sum(np.sum(left * right, axis=1) for left, right in self._own + self._inherited)
+        )
 
     @cached_property
     def covariance(self) -> Array:
         """S over all cells, (frames · cells, frames · cells); zero for cells that are not free."""
         matrix = np.zeros((self.model.at.cell_resistance.size,) * 2)
-        matrix[np.ix_(self.model.free, self.model.free)] = sum(x @ y.T for x, y in self._own + self._inherited)
+        matrix[np.ix_(self.model.free, self.model.free)] = sum(
+            x @ y.T for x, y in self._own + self._inherited
+        )
         return matrix
 
     def memory(self) -> Memory:
@@ -219,14 +238,16 @@ class DenseErrors:
     def certainty(self) -> Certainty:
         """Certainty of the estimate without errors that all frames share."""
         shares = self.resolution, self.data_share
-        return Certainty.of(self.model, (self.variance, self.shared_variance), shares, self.released)
+        return Certainty.of(
+            self.model, (self.variance, self.shared_variance), shares, self.released
+        )
 
     @cached_property
     def widening(self) -> Array:
         """Variance factor C − B of the penalty rows, (penalty rows,).
 
-        Residuals that involve a cell without a reading are no evidence: they are assumed at least as large as the 95 %
-        quantile of the other residuals of the term.
+        Residuals that involve a cell without a reading are no evidence: they are assumed at least
+        as large as the 95 % quantile of the other residuals of the term.
         """
         model = self.model
         squares = model.penalty_squares
@@ -241,25 +262,34 @@ class DenseErrors:
             if (chosen & unread).any() and (chosen & ~unread).any():
                 far = np.quantile(squares[chosen & ~unread], LEVEL, method="higher") / TWO_SIDED**2
                 widened[chosen & unread] = np.maximum(widened[chosen & unread], far)
-        return np.asarray(widened - model.known_share(None if self.before is None else self.before.variance()))
+        return np.asarray(
+            widened - model.known_share(None if self.before is None else self.before.variance())
+        )
 
     def reading_deviation(self) -> Array:
-        """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂), (frames, rows, columns).
+        """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂).
 
-        F = ∂f/∂u, and S excludes the errors of earlier frames. For measured readings S is approximated by s² A⁻¹; only
-        for missing ones it is computed.
+        Shape (frames, rows, columns). F = ∂f/∂u, and S excludes the errors of earlier frames. For
+        measured readings S is approximated by s² A⁻¹; only for missing ones it is computed.
         """
         model = self.model
         slopes = self._readings_by_cells[:, model.free]
         variance = model.scale * np.sum((slopes @ self.inverse) * slopes, axis=1)
         if model.at.data.partial:
             missing = np.flatnonzero(np.ravel(model.at.data.given.seen) == 0)
-            variance[missing] = sum(np.sum((slopes[missing] @ x) * (slopes[missing] @ y), axis=1) for x, y in self._own)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape))
+            variance[missing] = sum(
+                np.sum((slopes[missing] @ x) * (slopes[missing] @ y), axis=1) for x, y in self._own
+            )
+        return np.asarray(
+            np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape)
+        )
 
     @property
     def shared_variance(self) -> Array:
-        """Part of the variance due to shared random errors V that moves all cells of a frame alike, (free,)."""
+        """Part of the variance that moves all cells of a frame alike, (free,).
+
+        It is due to shared random errors V.
+        """
         frames = self.model.free // self.model.at.cell_resistance[0].size
         common = np.zeros(len(frames))
         if self.drawn is None:
@@ -270,14 +300,17 @@ class DenseErrors:
         return np.asarray(np.minimum(common, self.variance))
 
     def answer(self, rows: Array, known: Array | None = None) -> Array:
-        """Return the effect on log r, (free, n), of errors that the data share with earlier estimates.
+        """Return the effect on log r, (free, n), of errors shared with earlier estimates.
+
+        The data share these errors with earlier estimates.
 
         Parameters
         ----------
         rows : array, shape (data rows, n)
             Errors of the data.
         known : array, shape (2, cells, n), or None
-            Effect a of the same errors on log r of the last estimate and of the baseline; None for no effect.
+            Effect a of the same errors on log r of the last estimate and of the baseline; None for
+            no effect.
         """
         # K x − A⁻¹ Zᵀ Ω Z₀ a
         carried = np.zeros(0) if known is None else self.model.carried(known)
@@ -293,10 +326,14 @@ class DenseErrors:
         return self.gained(self.forward(everywhere), fine=True)[:, 0]
 
     def released(self, cells: NDArray[np.intp]) -> Array:
-        """Return the variance of log r of cells (numbers) at a bound, each released alone among the free cells."""
+        """Return the variance of log r of cells (numbers) at a bound.
+
+        Each is released alone among the free cells.
+        """
         model = self.model
         chosen = (cells, np.arange(len(cells)))
-        # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω Z
+        # Schur complement of each released cell c: A_cc − A_cf A_ff⁻¹ A_fc, with A = Jᵀ Ω J + Zᵀ Ω
+        # Z
         unit = np.zeros((model.at.cell_resistance.size, len(cells)))
         unit[chosen] = 1.0
         penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
@@ -319,7 +356,8 @@ class SampledErrors(DenseErrors):
     probes : int
         Number of random changes for sums over all rows of a penalty.
     accuracy, fine_accuracy : float
-        Accuracy of a solve by conjugate gradients: of a sample, and of a value that is reported itself.
+        Accuracy of a solve by conjugate gradients: of a sample, and of a value that is reported
+        itself.
     """
 
     samples: int = 100
@@ -349,7 +387,9 @@ class SampledErrors(DenseErrors):
 
     def solved(self, right: Array, *, fine: bool = False) -> Array:
         accuracy = self.fine_accuracy if fine else self.accuracy
-        return _by_columns(lambda column: -steihaug(*self._system, column, accuracy).step, right, len(right))
+        return _by_columns(
+            lambda column: -steihaug(*self._system, column, accuracy).step, right, len(right)
+        )
 
     @cached_property
     def _system(self) -> tuple[Linear, Linear]:
@@ -368,7 +408,10 @@ class SampledErrors(DenseErrors):
         return product, TwoLevel.of(self._curvature, ridge).over(chosen, model.at.cell_resistance)
 
     def determined(self, term: int) -> float:
-        """Return γ of a term from probes; each term has an equal share of the rank of all penalties."""
+        """Return γ of a term from probes.
+
+        Each term has an equal share of the rank of all penalties.
+        """
         rank_of_penalties = min(rank(self.model.at.cost.unweighted), len(self.model.free))
         return rank_of_penalties / len(np.unique(self.model.penalty_term)) - self.used(term)
 
@@ -380,17 +423,24 @@ class SampledErrors(DenseErrors):
 
     @cached_property
     def draws(self) -> Array:
-        """Changes Z δ of the penalties for random δ ~ N(0, s² A⁻¹) of the free cells, (penalty rows, probes)."""
+        """Changes Z δ of the penalties for random δ ~ N(0, s² A⁻¹) of the free cells.
+
+        Shape (penalty rows, probes).
+        """
         model = self.model
         random = np.random.default_rng(1)
         # δ = s A⁻¹ (Jᵀ √Ω z₁ + Zᵀ √Ω z₂ + √(ε s²) z₃) with standard normal z
         data = np.sqrt(np.maximum(model.data_curvature, np.finfo(float).tiny))
         right = np.empty((len(model.free), self.probes))
         for probe in range(self.probes):
-            rows, pull, ridge = map(random.standard_normal, (len(data), self._rows.shape[0], len(model.free)))
+            rows, pull, ridge = map(
+                random.standard_normal, (len(data), self._rows.shape[0], len(model.free))
+            )
             drawn = self._adjoint(rows / data) + self._rows.T @ pull
             right[:, probe] = drawn[model.free] + np.sqrt(model.scale * model.ignorance) * ridge
-        return np.asarray(np.sqrt(model.scale) * (model.penalty_jacobian @ model.over_all(self.solved(right))))
+        return np.asarray(
+            np.sqrt(model.scale) * (model.penalty_jacobian @ model.over_all(self.solved(right)))
+        )
 
     @cached_property
     def _samples(self) -> tuple[Array, Array]:
@@ -427,10 +477,15 @@ class SampledErrors(DenseErrors):
         return np.clip(1 - self._samples[1], 0, 1)
 
     def reading_deviation(self) -> Array:
-        """Return the standard deviation of the modelled readings over the samples, (frames, rows, columns)."""
+        """Return the standard deviation of the modelled readings over the samples.
+
+        Shape (frames, rows, columns).
+        """
         squares = np.zeros(self.model.at.cell_resistance.shape)
         for sample in self._samples[0]:
-            squares += np.reshape(self._curvature.forward(self.model.over_all(sample)), squares.shape) ** 2
+            squares += (
+                np.reshape(self._curvature.forward(self.model.over_all(sample)), squares.shape) ** 2
+            )
         return np.sqrt(squares / self.samples)
 
     def memory(self) -> Memory:
@@ -444,7 +499,11 @@ class SampledErrors(DenseErrors):
 
 def _by_columns(function: Callable[[Array], Array], columns: Array, size: int) -> Array:
     """Return the results (size, n) of a function of single columns for n columns."""
-    return np.stack([function(column) for column in columns.T], axis=1) if columns.size else np.zeros((size, 0))
+    return (
+        np.stack([function(column) for column in columns.T], axis=1)
+        if columns.size
+        else np.zeros((size, 0))
+    )
 
 
 def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
@@ -463,12 +522,15 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
     return DenseErrors(model, memory, drawn)
 
 
-def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array, NDArray[np.intp], Array, Array]:
-    """Return the effect of shared errors z on the free cells, and intervals of the cells at a bound.
+def active_bounds(
+    errors: DenseErrors, rows: Array, known: Array
+) -> tuple[Array, NDArray[np.intp], Array, Array]:
+    """Return the effect of shared errors z on the free cells, and intervals at a bound.
 
-    The distance t_c of a cell from its bound is distributed as N(−slope·v, v + |a|²) truncated to t_c ≥ 0, with v its
-    variance among the free cells and a the effect of z on it. If |a| > slope·v, the cell is released and moves with
-    the free cells. For an open cell t_c is the conductance, in units of a typical cell's.
+    The intervals are those of the cells at a bound. The distance t_c of a cell from its bound is
+    distributed as N(−slope·v, v + |a|²) truncated to t_c ≥ 0, with v its variance among the free
+    cells and a the effect of z on it. If |a| > slope·v, the cell is released and moves with the
+    free cells. For an open cell t_c is the conductance, in units of a typical cell's.
 
     Parameters
     ----------
@@ -492,20 +554,29 @@ def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array
     model = errors.model
     free = model.free
     cells = np.flatnonzero(model.at_lower | model.at_upper)
-    # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at an upper bound.
+    # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at
+    # an upper bound.
     typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
-    stretch = np.where(model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0)
-    # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is (Xᵀ X)⁻¹ Xᵀ Y.
+    stretch = np.where(
+        model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0
+    )
+    # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is
+    # (Xᵀ X)⁻¹ Xᵀ Y.
     data = np.sqrt(model.data_curvature)[:, None]
     penalties = np.sqrt(model.penalty_curvature)[:, None]
-    stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
+    stacked = (
+        np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
+        * stretch
+    )
     moved = np.vstack([rows * data, -model.carried(known) * penalties])
-    # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a of z.
+    # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a
+    # of z.
     at_bounds = stacked[:, cells]
     inside = stacked[:, free]
     across = errors.inverse @ (inside.T @ at_bounds)
     left = np.maximum(
-        np.sum(at_bounds**2, axis=0) - np.sum((inside.T @ at_bounds) * across, axis=0), IGNORANCE * model.scale
+        np.sum(at_bounds**2, axis=0) - np.sum((inside.T @ at_bounds) * across, axis=0),
+        IGNORANCE * model.scale,
     )
     variance = model.scale / left
     slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
@@ -525,7 +596,10 @@ def active_bounds(errors: DenseErrors, rows: Array, known: Array) -> tuple[Array
 
 
 def positive_inverse(matrix: Array) -> Array:
-    """Return A⁻¹ from the upper triangle of A. Raises numpy.linalg.LinAlgError if A is not positive definite."""
+    """Return A⁻¹ from the upper triangle of A.
+
+    Raises numpy.linalg.LinAlgError if A is not positive definite.
+    """
     return inverse_and_volume(matrix)[0] if matrix.size else matrix
 
 
@@ -541,7 +615,9 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
 
 
 def swept(table: Array, place: int) -> Array:
-    """Return a table T, (n, m) with m ≥ n, swept by its diagonal entry t_pp; a table of rows in memory is overwritten.
+    """Return a table T, (n, m) with m ≥ n, swept by its diagonal entry t_pp.
+
+    A table of rows in memory is overwritten.
 
         T ← T − t_·p t_p·/t_pp,   row and column p over |t_pp|,   t_pp ← −1/t_pp
 
@@ -552,5 +628,9 @@ def swept(table: Array, place: int) -> Array:
     column = table[:, place].copy()
     # dger adds in place, in a fifth of the time of np.outer.
     table = blas.dger(-1 / pivot, row, column, a=table.T, overwrite_a=True).T
-    table[place], table[:, place], table[place, place] = row / abs(pivot), column / abs(pivot), -1 / pivot
+    table[place], table[:, place], table[place, place] = (
+        row / abs(pivot),
+        column / abs(pivot),
+        -1 / pivot,
+    )
     return table

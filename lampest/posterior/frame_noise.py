@@ -26,10 +26,11 @@ class FrameNoise:
     gain : float
         Relative standard deviation of a frame's gain, a common factor of its voltages.
     common_ripple, line_ripple : array, shape (channels of a scanned line, n)
-        Ripple common to all lines, and of each line alone, in volt; see `lampest.estimate.variance_components`.
+        Ripple common to all lines, and of each line alone, in volt; see
+        `lampest.estimate.variance_components`.
     effect_errors : array, shape (2, n, rows, columns), or None
-        Remaining errors of corrected effects, one standard deviation each, as fractions of the readings: in the
-        unloaded panel, and in frames.
+        Remaining errors of corrected effects, one standard deviation each, as fractions of the
+        readings: in the unloaded panel, and in frames.
     """
 
     scene: Scene
@@ -42,7 +43,8 @@ class FrameNoise:
     def columns(self, measured: Array, *, baseline: bool) -> Array:
         """Return V, (frames · cells, n), for readings (frames, rows, columns).
 
-        `baseline` states whether the first frame is the mean of the unloaded ones, whose random errors are smaller.
+        `baseline` states whether the first frame is the mean of the unloaded ones, whose random
+        errors are smaller.
         """
         parts = []
         for number, frame in enumerate(measured):
@@ -55,7 +57,10 @@ class FrameNoise:
         return np.asarray(linalg.block_diag(*parts))
 
     def _of_frame(self, measured: Array) -> Array:
-        """Return V, (cells, n), for one frame's readings (rows, columns), by central differences of the readout."""
+        """Return V, (cells, n), for one frame's readings (rows, columns).
+
+        It is computed by central differences of the readout.
+        """
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
         changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
@@ -63,16 +68,22 @@ class FrameNoise:
         most = 0.5 * np.minimum(volt, circuit.full_scale_volt - volt)
         changes = np.clip(changes, -most, most)
         ends = [
-            circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene) for sign in (1, -1)
+            circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)
+            for sign in (1, -1)
         ]
         return np.asarray((ends[0] - ends[1]).reshape(len(changes), -1).T / 2)
 
     def _patterns(self, shape: tuple[int, ...]) -> Array:
-        """Return the patterns of ripple in volt, (n, rows, columns): common to all lines, then of each line alone."""
+        """Return the patterns of ripple in volt, (n, rows, columns).
+
+        They are those common to all lines, then those of each line alone.
+        """
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
         common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)
         by_line = np.zeros((lines, self.line_ripple.shape[1], lines, channels))
         for line in range(lines):
             by_line[line, :, line] = self.line_ripple.T
-        flat = np.concatenate([common.reshape(-1, lines * channels), by_line.reshape(-1, lines * channels)])
+        flat = np.concatenate(
+            [common.reshape(-1, lines * channels), by_line.reshape(-1, lines * channels)]
+        )
         return in_panel_order(self.scene.circuit, flat, (len(flat), *shape))

@@ -1,4 +1,7 @@
-"""Intervals of 95 % of normal distributions, two-sided or truncated at a bound, and tail probabilities."""
+"""Intervals of 95 % of normal distributions, and tail probabilities.
+
+The intervals are two-sided or truncated at a bound.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,20 +10,23 @@ from scipy.special import bdtrc, gammaincc, log_ndtr, ndtr, ndtri, ndtri_exp, st
 from lampest.panel.panel import Array
 
 LEVEL = 0.95
-MAX_DEVIATIONS = 50.0  # standard deviations beyond which the tail of a normal distribution counts as exponential
+# Standard deviations beyond which the tail of a normal distribution counts as exponential.
+MAX_DEVIATIONS = 50.0
 
 
 def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
-    """Return standard deviation and 95 % quantile of t ≥ 0 with density ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0.
+    """Return standard deviation and 95 % quantile of t ≥ 0.
 
-    This is a normal distribution with mean −slope·variance, truncated at 0. Any shape.
+    The density of t is ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0. This is a normal distribution
+    with mean −slope·variance, truncated at 0. Any shape.
     """
     slope = np.asarray(slope, dtype=float)
     variance = np.asarray(variance, dtype=float)
     size = np.sqrt(variance)
     deviations = slope * size
     near = np.minimum(deviations, MAX_DEVIATIONS)
-    # With α = slope·√variance: log Φ(−α) is left beyond 0, and h = φ(α)/Φ(−α) is the inverse of Mills' ratio there.
+    # With α = slope·√variance: log Φ(−α) is left beyond 0, and h = φ(α)/Φ(−α) is the inverse of
+    # Mills' ratio there.
     left = log_ndtr(-near)
     rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - left)
     # sd = √(variance·(1 − h(h − α))); quantile t with Φ(−α − t/√variance) = 0.05·Φ(−α)
@@ -38,7 +44,10 @@ def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
 
 
 def binomial_tail(count: int, trials: int, chance: float) -> float:
-    """Return P(at least `count` of `trials` succeed, each with probability `chance`); 1 if count is not positive."""
+    """Return P(at least `count` of `trials` succeed, each with probability `chance`).
+
+    1 if count is not positive.
+    """
     return float(bdtrc(count - 1, trials, chance)) if count > 0 else 1.0
 
 
@@ -48,13 +57,16 @@ def student_two_sided(degrees: float) -> float:
 
 
 def largest_of(excess: ArrayLike, count: int) -> Array:
-    """Return an upper bound of P(max of `count` standard normal numbers ≥ excess), by Bonferroni. Any shape."""
+    """Return an upper bound of P(max of `count` standard normal numbers ≥ excess).
+
+    It is by Bonferroni. Any shape.
+    """
     return np.asarray(np.minimum(count * ndtr(-np.asarray(excess, dtype=float)), 1.0))
 
 
 def largest_normal(count: int, chance: float) -> float:
-    """Return the size that max |x| of `count` standard normal numbers exceeds with probability ≤ `chance`.
+    """Return the size that max |x| of `count` numbers exceeds with probability ≤ `chance`.
 
-    By Bonferroni's inequality.
+    The numbers are standard normal. By Bonferroni's inequality.
     """
     return float(-ndtri(chance / (2 * count)))

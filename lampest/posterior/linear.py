@@ -1,7 +1,8 @@
 """Linear model about an estimate with Gaussian noise and Gaussian penalties, in u = log r.
 
-Residuals are x ≈ x̂ + Z·p with curvature ω, p a change of u, and the cost is Σ ω x². Residuals of data have the noise τ;
-all others are penalties. With s² = mean ω τ² over the data, cost/s² is −2·log probability.
+Residuals are x ≈ x̂ + Z·p with curvature ω, p a change of u, and the cost is Σ ω x². Residuals of
+data have the noise τ; all others are penalties. With s² = mean ω τ² over the data, cost/s² is
+−2·log probability.
 """
 
 from collections.abc import Iterator
@@ -30,16 +31,18 @@ class LinearModel:
     Attributes
     ----------
     at : Evaluation
-        Evaluation at the estimate. All vectors below are flat, over (frames · cells) or over rows of residuals.
+        Evaluation at the estimate. All vectors below are flat, over (frames · cells) or over rows
+        of residuals.
     dual : array
         Duals of its absolute losses.
     own_error : array or float
-        Standard deviation of the error of each reading that is the same in all frames, shape of `Data.measured`, or 0.
+        Standard deviation of the error of each reading that is the same in all frames, shape of
+        `Data.measured`, or 0.
     deviation : array or None
         Standard deviation of the readings, shape of `Data.measured`; None for σ of the data.
     weight_sigma : tuple of float
-        For every term, the standard deviation of log λ if the data chose its weight, otherwise NaN; () if no weight was
-        chosen.
+        For every term, the standard deviation of log λ if the data chose its weight, otherwise NaN;
+        () if no weight was chosen.
     """
 
     at: Evaluation
@@ -74,7 +77,10 @@ class LinearModel:
         return np.flatnonzero(~(self.at_lower | self.at_upper | self.fixed))
 
     def over_all(self, values: Array) -> Array:
-        """Return values (free, …) of the free cells over all cells, (cells, …), with zeros elsewhere."""
+        """Return values (free, …) of the free cells over all cells, (cells, …).
+
+        They are zeros elsewhere.
+        """
         full = np.zeros((self.at.cell_resistance.size, *values.shape[1:]))
         full[self.free] = values
         return full
@@ -103,7 +109,10 @@ class LinearModel:
 
     @cached_property
     def unread_rows(self) -> NDArray[np.bool_]:
-        """Whether a penalty involves a free cell whose own reading is missing, boolean (penalty rows,)."""
+        """Whether a penalty involves a free cell whose own reading is missing.
+
+        Boolean, (penalty rows,).
+        """
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
     @cached_property
@@ -121,7 +130,10 @@ class LinearModel:
         return self._of_rows(0.0)
 
     def _of_rows(self, own_error: Array | float) -> Array:
-        """Return the standard deviations of the data, (data rows,), with a further error of each reading."""
+        """Return the standard deviations of the data, (data rows,).
+
+        They are those with a further error of each reading.
+        """
         noise = self.at.data.deviation if self.deviation is None else self.deviation
         return np.asarray(np.sqrt(_squares(self.through) @ np.hypot(noise, own_error).ravel() ** 2))
 
@@ -143,7 +155,10 @@ class LinearModel:
 
     @cached_property
     def scale(self) -> float:
-        """Scale s² = mean ω τ² over the data with curvature; τ includes the error that is the same in all frames."""
+        """Scale s² = mean ω τ² over the data with curvature.
+
+        τ includes the error that is the same in all frames.
+        """
         seen = self.data_curvature > 0
         noise = self._of_rows(self.own_error)
         return float(np.mean(self.data_curvature[seen] * noise[seen] ** 2)) if seen.any() else 1.0
@@ -172,16 +187,19 @@ class LinearModel:
         """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
         curvature: Array = weights[self.penalty_term]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
-            curvature[rows] *= loss.penalty_curvature(self.penalty[rows], weights[number], self.scale)
+            curvature[rows] *= loss.penalty_curvature(
+                self.penalty[rows], weights[number], self.scale
+            )
         return curvature
 
     @cached_property
     def pulls(self) -> sparse.csc_array:
         """Independent errors of half the gradient due to penalties, (W, Zᵀ H), sparse (cells, n).
 
-        W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard deviation σ of log λ.
-        Without it, 95 % intervals cover 81 to 83 % of the cells where the noise is as large as the prior
-        (docs/studies/calibration.md). H is half the slope ∂φ/∂x of each row beyond ω x̂; see `Loss.steady_pull`.
+        W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard
+        deviation σ of log λ. Without it, 95 % intervals cover 81 to 83 % of the cells where the
+        noise is as large as the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
+        each row beyond ω x̂; see `Loss.steady_pull`.
         """
         terms = self.at.cost.terms
         weights = self.at.weights
@@ -197,7 +215,8 @@ class LinearModel:
                 columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
         columns += [sparse.diags_array(beyond)] if beyond.any() else []
         return sparse.csc_array(
-            self.penalty_jacobian.T @ sparse.hstack([sparse.csc_array((len(residual), 0)), *columns])
+            self.penalty_jacobian.T
+            @ sparse.hstack([sparse.csc_array((len(residual), 0)), *columns])
         )
 
     @cached_property
@@ -224,27 +243,34 @@ class LinearModel:
         return tuple(jacobians)
 
     def carried(self, known: Array) -> Array:
-        """Return Z₀ a, (penalty rows, …), for changes a (2, cells, …) of log r of the previous frame and baseline."""
+        """Return Z₀ a, (penalty rows, …), for changes a of the previous frame and baseline.
+
+        a are changes of log r, (2, cells, …).
+        """
         previous, baseline = self.known_jacobians
         return np.asarray(previous @ known[0] + baseline @ known[1])
 
     def known_share(self, variance: Array | None) -> Array:
         """Return B, the previous frame's share of every penalty row's variance, (penalty rows,).
 
-        It is zero for terms that do not weigh the previous frame's error. `variance` is that of the previous frame's
-        log r, (cells,), or None.
+        It is zero for terms that do not weigh the previous frame's error. `variance` is that of the
+        previous frame's log r, (cells,), or None.
         """
-        weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
+        weighing = [
+            number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous
+        ]
         if variance is None or not weighing:
             return np.zeros(len(self.penalty_term))
         share = np.minimum(_squares(self.known_jacobians[0]) @ variance, 1.0)
         return np.where(np.isin(self.penalty_term, weighing), share, 0.0)
 
 
-def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
-    """Yield (number, loss, boolean rows) of every term whose loss is not squared, where ω is not the weight alone.
+def curved_rows(
+    cost: Cost, term: NDArray[np.intp]
+) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
+    """Yield (number, loss, boolean rows) of every term whose loss is not squared.
 
-    `term` contains the number of the term of every row.
+    There ω is not the weight alone. `term` contains the number of the term of every row.
     """
     for number, part in enumerate(cost.terms):
         if not part.loss.squared and (rows := term == number).any():

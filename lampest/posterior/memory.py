@@ -1,7 +1,8 @@
-"""Memory of error bars: errors of the last estimate and of the baseline, which the next frame inherits.
+"""Memory of error bars, which the next frame inherits.
 
-Terms that compare a frame with the previous one, or with the unloaded panel, carry the errors of these estimates into
-the next one. Small panels keep their covariance as a matrix, large ones keep samples of the errors.
+It contains errors of the last estimate and of the baseline. Terms that compare a frame with the
+previous one, or with the unloaded panel, carry the errors of these estimates into the next one.
+Small panels keep their covariance as a matrix, large ones keep samples of the errors.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +14,9 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class DenseMemory:
-    """Errors of log r of the last estimate and of the baseline, for the error bars of the next frame, as matrices.
+    """Errors of log r of the last estimate and of the baseline, as matrices.
+
+    They are for the error bars of the next frame.
 
     Attributes
     ----------

@@ -1,17 +1,23 @@
-"""Reference estimate: joint estimate of cells and of the readings' error scale, both with heavy-tailed priors.
+"""Reference estimate: joint estimate of cells and of the readings' error scale.
 
-    y_i = f_i(u) + s σ_i e_i,    (u_b − u_a)/d_ab = τ z_ab,    e, z of Student's t with ν degrees of freedom
+Both have heavy-tailed priors.
 
-over the readings i and the neighbouring cells a, b of a panel, u = log r. Where terms compare a frame with a known
-baseline u₀, u_a − u₀_a = τ z_a replaces the steps between neighbours. The scale s is the ratio of the readings' errors
-to their noise σ. It contains errors of the model, of the circuit and of the electronics. A few large steps of log r,
-such as the edge of a load, cost little under heavy tails, so they are not mistaken for errors of all readings.
+    y_i = f_i(u) + s σ_i e_i,    (u_b − u_a)/d_ab = τ z_ab
 
-For every s of a grid, the posterior of u is approximated by a normal distribution N(û, S) and τ by its most probable
-value (variational expectation–maximisation; û by Gauss–Newton steps within the bounds). The resulting bound of the
-marginal likelihood, −2 log p(y | s), gives the posterior of log s. The estimate of s is its median.
-Sources: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989 (Student's t as a mixture of normal distributions);
-Tipping & Lawrence, Neurocomputing 69, 2005 (its variational bound); MacKay, Neural Computation 4, 1992 (updates of τ).
+with e and z of Student's t with ν degrees of freedom, over the readings i and the neighbouring
+cells a, b of a panel, u = log r. Where terms compare a frame with a known baseline u₀, u_a − u₀_a =
+τ z_a replaces the steps between neighbours. The scale s is the ratio of the readings' errors to
+their noise σ. It contains errors of the model, of the circuit and of the electronics. A few large
+steps of log r, such as the edge of a load, cost little under heavy tails, so they are not mistaken
+for errors of all readings.
+
+For every s of a grid, the posterior of u is approximated by a normal distribution N(û, S) and τ by
+its most probable value (variational expectation–maximisation; û by Gauss–Newton steps within the
+bounds). The resulting bound of the marginal likelihood, −2 log p(y | s), gives the posterior of log
+s. The estimate of s is its median.
+Sources: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989 (Student's t as a mixture of
+normal distributions); Tipping & Lawrence, Neurocomputing 69, 2005 (its variational bound); MacKay,
+Neural Computation 4, 1992 (updates of τ).
 """
 
 from collections.abc import Sequence
@@ -39,24 +45,29 @@ class ReferenceModel:
     Attributes
     ----------
     degrees_of_freedom : float
-        ν of Student's t: the smallest integer for which the variance is finite. With squared losses instead, four cells
-        of five times the resistance on a 10 × 10 panel look like errors four times the noise
-        (docs/theory/posterior.md).
+        ν of Student's t: the smallest integer for which the variance is finite. With squared losses
+        instead, four cells of five times the resistance on a 10 × 10 panel look like errors four
+        times the noise (docs/theory/posterior.md).
     prior_variance : float
-        Prior of τ² between neighbours, with the weight of one step. It covers draws of a prior whose steps are smaller
-        than the noise (docs/studies/calibration.md).
+        Prior of τ² between neighbours, with the weight of one step. It covers draws of a prior
+        whose steps are smaller than the noise (docs/studies/calibration.md).
     scale_ratio : float
-        Ratio of neighbouring s of the grid. A factor of √2 in σ changes no weight by more than its uncertainty.
+        Ratio of neighbouring s of the grid. A factor of √2 in σ changes no weight by more than its
+        uncertainty.
     max_scales : int
         Maximum number of s on the grid.
     min_relative_noise : float
-        First s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits.
+        First s where the noise is unknown, as a fraction of the reading: no sensor is read to more
+        digits.
     min_gain : float
-        Decrease of −2 log p that another s than that of the known noise must reach: odds of e³ to one.
+        Decrease of −2 log p that another s than that of the known noise must reach: odds of e³ to
+        one.
     max_excess : float
-        Excess of −2 log p over its minimum at which the search ends: odds of one to e³, about a twentieth.
+        Excess of −2 log p over its minimum at which the search ends: odds of one to e³, about a
+        twentieth.
     max_steps, max_rounds : int
-        Maximum number of Gauss–Newton steps for one s, and of updates of the weights for one linearisation.
+        Maximum number of Gauss–Newton steps for one s, and of updates of the weights for one
+        linearisation.
     max_step : float
         Largest change of log r of a cell in one step.
     settled_bound, settled_step, settled_variance : float
@@ -93,7 +104,8 @@ class Reference:
     cells : array, shape (frames, rows, columns), or of one frame
         Estimated cell resistance, ohm.
     deviation : array, same shape
-        Standard deviation of each reading due to noise and model error, in the readings' unit; larger for outliers.
+        Standard deviation of each reading due to noise and model error, in the readings' unit;
+        larger for outliers.
     covariance : array, shape (frames · cells, frames · cells)
         Covariance S of log r; zero for cells that are absent or faulty.
     """
@@ -105,7 +117,9 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class ErrorScale:
-    """Scale s of the readings' errors relative to their noise, or to the readings where the noise is unknown.
+    """Scale s of the readings' errors relative to their noise.
+
+    It is relative to the readings where the noise is unknown.
 
     Attributes
     ----------
@@ -126,12 +140,17 @@ class ErrorScale:
     bounds: tuple[float, ...]
 
     def gain(self, scale: float) -> float:
-        """Return the difference of −2 log p between the grid point nearest to `scale` and the best one."""
+        """Return the difference of −2 log p between the grid point at `scale` and the best one.
+
+        The grid point is the one nearest to `scale`.
+        """
         nearest = int(np.argmin(np.abs(np.log(np.array(self.scales) / scale))))
         return self.bounds[nearest] - min(self.bounds)
 
 
-def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) -> tuple[ErrorScale, list[Reference]]:
+def references(
+    solves: Sequence[Data], cost: Cost, *, believed: bool = False
+) -> tuple[ErrorScale, list[Reference]]:
     """Fit the reference model to the data of several solves, with one s for all.
 
     Parameters
@@ -139,7 +158,8 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
     solves : sequence of Data
         Data of one network each, with the same readout.
     cost : Cost
-        Cost on the panel. Only its panel, its faulty cells and whether its terms compare frames are used.
+        Cost on the panel. Only its panel, its faulty cells and whether its terms compare frames are
+        used.
     believed : bool
         Whether a known noise is taken as exact, s = 1.
 
@@ -151,7 +171,9 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
 
     Raises numpy.linalg.LinAlgError if a network cannot be solved.
     """
-    fits = [ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
+    fits = [
+        ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))
+    ]
     known = solves[0].noise_known
     scale = 1.0 if known else MODEL.min_relative_noise
     lowest = np.inf
@@ -164,8 +186,11 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
         excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
         if bound > lowest + MODEL.max_excess and excess <= 1:
             break
-        # If the residuals are far larger than s, half of the grid points up to their size are skipped.
-        scale *= MODEL.scale_ratio ** (1 + int(np.log(max(excess, 1.0)) / np.log(MODEL.scale_ratio)) // 2)
+        # If the residuals are far larger than s, half of the grid points up to their size are
+        # skipped.
+        scale *= MODEL.scale_ratio ** (
+            1 + int(np.log(max(excess, 1.0)) / np.log(MODEL.scale_ratio)) // 2
+        )
     scales = list(tried)
     bounds = np.array([sum(fit.bound for fit in fits) for fits in tried.values()])
     # Posterior of log s on the grid, p ∝ exp(−bound/2), and its median
@@ -180,15 +205,22 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
     for data in solves:
         frames_of_data = [next(frames) for _ in data.measured]
         cells, deviation = (
-            np.stack([getattr(estimate, name) for estimate in frames_of_data]) for name in ("cells", "deviation")
+            np.stack([getattr(estimate, name) for estimate in frames_of_data])
+            for name in ("cells", "deviation")
         )
-        estimates.append(Reference(cells, deviation, block_diag(*(estimate.covariance for estimate in frames_of_data))))
+        estimates.append(
+            Reference(
+                cells, deviation, block_diag(*(estimate.covariance for estimate in frames_of_data))
+            )
+        )
     return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFit:
-    """Fit of the reference model to one frame for one s. Readings and steps are in units of σ and of 1 per pitch.
+    """Fit of the reference model to one frame for one s.
+
+    Readings and steps are in units of σ and of 1 per pitch.
 
     Attributes
     ----------
@@ -253,23 +285,39 @@ class ReferenceFit:
             raise np.linalg.LinAlgError("no cells are neighbours")
         start = data.readout.start(data.measured[frame], data.upper[frame], None)
         position = np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel()
-        return cls(data, frame, cells, steps, origin, position, np.ones(panel.crossings), np.ones(len(steps)))
+        return cls(
+            data,
+            frame,
+            cells,
+            steps,
+            origin,
+            position,
+            np.ones(panel.crossings),
+            np.ones(len(steps)),
+        )
 
     @cached_property
     def network(self) -> Network:
         """The solved network at u."""
-        return self.data.network(self.frame, np.exp(self.position).reshape(self.data.measured[self.frame].shape))
+        return self.data.network(
+            self.frame, np.exp(self.position).reshape(self.data.measured[self.frame].shape)
+        )
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard deviations σ of the readings, flat; the readings themselves if the noise is unknown."""
+        """Standard deviations σ of the readings, flat.
+
+        They are the readings themselves if the noise is unknown.
+        """
         known = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
         return np.asarray(known[self.frame]).ravel()
 
     @cached_property
     def residual(self) -> Array:
         """Residuals (f(u) − y)/σ, flat."""
-        return np.asarray((self.network.reading() - self.data.measured[self.frame]).ravel() / self.sigma)
+        return np.asarray(
+            (self.network.reading() - self.data.measured[self.frame]).ravel() / self.sigma
+        )
 
     @cached_property
     def values(self) -> NDArray[np.bool_]:
@@ -283,7 +331,9 @@ class ReferenceFit:
             return self.values
         given = self.data.given
         violated = np.ravel(given.side[self.frame]) * self.residual < 0
-        return np.where(np.ravel(given.side[self.frame]) != 0, violated, np.ravel(given.seen[self.frame]) > 0)
+        return np.where(
+            np.ravel(given.side[self.frame]) != 0, violated, np.ravel(given.seen[self.frame]) > 0
+        )
 
     @property
     def step(self) -> Array:
@@ -291,7 +341,10 @@ class ReferenceFit:
         return np.asarray(self.steps @ self.position[self.cells] - self.origin)
 
     def settled(self, square: float) -> "ReferenceFit":
-        """Return the fit after expectation and Gauss–Newton steps at s² = `square`, until the bound has converged."""
+        """Return the fit after expectation and Gauss–Newton steps at s² = `square`.
+
+        The steps continue until the bound has converged.
+        """
         fit = self
         previous = np.inf
         for _ in range(MODEL.max_steps):
@@ -309,7 +362,10 @@ class ReferenceFit:
         return fit
 
     def expected(self, square: float) -> "ReferenceFit":
-        """Return the fit with weights and τ² updated by expectation–maximisation about u, and the resulting step."""
+        """Return the fit with weights and τ² updated about u, and the resulting step.
+
+        They are updated by expectation–maximisation.
+        """
         rows = np.flatnonzero(self.counted)
         nu = MODEL.degrees_of_freedom
         variance = self.variance
@@ -321,7 +377,8 @@ class ReferenceFit:
         jacobian = (self.network.sensitivity() / self.sigma[:, None])[np.ix_(rows, self.cells)]
         residual = self.residual[rows]
         step = self.step
-        # σ₀² = n/tr(JᵀWJ/s²): the harmonic mean of the variances with which the readings alone determine single cells
+        # σ₀² = n/tr(JᵀWJ/s²): the harmonic mean of the variances with which the readings alone
+        # determine single cells
         prior_scale = len(self.cells) * square / float(np.sum(of_readings[:, None] * jacobian**2))
         for number in range(MODEL.max_rounds):
             # S⁻¹ = Jᵀ diag(w/s²) J + Dᵀ diag(v/τ²) D, upper triangle
@@ -329,7 +386,9 @@ class ReferenceFit:
             steps = of_steps / variance
             previous = variance
             matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(readings)[:, None]).T)
-            matrix = blas.dsyrk(1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True)
+            matrix = blas.dsyrk(
+                1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True
+            )
             matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
             covariance, log_volume = inverse_and_volume(matrix)
             slope = jacobian.T @ (readings * residual) + self.steps.T @ (steps * step)
@@ -344,7 +403,9 @@ class ReferenceFit:
             residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
             # γ = rank − tr(S Dᵀ V D), the number of steps that the readings determine
             determined = max(rank - float(np.sum(steps * stepped_variance)), 0.0)
-            variance = self._updated_variance(float(np.sum(of_steps * stepped**2)), determined, variance, prior_scale)
+            variance = self._updated_variance(
+                float(np.sum(of_steps * stepped**2)), determined, variance, prior_scale
+            )
             # Expected precisions w = (ν + 1)/(ν + E x²/s²) and v = (ν + 1)/(ν + E z²/τ²)
             missed_squares = missed**2 + missed_variance
             stepped_squares = stepped**2 + stepped_variance
@@ -358,17 +419,26 @@ class ReferenceFit:
         weights = np.zeros(len(self.position))
         weights[rows] = of_readings
         updated = replace(
-            self, reading_weights=weights, step_weights=of_steps, variance=variance, covariance=covariance
+            self,
+            reading_weights=weights,
+            step_weights=of_steps,
+            variance=variance,
+            covariance=covariance,
         )
-        return replace(updated, change=change, bound=float(bound), residual_variance=residual_variance)
+        return replace(
+            updated, change=change, bound=float(bound), residual_variance=residual_variance
+        )
 
-    def _updated_variance(self, squares: float, determined: float, variance: float, prior_scale: float) -> float:
+    def _updated_variance(
+        self, squares: float, determined: float, variance: float, prior_scale: float
+    ) -> float:
         """Return τ² after an update of expectation–maximisation.
 
-        Between neighbours τ² has a scaled inverse χ² prior of one degree of freedom, τ² = (Σ v z² + prior)/(γ + 1).
-        Against a baseline cells may change by much less than the readings show, and the likelihood of τ² has its
-        maximum at 0. There τ² has the uniform shrinkage prior: σ₀²/(σ₀² + τ²) is uniform between 0 and 1. Its mode in
-        ln τ² fulfils τ² = (Σ v z² + 2 B τ²)/(γ + 2 (1 − B)) with B = σ₀²/(σ₀² + τ²).
+        Between neighbours τ² has a scaled inverse χ² prior of one degree of freedom, τ² = (Σ v z² +
+        prior)/(γ + 1). Against a baseline cells may change by much less than the readings show, and
+        the likelihood of τ² has its maximum at 0. There τ² has the uniform shrinkage prior:
+        σ₀²/(σ₀² + τ²) is uniform between 0 and 1. Its mode in ln τ² fulfils τ² = (Σ v z² + 2 B
+        τ²)/(γ + 2 (1 − B)) with B = σ₀²/(σ₀² + τ²).
         Source: Daniels, Canadian J. Statistics 27, 1999.
 
         Parameters
@@ -392,8 +462,11 @@ class ReferenceFit:
         """
         lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
         place = self.position[self.cells]
-        # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step of the others.
-        held = (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
+        # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step
+        # of the others.
+        held = (
+            (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
+        )
         free = np.flatnonzero(~held)
         change = np.zeros(len(slope))
         symmetric = np.triu(matrix) + np.triu(matrix, 1).T
@@ -401,7 +474,10 @@ class ReferenceFit:
         return change
 
     def moved(self, square: float) -> "ReferenceFit | None":
-        """Return the fit after the largest tried share of the step that does not raise the cost; None if none."""
+        """Return the fit after the largest tried share of the step that does not raise the cost.
+
+        None if none.
+        """
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
         change = np.zeros(len(self.position))
         change[self.cells] = np.clip(self.change, -MODEL.max_step, MODEL.max_step)
@@ -414,7 +490,9 @@ class ReferenceFit:
 
     def cost(self, square: float) -> float:
         """Return −2 log of the joint density at u, up to a constant; infinite if not finite."""
-        cost = _tails(self.residual[self.counted] ** 2, square) + _tails(self.step**2, self.variance)
+        cost = _tails(self.residual[self.counted] ** 2, square) + _tails(
+            self.step**2, self.variance
+        )
         return cost if np.isfinite(cost) else np.inf
 
     def errors(self, scale: float) -> Array:
@@ -424,7 +502,10 @@ class ReferenceFit:
         return np.asarray(scale * np.sqrt(np.maximum((nu + 1) / weights - nu, 0.0)))
 
     def reference(self, scale: float) -> Reference:
-        """Return the estimate, the standard deviations s σ/√w of the readings, and S over all crossings."""
+        """Return the estimate, the readings' standard deviations s σ/√w, and S.
+
+        S is over all crossings.
+        """
         weights = np.where(self.reading_weights > 0, self.reading_weights, 1.0)
         covariance = np.zeros((len(self.position),) * 2)
         covariance[np.ix_(self.cells, self.cells)] = self.covariance
@@ -434,5 +515,11 @@ class ReferenceFit:
 
 
 def _tails(squares: Array, variance: float) -> float:
-    """Return −2 log of Student's density for squared residuals and s² = `variance`, without constants and log s²."""
-    return float((MODEL.degrees_of_freedom + 1) * np.sum(np.log1p(squares / (MODEL.degrees_of_freedom * variance))))
+    """Return −2 log of Student's density for squared residuals and s² = `variance`.
+
+    It is without constants and log s².
+    """
+    return float(
+        (MODEL.degrees_of_freedom + 1)
+        * np.sum(np.log1p(squares / (MODEL.degrees_of_freedom * variance)))
+    )

@@ -1,14 +1,15 @@
 """Choice of weights in a linear model, by risk or evidence.
 
-The risk of one penalty's weight follows from a generalised eigendecomposition that serves all weights λ.
+The risk of one penalty's weight follows from a generalised eigendecomposition that serves all
+weights λ.
 
 The data and the other penalties o have the curvature A = Jᵀ Ω J + Σ λ_o Z_oᵀ Z_o. With A = R Rᵀ and
-R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b + λ d),
-f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The risk that the weight minimises
-is a sum over κ.
+R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, the change of the estimate is p = T q with T = R⁻ᵀ Q and q(λ) = −f·(b +
+λ d), f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the penalty. The risk
+that the weight minimises is a sum over κ.
 
-The evidence chooses the weights of any number of penalties by a fixed point, λ_t = s² γ_t / η_t. The loss defines γ and
-η; for the squared loss γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t) and η_t = Σ x².
+The evidence chooses the weights of any number of penalties by a fixed point, λ_t = s² γ_t / η_t.
+The loss defines γ and η; for the squared loss γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t) and η_t = Σ x².
 Source: MacKay, Neural Computation 4, 1992.
 """
 
@@ -30,13 +31,15 @@ from lampest.posterior.linear import IGNORANCE, LinearModel, rank
 
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
-# Factor of the range of λ beyond the stiffest and the softest direction; share of the largest κ below which κ is zero.
+# Factor of the range of λ beyond the stiffest and the softest direction; share of the largest κ
+# below which κ is zero.
 EXTENT_FACTOR = 1e4
 NEGLIGIBLE = 1e-12
 # iterations of the fixed point; change of log λ at which they end
 MAX_ROUNDS = 30
 TOLERANCE = 0.01
-# Regularisation relative to the mean curvature; mean η of a residual, in its unit, below which there are none yet.
+# Regularisation relative to the mean curvature; mean η of a residual, in its unit, below which
+# there are none yet.
 RIDGE = 1e-9
 MIN_RESIDUAL = 1e-12
 
@@ -74,11 +77,14 @@ class Spectrum:
     doubt: Array
 
     @classmethod
-    def of(cls, model: LinearModel, number: int | None = None, covariance: Array | None = None) -> "Spectrum":
+    def of(
+        cls, model: LinearModel, number: int | None = None, covariance: Array | None = None
+    ) -> "Spectrum":
         """Return the spectrum of one penalty of a model.
 
-        A loss that is not squared is replaced by reweighted least squares with the weight ½ρ'(x)/x at x = x̂. Under
-        an absolute loss x² = x̂² + v, v the mean variance of residuals without a penalty.
+        A loss that is not squared is replaced by reweighted least squares with the weight ½ρ'(x)/x
+        at x = x̂. Under an absolute loss x² = x̂² + v, v the mean variance of residuals without a
+        penalty.
 
         Parameters
         ----------
@@ -119,7 +125,8 @@ class Spectrum:
         # Covariance of T⁻¹ u = Qᵀ Rᵀ u
         known = np.zeros_like(gram)
         back = vectors.T @ np.tril(factor).T
-        if covariance is not None and loss.enters != "dual":  # absolute losses hold cells where the reference cannot
+        # Absolute losses hold cells where the reference cannot.
+        if covariance is not None and loss.enters != "dual":
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
             np.maximum(stiffness, 0),
@@ -134,33 +141,53 @@ class Spectrum:
         )
 
     def risk(self, weight: float) -> float:
-        """Return the expected squared error E Σ (log r̂ − log r)² for a truth near the point of linearisation.
+        """Return the expected squared error E Σ (log r̂ − log r)².
 
-        ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): the squared bias of the penalties, the variance
-        due to noise, and the bias due to the uncertainty of the point of linearisation.
+        It is that for a truth near the point of linearisation. ‖T f (b_o + λ d)‖² + tr cov(T f q₀)
+        + tr cov(T (1 − f) T⁻¹ u): the squared bias of the penalties, the variance due to noise, and
+        the bias due to the uncertainty of the point of linearisation.
         """
         remaining = 1 / (1 + weight * self.stiffness)
-        pulled = np.where(self.determined, (self.pull + weight * self.penalty_slope) * remaining, 0.0)
+        pulled = np.where(
+            self.determined, (self.pull + weight * self.penalty_slope) * remaining, 0.0
+        )
         lost = np.where(self.determined, 1 - remaining, 0.0)
-        return float(pulled @ self.gram @ pulled + remaining @ self.spread @ remaining + lost @ self.doubt @ lost)
+        return float(
+            pulled @ self.gram @ pulled
+            + remaining @ self.spread @ remaining
+            + lost @ self.doubt @ lost
+        )
 
     def information(self, weight: float) -> float:
-        """Return ½ Σ f², the Fisher information of the data on log λ, over the directions with a penalty."""
+        """Return ½ Σ f², the Fisher information of the data on log λ.
+
+        The sum is over the directions with a penalty.
+        """
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        return float(0.5 * np.sum((1 / (1 + weight * self.stiffness[penalised & self.determined])) ** 2))
+        return float(
+            0.5 * np.sum((1 / (1 + weight * self.stiffness[penalised & self.determined])) ** 2)
+        )
 
     @cached_property
     def determined(self) -> NDArray[np.bool_]:
-        """Directions to which data add more precision than IGNORANCE, boolean (unknowns,); all if there are none."""
+        """Directions to which data add more precision than IGNORANCE, boolean (unknowns,).
+
+        All if there are none.
+        """
         known = np.sum(self.directions**2, axis=0) > 0.5
         return np.asarray(known | ~known.any())
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Logarithms of the smallest and the largest λ that affect the directions that the data determine."""
+        """Logarithms of the smallest and the largest λ that affect the determined directions.
+
+        These are the directions that the data determine.
+        """
         stiffness = self.stiffness[self.determined]
         effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
-        return -float(np.log(EXTENT_FACTOR * effective.max())), float(np.log(EXTENT_FACTOR / effective.min()))
+        return -float(np.log(EXTENT_FACTOR * effective.max())), float(
+            np.log(EXTENT_FACTOR / effective.min())
+        )
 
 
 def best_weight(spectra: Sequence[Spectrum]) -> float:
@@ -172,8 +199,9 @@ def best_weight(spectra: Sequence[Spectrum]) -> float:
         return sum(spectrum.risk(weight) for spectrum, weight in zip(spectra, places, strict=True))
 
     lowest, highest = zip(*extents, strict=True)
-    # Global minimum on a grid of log λ, refined between its neighbours by the golden section (Kiefer, 1953). SciPy's
-    # search takes 0.2 s to import, a third of all imports of a first estimate.
+    # Global minimum on a grid of log λ, refined between its neighbours by the golden section
+    # (Kiefer, 1953). SciPy's search takes 0.2 s to import, a third of all imports of a first
+    # estimate.
     grid = np.linspace(min(lowest), max(highest), GRID)
     least = int(np.argmin([value(place) for place in grid]))
     low = grid[max(least - 1, 0)]
@@ -181,35 +209,47 @@ def best_weight(spectra: Sequence[Spectrum]) -> float:
     ratio = (np.sqrt(5) - 1) / 2
     while high - low > PRECISION:
         width = ratio * (high - low)
-        low, high = (low, low + width) if value(high - width) < value(low + width) else (high - width, high)
+        low, high = (
+            (low, low + width) if value(high - width) < value(low + width) else (high - width, high)
+        )
     return float(np.exp((low + high) / 2))
 
 
-def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Collection[int]) -> list[float]:
-    """Return weights with the first guess λ_t = s² n/η_t for the open terms (numbers), n their residuals."""
+def first_weights(
+    model: LinearModel, weights: Sequence[float], open_terms: Collection[int]
+) -> list[float]:
+    """Return weights with the first guess λ_t = s² n/η_t for the open terms (numbers).
+
+    n are their residuals.
+    """
     chosen = list(weights)
     for number in open_terms:
         size = model.penalty[model.penalty_term == number]
         rows = len(size)
         if rows == 0:
             name = term_kind(model.at.cost.terms[number])
-            raise InputError(f"weight: auto finds nothing of {name} on what is left of the panel; give a number")
+            raise InputError(
+                f"weight: auto finds nothing of {name} on what is left of the panel; give a number"
+            )
         evidence = PenaltyEvidence(size, float(np.abs(size).sum()), rows, float)
         total = model.at.cost.terms[number].loss.size(evidence)
-        # An estimate that is its own reference has no residuals yet: η = n, as if each were one unit.
+        # An estimate that is its own reference has no residuals yet: η = n, as if each were one
+        # unit.
         chosen[number] = model.scale * rows / (total if total > MIN_RESIDUAL * rows else rows)
     return chosen
 
 
 def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
-    """Return the weights after one step of the fixed point at an estimate, with sums over random changes.
+    """Return the weights after one step of the fixed point at an estimate.
 
-    E|x| is the mean of |x̂ + Z δ| over δ ~ N(0, s² A⁻¹). With |x̂| alone, a penalty without residuals would have an
-    infinite weight.
+    The step is with sums over random changes. E|x| is the mean of |x̂ + Z δ| over δ ~ N(0, s² A⁻¹).
+    With |x̂| alone, a penalty without residuals would have an infinite weight.
     """
     errors = SampledErrors(model)
     weights = list(model.at.weights)
-    share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
+    share = min(rank(model.at.cost.unweighted), len(model.free)) / len(
+        np.unique(model.penalty_term)
+    )
     for number in open_terms:
         of_term = model.penalty_term == number
         residual = model.penalty[of_term]
@@ -220,7 +260,10 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
 
 
 def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
-    """Return the weights at the fixed point while the estimate follows them within the linear model, by matrices."""
+    """Return the weights at the fixed point while the estimate follows them, by matrices.
+
+    It follows them within the linear model.
+    """
     errors = DenseErrors(model)
     weights = list(model.at.weights)
     if not len(model.free):
@@ -236,7 +279,9 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
         inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
         # B⁺, by a regularised inverse of the penalties alone
-        prior_inverse = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior)))
+        prior_inverse = positive_inverse(
+            prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior))
+        )
         residual = model.penalty + rows @ step
         before = weights
         weights = list(weights)
@@ -250,7 +295,8 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
             inside = curvature[of_term] > 0
             mean = residual[of_term][inside]
             size = np.sqrt(np.maximum(model.scale * posterior[inside], np.finfo(float).tiny))
-            # E|x| of x ~ N(mean, size²): size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
+            # E|x| of x ~ N(mean, size²): size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2
+            # size))
             folded = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2) + mean * erf(
                 mean / size / np.sqrt(2)
             )
@@ -258,7 +304,13 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
             count, used = (float(np.sum(curvature[of_term] * part)) for part in (free, posterior))
             evidence = PenaltyEvidence(mean, float(folded.sum()), count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
-        if max(abs(np.log(weight / earlier)) for weight, earlier in zip(weights, before, strict=True)) < TOLERANCE:
+        if (
+            max(
+                abs(np.log(weight / earlier))
+                for weight, earlier in zip(weights, before, strict=True)
+            )
+            < TOLERANCE
+        ):
             break
     return weights
 
@@ -266,4 +318,8 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
 def _weight(model: LinearModel, term: int, evidence: PenaltyEvidence) -> float:
     """Return s² γ/η of a term (number), with γ at least 1."""
     loss = model.at.cost.terms[term].loss
-    return model.scale * max(loss.determined(evidence), 1.0) / max(loss.size(evidence), np.finfo(float).tiny)
+    return (
+        model.scale
+        * max(loss.determined(evidence), 1.0)
+        / max(loss.size(evidence), np.finfo(float).tiny)
+    )

@@ -1,12 +1,15 @@
-"""Error bars along a sequence: of every frame, of its change from the baseline, and around missing readings.
+"""Error bars along a sequence.
 
-Intervals of cells around one whose reading is missing are profiles: the paths of all cells while that one is moved to
-either end of its interval. Without a penalty, `stand_in` replaces the missing reading, and the frame is solved again
-with both ends of its spread. With a penalty, the valley of data and penalties is followed by continuation,
-δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c: a Gauss–Newton step in which cell c moves by a given step, A = Jᵀ Ω J + Zᵀ Ω Z. The path ends
-where φ has risen by 1.96² s² C.
-Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); Allgower & Georg, Introduction to
-Numerical Continuation Methods, 2003, chapter 2.
+They are those of every frame, of its change from the baseline, and around missing readings.
+
+Intervals of cells around one whose reading is missing are profiles: the paths of all cells while
+that one is moved to either end of its interval. Without a penalty, `stand_in` replaces the missing
+reading, and the frame is solved again with both ends of its spread. With a penalty, the valley of
+data and penalties is followed by continuation, δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c: a Gauss–Newton step in
+which cell c moves by a given step, A = Jᵀ Ω J + Zᵀ Ω Z. The path ends where φ has risen by 1.96² s²
+C.
+Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); Allgower & Georg,
+Introduction to Numerical Continuation Methods, 2003, chapter 2.
 """
 
 from collections.abc import Callable
@@ -25,11 +28,16 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.memory import Memory
 from lampest.recording.readings import Readings, stand_in_spread
 
-MIN_NOISE_SHARE = 1e-4  # least noise relative to the deviation that includes own errors: rounding of the difference
-MAX_MISSING = 3  # missing readings with a profile; each costs about two solves, others are approximated by tangents
-STEPS = 3  # along the length of the tangent: the path then ends within a tenth of an optimum with the cell held
+# Least noise relative to the deviation that includes own errors: rounding of the difference.
+MIN_NOISE_SHARE = 1e-4
+# Missing readings with a profile; each costs about two solves, others are approximated by tangents.
+MAX_MISSING = 3
+# Along the length of the tangent: the path then ends within a tenth of an optimum with the cell
+# held.
+STEPS = 3
 MAX_STEP = 0.5  # largest step of the cell's log r
-MAX_TANGENTS = 3.0  # length of the path in lengths of the tangent: a penalty in ohm rises slowly towards a short
+# Length of the path in lengths of the tangent: a penalty in ohm rises slowly towards a short.
+MAX_TANGENTS = 3.0
 MAX_STEPS = 20  # which reach a factor of 20,000: the tangent of an undetermined cell has no end
 
 
@@ -59,7 +67,9 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """State of the error bars along a sequence: the errors of earlier frames that those of later ones depend on.
+    """State of the error bars along a sequence.
+
+    It is the errors of earlier frames that those of later ones depend on.
 
     Attributes
     ----------
@@ -68,7 +78,8 @@ class Track:
     baseline : Certainty or None
         Certainty of the baseline.
     deviation : array, shape (rows, columns), or None
-        Standard deviation of log r of the last frame without shared errors; None where it has no error bars.
+        Standard deviation of log r of the last frame without shared errors; None where it has no
+        error bars.
     memory : Memory or None
         Errors of the last frame and of the baseline.
     answers : array, shape (2, cells, n), or None
@@ -87,7 +98,8 @@ class Track:
     def resting(self, model: LinearModel, *, remembered: bool) -> "Track":
         """Return the track after a baseline that is solved alone.
 
-        `remembered` states whether later frames compare with it. Raises numpy.linalg.LinAlgError if the cost is flat.
+        `remembered` states whether later frames compare with it. Raises numpy.linalg.LinAlgError if
+        the cost is flat.
         """
         errors = self._errors(model, baseline=True)
         answer, certainty = self._answered(errors)
@@ -100,7 +112,9 @@ class Track:
         )
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
-        """Return the track and the bars after a frame, or after baseline and first frame that are solved together.
+        """Return the track and the bars after a frame.
+
+        Or after baseline and first frame that are solved together.
 
         Raises numpy.linalg.LinAlgError if the cost is flat.
         """
@@ -115,12 +129,21 @@ class Track:
         if joint:
             baseline = certainty.of_frame(0)
             resting = answers[: len(answer)]
-        memory = errors.memory() if any(term.needs_previous for term in model.at.cost.terms) else None
+        memory = (
+            errors.memory() if any(term.needs_previous for term in model.at.cost.terms) else None
+        )
         change = None
         if baseline is not None:
-            # Common parts: cov(a, b) = (var a + var b − var(a − b))/2. Whole errors: Σ a·b plus that in memory
-            common = (common_variance(answer) + common_variance(resting) - common_variance(answer - resting)) / 2
-            covariance = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
+            # Common parts: cov(a, b) = (var a + var b − var(a − b))/2. Whole errors: Σ a·b plus
+            # that in memory
+            common = (
+                common_variance(answer)
+                + common_variance(resting)
+                - common_variance(answer - resting)
+            ) / 2
+            covariance = np.sum(answer * resting, axis=1) + (
+                0.0 if memory is None else memory.shared()
+            )
             change = frame.less(baseline, covariance.reshape(shape), common.reshape(shape))
         track = replace(
             self,
@@ -147,7 +170,8 @@ class Track:
                 included = own_errors(measured, self.shared.scene, self.shared.in_sigma)
                 noise = np.maximum(deviation**2 - included**2, (MIN_NOISE_SHARE * deviation) ** 2)
                 model = replace(model, deviation=np.sqrt(noise))
-            # Own errors matter for s² unless there is no penalty, or the penalties compare frames that share them.
+            # Own errors matter for s² unless there is no penalty, or the penalties compare frames
+            # that share them.
             if not all(term.reads_measurement or term.needs_previous for term in terms):
                 model = replace(model, own_error=own_error)
         if self.noise is not None:
@@ -155,7 +179,10 @@ class Track:
         return errors_of(model, self.memory, drawn)
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
-        """Return the effect of shared errors on log r, (frames · cells, n), and the certainty including them."""
+        """Return the effect of shared errors on log r, and the certainty including them.
+
+        The effect has shape (frames · cells, n).
+        """
         model = errors.model
         bars = errors.certainty
         cells = model.at.cell_resistance
@@ -165,7 +192,9 @@ class Track:
         # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
-        known = np.zeros((2, cells[0].size, columns.shape[1])) if self.answers is None else self.answers
+        known = (
+            np.zeros((2, cells[0].size, columns.shape[1])) if self.answers is None else self.answers
+        )
         answer = np.zeros((cells.size, columns.shape[1]))
         rows = np.asarray(model.through @ columns)
         if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
@@ -180,9 +209,14 @@ class Track:
 
 
 def beyond_tangents(
-    model: LinearModel, readings: Readings, missing: NDArray[np.bool_], moved: Callable[[Readings], Array] | None
+    model: LinearModel,
+    readings: Readings,
+    missing: NDArray[np.bool_],
+    moved: Callable[[Readings], Array] | None,
 ) -> tuple[Array, Array]:
-    """Return the increase of the squared extents of intervals below and above by profiles, (rows, columns) each.
+    """Return the increase of the squared extents of intervals below and above by profiles.
+
+    Each has shape (rows, columns).
 
     Parameters
     ----------
@@ -193,7 +227,8 @@ def beyond_tangents(
     missing : boolean array, shape (rows, columns)
         Whether a reading is missing.
     moved : callable or None
-        Readings → change of log r (rows, columns), NaN if the solve fails. None if a penalty determines the cells.
+        Readings → change of log r (rows, columns), NaN if the solve fails. None if a penalty
+        determines the cells.
     """
     errors = errors_of(model, None)
     size = readings.value.size
@@ -203,7 +238,11 @@ def beyond_tangents(
         if moved is not None:
             changes = _stood_in(errors, readings, int(place), moved)
         elif cell in model.free and not isinstance(errors, SampledErrors):
-            changes = tangent(errors, cell), profile_end(errors, cell, -1), profile_end(errors, cell, 1)
+            changes = (
+                tangent(errors, cell),
+                profile_end(errors, cell, -1),
+                profile_end(errors, cell, 1),
+            )
         else:
             continue
         along, low, high = (change.ravel()[-size:] for change in changes)
@@ -211,20 +250,30 @@ def beyond_tangents(
         # Ends of failed solves are NaN, which fmax ignores.
         below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
         above += np.fmax(np.fmax(low, high), 0.0) ** 2
-    further = (np.maximum(end - straight, 0.0).reshape(readings.value.shape) for end in (below, above))
+    further = (
+        np.maximum(end - straight, 0.0).reshape(readings.value.shape) for end in (below, above)
+    )
     return next(further), next(further)
 
 
 def tangent(errors: DenseErrors, cell: int) -> Array:
-    """Return the change of log r of all cells, in linear approximation, if a free cell moves to its upper end."""
+    """Return the change of log r of all cells if a free cell moves to its upper end.
+
+    It is in linear approximation.
+    """
     place = int(np.searchsorted(errors.model.free, cell))
     # A⁻¹ e_c/(A⁻¹)_cc·1.96·σ_c
     column = errors.inverse[:, place]
-    return errors.model.over_all(column / column[place] * (TWO_SIDED * np.sqrt(errors.variance[place])))
+    return errors.model.over_all(
+        column / column[place] * (TWO_SIDED * np.sqrt(errors.variance[place]))
+    )
 
 
 def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
-    """Return the change of log r of all cells at a free cell's lower (side −1) or upper (1) end, (cells,)."""
+    """Return the change of log r of all cells at a free cell's end, (cells,).
+
+    The end is the lower (side −1) or upper (1) one.
+    """
     begin = errors.model.at
     far = tangent(errors, cell)[cell]
     place = int(np.searchsorted(errors.model.free, cell))
@@ -258,11 +307,16 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
 def _stood_in(
     errors: DenseErrors, readings: Readings, place: int, moved: Callable[[Readings], Array]
 ) -> tuple[Array, Array, Array]:
-    """Return tangent and ends by solving again with a reading's substitute (number) at both ends of its spread."""
+    """Return tangent and ends by solving again with a reading's substitute (number).
+
+    The substitute is at both ends of its spread.
+    """
     model = errors.model
     unit = np.zeros(readings.value.shape)
     unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
     rows = np.asarray(model.through @ (readings.value * unit).reshape(-1, 1))
     along = model.over_all(errors.answer(rows)[:, 0])
-    low, high = (moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1))
+    low, high = (
+        moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1)
+    )
     return along, low, high

@@ -1,1 +1,4 @@
-"""Recordings: their files, imports, boards and simulations, and their conversion to readings of a network."""
+"""Recordings: their files, imports, boards and simulations.
+
+Also their conversion to readings of a network.
+"""

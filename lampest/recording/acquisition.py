@@ -1,8 +1,9 @@
-"""Datasets of a recording, and acquisition data of a board: clocks, frame numbers, gaps, events, checksums.
+"""Datasets of a recording, and acquisition data of a board.
 
-A recorder appends rows to the datasets and then the checksum of each row, until it closes the file (`Rows`). As in
-write-ahead logs, a salt of the recording and the number of the row enter each checksum: rows of another recording, or
-of another place, do not fit.
+The acquisition data are clocks, frame numbers, gaps, events, checksums. A recorder appends rows to
+the datasets and then the checksum of each row, until it closes the file (`Rows`). As in write-ahead
+logs, a salt of the recording and the number of the row enter each checksum: rows of another
+recording, or of another place, do not fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,7 +35,12 @@ FRAME_FIELDS = (
     ("sequence", "u4", "1", "number of the frame since the board was started"),
     ("missed", "u2", "1", "scans that the board could not begin in time before this one"),
     ("lost", "u4", "1", "frames that are missing before this one"),
-    ("session", "u2", "1", "grows by one where the board was unplugged or restarted before the frame"),
+    (
+        "session",
+        "u2",
+        "1",
+        "grows by one where the board was unplugged or restarted before the frame",
+    ),
 )
 
 SALT = "salt"  # attribute of a dataset of checksums; files of older versions have none
@@ -44,12 +50,18 @@ NO_SUM = np.iinfo(np.uint16).max  # a missing sum; 64 readings of 10 bits sum to
 
 
 def group_of(circuit: Readout) -> str:
-    """Return the name of the group of the recorded values; that of two-point resistances differs."""
+    """Return the name of the group of the recorded values.
+
+    That of two-point resistances differs.
+    """
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
 def stored_fields(circuit: Readout) -> dict[str, Dataset]:
-    """Return the datasets of the fields of a `Recording`, by field; the first one of a group is its signal."""
+    """Return the datasets of the fields of a `Recording`, by field.
+
+    The first one of a group is its signal.
+    """
     group = group_of(circuit)
     unit = circuit.unit
     signal = circuit.signal
@@ -58,7 +70,12 @@ def stored_fields(circuit: Readout) -> dict[str, Dataset]:
         "time": (f"{group}/time", "f8", "s", "time of the frame"),
         "role": (f"{group}/role", "u1", "1", "0 unloaded baseline, 1 measured"),
         "raw_sums": ("raw/sums", "u2", "1", "sums of ADC codes"),
-        "board_log_change": ("board/log_change", "f8", "1", "ln(r / r unloaded) that the board estimated"),
+        "board_log_change": (
+            "board/log_change",
+            "f8",
+            "1",
+            "ln(r / r unloaded) that the board estimated",
+        ),
         "sigma": (f"{group}/sigma", "f8", unit, f"standard deviation of {signal}"),
         "truth_cell_resistance": ("truth/cell_resistance", "f8", "ohm", "true cell resistance"),
         "truth_pressure": ("truth/pressure", "f8", "kPa", "true pressure on the cells"),
@@ -106,27 +123,41 @@ class Acquisition(Validated):
         hdf5.set_attributes(group, NX_class="NXcollection")
         hdf5.write_scale(group, "time", time, "s", "time of the frame")
         for name, kind, units, long_name in FRAME_FIELDS:
-            hdf5.write_dataset(group, name, getattr(self, name).astype(kind), units, long_name, ("time",))
+            hdf5.write_dataset(
+                group, name, getattr(self, name).astype(kind), units, long_name, ("time",)
+            )
         if self.event_label:
             hdf5.write_dataset(group, "event_time", self.event_time, "s", "time of the event")
             labels = hdf5.ascii_array([label or "?" for label in self.event_label])
             hdf5.write_dataset(group, "event_label", labels, "1", "label of the event")
 
     def start(self, first: float) -> str | None:
-        """Return the host's date and time at 0 s, ISO 8601 in UTC, or None; `first` is the time of frame 0 in s."""
+        """Return the host's date and time at 0 s, ISO 8601 in UTC, or None.
+
+        `first` is the time of frame 0 in s.
+        """
         seconds = float(self.host_time[0]) - first
         try:
-            return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds") if seconds > 0 else None
+            return (
+                datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+                if seconds > 0
+                else None
+            )
         except (ValueError, OverflowError):  # beyond the year 9999
             return None
 
     @classmethod
     def read(cls, file: h5py.File, part: slice) -> "Acquisition | None":
-        """Return the acquisition data of a range of frames; None without the group. Raises InputError if invalid."""
+        """Return the acquisition data of a range of frames; None without the group.
+
+        Raises InputError if invalid.
+        """
         if not hdf5.has(file, PATH):
             return None
         fields: dict[str, Any] = {
-            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind)
+            name: hdf5.read_array(
+                file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind
+            )
             for name, kind, *_ in FRAME_FIELDS
         }
         times = np.zeros(0)
@@ -139,7 +170,9 @@ class Acquisition(Validated):
 
 
 class Rows(NamedTuple):
-    """Datasets of a growing file with a row for every frame, or for every event, and a checksum of each row.
+    """Datasets of a growing file with a row for every frame, or for every event.
+
+    A checksum of each row belongs to them.
 
     Attributes
     ----------
@@ -154,10 +187,21 @@ class Rows(NamedTuple):
     @classmethod
     def of_frames(cls, circuit: Readout, *, estimates: bool = False) -> "Rows":
         """Return the datasets with a row for every frame; `estimates` are those of the board."""
-        names = ("recorded", "time", "role", "raw_sums", *(("board_log_change",) if estimates else ()))
+        names = (
+            "recorded",
+            "time",
+            "role",
+            "raw_sums",
+            *(("board_log_change",) if estimates else ()),
+        )
         recorded = itemgetter(*names)(stored_fields(circuit))
-        acquired = [(f"acquisition/{name}", kind, units, words) for name, kind, units, words in FRAME_FIELDS]
-        return cls((*recorded, *acquired), ("acquisition/crc32", "u4", "1", "CRC-32 of all that belongs to the frame"))
+        acquired = [
+            (f"acquisition/{name}", kind, units, words) for name, kind, units, words in FRAME_FIELDS
+        ]
+        return cls(
+            (*recorded, *acquired),
+            ("acquisition/crc32", "u4", "1", "CRC-32 of all that belongs to the frame"),
+        )
 
     @classmethod
     def of_file(cls, file: h5py.File, circuit: Readout) -> "Rows":
@@ -172,18 +216,25 @@ class Rows(NamedTuple):
         """
         try:
             paths = (f"entry/{path}" for path, *_ in self.datasets)
-            columns = [_extend(file[path], column) for path, column in zip(paths, values, strict=True)]
+            columns = [
+                _extend(file[path], column) for path, column in zip(paths, values, strict=True)
+            ]
             file.flush()
             sums = file[f"entry/{self.checksum[0]}"]
             _extend(sums, checksums(columns, sums.attrs.get(SALT, b""), len(sums)))
             file[f"entry/{self.checksum[0]}"].flush()
         except (OSError, RuntimeError) as error:
-            raise InputError(f"{file.filename}: cannot be written ({' '.join(str(error).split())})") from error
+            raise InputError(
+                f"{file.filename}: cannot be written ({' '.join(str(error).split())})"
+            ) from error
 
     def stored(self, file: h5py.File, part: slice) -> list[NDArray[Any]]:
         """Return a range of rows of each dataset. Raises InputError if one cannot be read."""
         return [
-            np.array([text.encode() for text in hdf5.read_texts(file, f"/entry/{path}", part=part)], dtype=kind)
+            np.array(
+                [text.encode() for text in hdf5.read_texts(file, f"/entry/{path}", part=part)],
+                dtype=kind,
+            )
             if kind == LABEL
             else hdf5.read_array(file, f"/entry/{path}", (1, 3), part=part)
             for path, kind, *_ in self.datasets
@@ -222,8 +273,9 @@ def _extend(dataset: h5py.Dataset, values: Sequence[Any] | NDArray[Any]) -> NDAr
 
 
 def checksums(columns: Sequence[NDArray[Any]], salt: bytes, first: int) -> NDArray[np.uint32]:
-    """Return the CRC-32 of each row: of the salt, the number of the row from `first` on, and the row of all columns.
+    """Return the CRC-32 of each row.
 
+    It is that of the salt, the number of the row from `first` on, and the row of all columns.
     Without a salt it is that of the columns alone, as in files of older versions.
     """
     sums = np.empty(len(columns[0]), dtype=np.uint32)
@@ -234,15 +286,23 @@ def checksums(columns: Sequence[NDArray[Any]], salt: bytes, first: int) -> NDArr
 
 
 def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
-    """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
+    """Return the frames of a finished file, or those written so far.
+
+    Raises InputError if one is damaged.
+    """
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
     intact = Rows.of_file(file, scene.circuit).undamaged(file)
     damaged = np.flatnonzero(~intact)
     if len(damaged) or not np.all(EVENTS.undamaged(file)):
-        fault = f"{len(damaged)} of {len(intact)} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
+        fault = (
+            f"{len(damaged)} of {len(intact)} frames are damaged, first frame {damaged[0]}"
+            if len(damaged)
+            else ""
+        )
         raise InputError(
-            f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the undamaged rest"
+            f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the "
+            "undamaged rest"
         )
     return slice(len(intact))
 
@@ -254,7 +314,10 @@ def blocks(frames: int, crossings: int) -> Iterator[slice]:
 
 
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
-    """Return recorded values of sums of codes (…, rows, columns) by the readout of each module; NaN for NO_SUM."""
+    """Return recorded values of sums of codes by the readout of each module.
+
+    The sums have shape (…, rows, columns). NaN for NO_SUM.
+    """
     layout = scene.panel.modules
     if layout is None:
         assert scene.readout is not None
@@ -262,5 +325,7 @@ def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     parts = layout.split(sums)
     recorded = np.empty(parts.shape)
     for module_scene, numbers in scene.alike:
-        recorded[..., numbers, :, :] = recorded_of_sums(module_scene, parts[..., numbers, :, :], readings)
+        recorded[..., numbers, :, :] = recorded_of_sums(
+            module_scene, parts[..., numbers, :, :], readings
+        )
     return layout.joined(recorded)

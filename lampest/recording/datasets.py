@@ -1,4 +1,6 @@
-"""Recordings and files shipped with lampest: in a checkout `configs/` and `data/`, in a wheel `lampest/shipped/`.
+"""Recordings and files shipped with lampest.
+
+They are in a checkout in `configs/` and `data/`, in a wheel in `lampest/shipped/`.
 
 >>> lampest.datasets.names()[-2:]
 ('ring', 'rod')
@@ -22,11 +24,15 @@ def names() -> tuple[str, ...]:
 
 
 def load(name: str) -> Recording:
-    """Return a shipped recording, simulated, with its scene and truth. Raises InputError for an unknown name.
+    """Return a shipped recording, simulated, with its scene and truth.
+
+    Raises InputError for an unknown name.
 
     >>> lampest.datasets.load("lamprey_35mm").resistance.shape  # frames, rows, columns; ohm
     (24, 10, 10)
     """
     if name not in names():
-        raise InputError(f"there is no recording {name!r} in lampest; there are {', '.join(names())}")
+        raise InputError(
+            f"there is no recording {name!r} in lampest; there are {', '.join(names())}"
+        )
     return Recording.load(folder() / "data" / f"{name}.h5")

@@ -1,7 +1,7 @@
 """The HDF5 file of a recording: how it is opened, its scene, its frames and their coordinates.
 
-A file holds a scene, the values of each field of a `Recording` that is known, and the places of rows and columns.
-`lampest.recording.acquisition` names the datasets.
+A file holds a scene, the values of each field of a `Recording` that is known, and the places of
+rows and columns. `lampest.recording.acquisition` names the datasets.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,8 +24,10 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import Acquisition, group_of, stored_fields, undamaged_frames
 
-FORMER_SERIES = "series_ohm"  # key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1
-FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
+# Key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1.
+FORMER_SERIES = "series_ohm"
+# Suffixes of `import_file`.
+FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")
 
 
 @contextmanager
@@ -35,7 +37,9 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
     Raises InputError if the file is no recording, or has no valid scene.
     """
     if path.suffix.lower() in FOREIGN:
-        raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
+        raise InputError(
+            f"{path}: is no recording; lampest.import_file (lampest import) makes one of it"
+        )
     with hdf5.existing_file(path) as file:
         if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
@@ -52,7 +56,9 @@ def _scene_of(text: str, where: str) -> Scene:
     document = parse_document(text, where)
     errors = document.content.get("systematic") if isinstance(document.content, dict) else None
     if isinstance(errors, dict) and FORMER_SERIES in errors:
-        renamed = {SERIES.setting if key == FORMER_SERIES else key: value for key, value in errors.items()}
+        renamed = {
+            SERIES.setting if key == FORMER_SERIES else key: value for key, value in errors.items()
+        }
         document = document.with_value(("systematic",), renamed)
     scene: Scene = validated(document, Scene)
     return scene
@@ -89,7 +95,9 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
         rows = hdf5.ALL if flat else chosen
         held[field] = hdf5.read_array(file, place, dimensions.get(field, 3), part=rows, kind=kind)
     for field, name in (("start_time", "start_time"), ("simulation", "truth/simulation")):
-        held[field] = hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
+        held[field] = (
+            hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
+        )
     if "raw_sums" in held:
         held["raw_readings"] = int(hdf5.read_number(file, "/entry/raw", "readings", 0))
     frames = len(held["recorded"])
@@ -104,16 +112,25 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
 
 
 def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
-    """Raise InputError if memory does not suffice for a recording and the working copies of its readings."""
+    """Raise InputError if memory does not suffice for a recording.
+
+    It must suffice for it and the working copies of its readings.
+    """
     shape = hdf5.shape_of(file, places["recorded"])
     besides = set(places) - {"recorded", "time", "role", "raw_sums"}
     held = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
     label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
-    check_memory(8.0 * (6 * prod(shape) + held), label)  # 49 bytes a reading were counted at 100,000,000 readings
+    # 49 bytes a reading were counted at 100,000,000 readings
+    check_memory(8.0 * (6 * prod(shape) + held), label)
 
 
-def create_frames_group(entry: h5py.Group, name: str, signal: str, panel: Panel, time: Array) -> h5py.Group:
-    """Return a new group of frames with the coordinates of its axes: time in s, rows and columns of a panel."""
+def create_frames_group(
+    entry: h5py.Group, name: str, signal: str, panel: Panel, time: Array
+) -> h5py.Group:
+    """Return a new group of frames with the coordinates of its axes.
+
+    They are time in s, rows and columns of a panel.
+    """
     group = entry.create_group(name)
     hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
     hdf5.write_scale(group, "time", time, "s", "time of the frame")
@@ -128,13 +145,18 @@ def create_frames_group(entry: h5py.Group, name: str, signal: str, panel: Panel,
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
     """Return (axes, values, unit, long name) of the coordinates row, column, y and x, by name.
 
-    y depends on the row and x on the column. For listed cells both depend on the cell, with NaN without a cell.
+    y depends on the row and x on the column. For listed cells both depend on the cell, with NaN
+    without a cell.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
     axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
     if panel.cells is not None:
         places = zip("xy", panel.places_mm, strict=True)
-        return axes | {name: (("row", "column"), at, "mm", "position of the cell") for name, at in places}
+        return axes | {
+            name: (("row", "column"), at, "mm", "position of the cell") for name, at in places
+        }
     x, y = panel.centres_mm()
     centres = (("y", "row", y), ("x", "column", x))
-    return axes | {name: ((line,), at, "mm", f"position of the {line}") for name, line, at in centres}
+    return axes | {
+        name: ((line,), at, "mm", f"position of the {line}") for name, line, at in centres
+    }

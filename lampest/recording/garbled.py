@@ -1,9 +1,11 @@
-"""Detection of garbled frames: lines of a frame whose readings were lost or displaced on their way to the computer.
+"""Detection of garbled frames.
 
-Transmission fails for one frame or for some of its lines: their readings are bytes of something else, or those of
-other cells. Such readings deviate from the neighbouring frames in whole lines while the other lines do not, and they
-are rougher than the lines ever are, or equal those of cells further along the scan. A load that is present for one
-frame is neither: it changes a patch of cells, which is as smooth in one frame as in the others.
+These have lines whose readings were lost or displaced on their way to the computer. Transmission
+fails for one frame or for some of its lines: their readings are bytes of something else, or those
+of other cells. Such readings deviate from the neighbouring frames in whole lines while the other
+lines do not, and they are rougher than the lines ever are, or equal those of cells further along
+the scan. A load that is present for one frame is neither: it changes a patch of cells, which is as
+smooth in one frame as in the others.
 """
 
 from collections.abc import Sequence
@@ -24,22 +26,27 @@ from lampest.recording.recording import Recording
 
 MIN_FRAMES = 5  # with fewer, the neighbours of a frame do not show which one is the odd one
 WINDOW = 2  # neighbouring frames before and after
-MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
+# Deviation over the scatter of the neighbours, so that an arriving load is not flagged.
+MIN_RATIO_TO_SCATTER = 3.0
 MIN_LINE_SHARE = 0.25  # of deviating readings, beyond which a line counts as affected
 # of deviating readings in the affected lines, and in the other ones
 MIN_SHARE = 0.6
 MAX_SHARE_BESIDE = 0.05
 MIN_LINE_CELLS = 5  # readings of a line: with fewer, chance makes it as rough as a garbled one
-# Median second difference of ln y along the lines, and its ratio to the largest one of a line of the other frames. That
-# of random bytes is 1.5; film that scatters by 0.3 has 0.5, and loads add little (tests/oracles/test_garbled.py).
+# Median second difference of ln y along the lines, and its ratio to the largest one of a line of
+# the other frames. That of random bytes is 1.5; film that scatters by 0.3 has 0.5, and loads add
+# little (tests/oracles/test_garbled.py).
 MIN_ROUGHNESS = 0.5
 MIN_ROUGHNESS_RATIO = 1.3
-CLEARLY = 1.5  # times as rough: such lines are garbled even if other lines of the frame move as well
+# Times as rough: such lines are garbled even if other lines of the frame move as well.
+CLEARLY = 1.5
 MAX_DISPLACEMENT = 4  # readings along the scan
-# Ratio of the median deviation to that after a displacement, and share of the readings that it explains.
+# Ratio of the median deviation to that after a displacement, and share of the readings that it
+# explains.
 MIN_IMPROVEMENT = 5.0
 MIN_EXPLAINED = 0.95
-ORDERS: tuple[Literal["C", "F"], ...] = ("C", "F")  # of a scan: along the rows, or along the columns
+# Of a scan: along the rows, or along the columns.
+ORDERS: tuple[Literal["C", "F"], ...] = ("C", "F")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +97,20 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     if not scale > 0:
         return ()
     with np.errstate(invalid="ignore"):
-        far = np.abs(values - expected) > np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
+        far = np.abs(values - expected) > np.fmax(
+            OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread
+        )
     found = list[GarbledLines]()
     rows = Along(values, expected, far, scale)
     for name, along in (("row", rows), ("column", rows.transposed)):
         for frame in np.flatnonzero(far.any(axis=(1, 2))).tolist():
             lines = along.garbled(frame)
             if len(lines) and not any(other.frame == frame for other in found):
-                found.append(GarbledLines(frame, name, tuple(lines.tolist()), len(lines) == along.values.shape[1]))
+                found.append(
+                    GarbledLines(
+                        frame, name, tuple(lines.tolist()), len(lines) == along.values.shape[1]
+                    )
+                )
     return tuple(sorted(found, key=attrgetter("frame")))
 
 
@@ -116,19 +129,25 @@ def garbled_sentence(garbled: Sequence[GarbledLines]) -> str:
 
 
 def _signal(recording: Recording) -> Array:
-    """Return the voltages at the converter (frames, rows, columns); without a readout the conductances, 1/ohm.
+    """Return the voltages at the converter (frames, rows, columns).
 
-    Bounds are included, because garbled codes may lie at a rail; NaN where missing.
+    Without a readout these are the conductances, 1/ohm. Bounds are included, because garbled codes
+    may lie at a rail; NaN where missing.
     """
     scene = recording.scene
     recorded = recording.recorded
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = 1 / recorded if scene.readout is None else scene.readout.volt_from_recorded(recorded)
+        values = (
+            1 / recorded if scene.readout is None else scene.readout.volt_from_recorded(recorded)
+        )
     return np.where(np.isfinite(values) & scene.requested, values, np.nan)
 
 
 def _expected(values: Array) -> tuple[Array, Array]:
-    """Return the median of the neighbours of each frame and their scatter, (frames, rows, columns)."""
+    """Return the median of the neighbours of each frame and their scatter.
+
+    Shape (frames, rows, columns).
+    """
     frames = np.arange(len(values))
     width = 2 * WINDOW + 1
     first = np.clip(frames - WINDOW, 0, len(values) - width)
@@ -140,7 +159,10 @@ def _expected(values: Array) -> tuple[Array, Array]:
 
 
 def _noise(recording: Recording, values: Array) -> float:
-    """Return the standard deviation of the noise: by changes from frame to frame, at least that of the converter."""
+    """Return the standard deviation of the noise by changes from frame to frame.
+
+    It is at least that of the converter.
+    """
     steps = np.abs(np.diff(values, axis=0))
     measured = float(MAD_TO_SIGMA / np.sqrt(2) * median(steps.ravel())[0])
     readout = recording.scene.readout
@@ -182,7 +204,11 @@ class Along:
     @cached_property
     def _least_rough(self) -> Array:
         """Roughness of a garbled line, (frames,): beyond that of the lines of all other frames."""
-        return np.asarray(np.fmax(MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1))))
+        return np.asarray(
+            np.fmax(
+                MIN_ROUGHNESS, MIN_ROUGHNESS_RATIO * largest_of_others(self.roughness.max(axis=1))
+            )
+        )
 
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
@@ -204,14 +230,17 @@ class Along:
         inside = shares > MIN_LINE_SHARE
         apart = inside.any() and shares[inside].mean() >= MIN_SHARE
         apart &= inside.all() or shares[~inside].mean() <= MAX_SHARE_BESIDE
-        if apart and (float(np.median(roughness[inside])) > least or self._is_displaced(frame, inside)):
+        if apart and (
+            float(np.median(roughness[inside])) > least or self._is_displaced(frame, inside)
+        ):
             return np.flatnonzero(inside)
         return np.flatnonzero(clear)
 
     def _is_displaced(self, frame: int, lines: NDArray[np.bool_]) -> bool:
-        """Return whether lines have the readings of cells further along the scan, and of their own before and after.
+        """Return whether lines have the readings of cells further along the scan.
 
-        A load that jumps is displaced as well, but the film, whose cells differ in the first frame, is not.
+        They also have readings of their own before and after. A load that jumps is displaced as
+        well, but the film, whose cells differ in the first frame, is not.
         """
         if not 0 < frame < len(self.values) - 1:
             return False
@@ -221,14 +250,22 @@ class Along:
         deviation = middle(np.abs(current - whole[lines]))
         if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
             return False
-        for steps, order in product((*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1)), ORDERS):
+        for steps, order in product(
+            (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1)), ORDERS
+        ):
             displaced = np.roll(whole.ravel(order=order), steps).reshape(whole.shape, order=order)
             missed = np.abs(current - displaced[lines])
             known = np.isfinite(missed)
             explained = np.sum(missed[known] < UNUSUAL * self.scale) / max(int(known.sum()), 1)
-            film = np.roll(first.ravel(order=order), steps).reshape(first.shape, order=order) - first
+            film = (
+                np.roll(first.ravel(order=order), steps).reshape(first.shape, order=order) - first
+            )
             structured = middle(np.abs(film)) > OUTLIER_THRESHOLD * self.scale
-            if structured and explained > MIN_EXPLAINED and MIN_IMPROVEMENT * middle(missed) < deviation:
+            if (
+                structured
+                and explained > MIN_EXPLAINED
+                and MIN_IMPROVEMENT * middle(missed) < deviation
+            ):
                 return True
         return False
 
@@ -236,7 +273,9 @@ class Along:
 def largest_of_others(values: Array) -> Array:
     """Return the largest value of the other frames for each frame, (frames,)."""
     first = int(np.argmax(values))
-    return np.asarray(np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first]))
+    return np.asarray(
+        np.where(np.arange(len(values)) == first, np.delete(values, first).max(), values[first])
+    )
 
 
 def middle(values: Array) -> float:

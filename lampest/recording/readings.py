@@ -1,4 +1,4 @@
-"""Readings of a network from recorded values: two-sided values, one-sided bounds, or missing readings."""
+"""Readings of a network from recorded values: two-sided values, one-sided bounds, or missing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,23 +22,25 @@ AT_MOST = -1.0
 
 
 def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
-    """Return substitutes for missing readings, exp(m + a_j + b_k), (…, rows, columns); 1 if nothing is known.
+    """Return substitutes for missing readings, exp(m + a_j + b_k), (…, rows, columns).
 
-    m, a_j and b_k are the overall, row and column effects of the median polish of log y over the known values.
+    1 if nothing is known. m, a_j and b_k are the overall, row and column effects of the median
+    polish of log y over the known values.
     """
     return np.exp(_polished(value, known)[0])
 
 
 def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
-    """Return the standard deviation of log(stand_in) for one frame, (rows, columns); 1 if nothing is known.
+    """Return the standard deviation of log(stand_in) for one frame, (rows, columns).
 
-    It is determined by cross-validation, leaving out one diagonal after the other: the rms error, or more if that does
-    not cover 95 % of the errors. For a line without any known reading the variance of the other lines' effects is
-    added.
+    1 if nothing is known. It is determined by cross-validation, leaving out one diagonal after the
+    other: the rms error, or more if that does not cover 95 % of the errors. For a line without any
+    known reading the variance of the other lines' effects is added.
     """
     if not known.any():
         return np.ones(known.shape)
-    # Number of the diagonal of every reading; each is predicted from the median polish without its diagonal.
+    # Number of the diagonal of every reading; each is predicted from the median polish without its
+    # diagonal.
     diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
     remaining = known & (diagonal != np.arange(max(known.shape))[:, None, None])
     left_out = np.take_along_axis(_polished(value, remaining)[0], diagonal[None], axis=0)[0]
@@ -50,16 +52,17 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the median polish m + a_j + b_k of log y, and the variance of effects of unknown lines.
+    """Return the median polish m + a_j + b_k of log y, and a variance.
 
-    Both are (…, rows, columns).
+    The latter is the variance of effects of unknown lines. Both are (…, rows, columns).
     """
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     residual = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
     expected = np.nan_to_num(median(residual.reshape(*residual.shape[:-2], 1, -1), -1))
     residual, between = residual - expected, np.zeros(residual.shape)
     effects = {axis: np.zeros_like(median(residual, axis)) for axis in (-1, -2)}
-    for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
+    # Panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two.
+    for _ in range(6):
         for axis in effects:
             step = np.nan_to_num(median(residual, axis))
             effects[axis], residual = effects[axis] + step, residual - step
@@ -69,18 +72,25 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
         across = -3 - axis
         count = np.maximum(known_lines.sum(axis=across, keepdims=True), 1)
         mean = np.where(known_lines, effect, 0.0).sum(axis=across, keepdims=True) / count
-        square = np.where(known_lines, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
+        square = (
+            np.where(known_lines, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
+        )
         expected = expected + np.where(known_lines, effect, mean)
         between = between + np.where(known_lines, 0.0, square)
     return expected, between
 
 
 def median(values: Array, axis: int = 0) -> Array:
-    """Return medians along an axis, which is kept, without NaN; NaN where all values are. Faster than nanmedian."""
+    """Return medians along an axis, which is kept, without NaN.
+
+    NaN where all values are. Faster than nanmedian.
+    """
     # NaN last
     ordered = np.sort(values, axis=axis)
     count = np.sum(~np.isnan(values), axis=axis, keepdims=True)
-    low, high = (np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0))
+    low, high = (
+        np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0)
+    )
     return np.asarray((low + high) / 2)
 
 
@@ -116,10 +126,11 @@ class Readings:
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
         """Return the network's readings of recorded values; one frame (rows, columns) or many.
 
-        Missing readings are NaN, readings whose σ is not finite, and those without information because of faults.
-        Bounds are values at or beyond a rail of the converter, infinity, resistances that are below NOISE_REACH σ
-        after subtraction of the series resistance, and voltages of the network that are not positive. A bound without
-        a finite number has the largest or smallest value of its frame.
+        Missing readings are NaN, readings whose σ is not finite, and those without information
+        because of faults. Bounds are values at or beyond a rail of the converter, infinity,
+        resistances that are below NOISE_REACH σ after subtraction of the series resistance, and
+        voltages of the network that are not positive. A bound without a finite number has the
+        largest or smallest value of its frame.
 
         Parameters
         ----------
@@ -144,8 +155,11 @@ class Readings:
         # Rails and infinite values are bounds; memory of the converter is removed from the values.
         within, side = _within_rails(scene, recorded)
         if scene.known_memory is not None:
-            within, side, sigma = _without_channel_before(scene, scene.known_memory, within, side, sigma)
-        # From recorded values to readings of the network; missing and blind readings have no weight.
+            within, side, sigma = _without_channel_before(
+                scene, scene.known_memory, within, side, sigma
+            )
+        # From recorded values to readings of the network; missing and blind readings have no
+        # weight.
         noise = _noise(scene, within, sigma)
         network = scene.circuit.from_recorded(within, scene)
         side = side * scene.circuit.direction
@@ -166,19 +180,31 @@ class Readings:
         return cls(stood, None if noise is None else _filled(noise, seen), side, seen)
 
     @classmethod
-    def _of_modules(cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None) -> "Readings":
-        """Return the readings of a panel of modules, each by its own scene; those of dead modules are missing."""
+    def _of_modules(
+        cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None
+    ) -> "Readings":
+        """Return the readings of a panel of modules, each by its own scene.
+
+        Those of dead modules are missing.
+        """
         values = layout.split(recorded).copy()
         values[..., list(scene.dead_modules), :, :] = np.nan
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
         parts: dict[int, Readings] = {}
         for module, numbers in scene.alike:
-            similar = cls.of(module, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
+            similar = cls.of(
+                module,
+                values[..., numbers, :, :],
+                None if noise is None else noise[..., numbers, :, :],
+            )
             parts |= {number: similar[..., at, :, :] for at, number in enumerate(numbers)}
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
-        """Return the readings with a function, such as `layout.split`, applied to all four arrays."""
+        """Return the readings with a function applied to all four arrays.
+
+        Such a function is `layout.split`.
+        """
         sigma = None if self.sigma is None else change(self.sigma)
         return Readings(change(self.value), sigma, change(self.side), change(self.seen))
 
@@ -188,11 +214,17 @@ class Readings:
 
     @classmethod
     def of_parts(cls, layout: Modules, parts: Sequence["Readings"]) -> "Readings":
-        """Return the readings of the whole image from those of its modules, in the order of their numbers."""
+        """Return the readings of the whole image from those of its modules.
+
+        The modules are in the order of their numbers.
+        """
         return parts[0].together(*parts[1:], axis=-3).each(layout.joined)
 
     def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
-        """Return frames (rows, columns) stacked as (frames, rows, columns); σ is None if it is for one of them."""
+        """Return frames (rows, columns) stacked as (frames, rows, columns).
+
+        σ is None if it is for one of them.
+        """
 
         def stacked(name: str) -> Any:
             arrays = [getattr(part, name) for part in (self, *frames)]
@@ -220,7 +252,7 @@ class Readings:
         return np.asarray((self.seen > 0) & (self.side != VALUE))
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
-        """Return whether a reading of a cell is missing for another reason than the scene's faults."""
+        """Return whether a cell's reading is missing for another reason than the scene's faults."""
         return np.asarray((self.seen == 0) & scene.requested)
 
     @property
@@ -231,14 +263,17 @@ class Readings:
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
         """Return whether frames can be estimated, (…).
 
-        At most half of the scene's requested readings may be missing. At least half of them, or M + N − 1, must be
-        values: so many describe a panel with one factor for each line.
+        At most half of the scene's requested readings may be missing. At least half of them, or M +
+        N − 1, must be values: so many describe a panel with one factor for each line.
         """
         requested = scene.requested
         lines = int(requested.any(axis=1).sum() + requested.any(axis=0).sum())
         least = min(-(-int(requested.sum()) // 2), lines - 1)
         missing = ((self.seen == 0) & requested).sum(axis=(-2, -1))
-        return np.asarray(((self.plain & requested).sum(axis=(-2, -1)) >= least) & (2 * missing <= requested.sum()))
+        return np.asarray(
+            ((self.plain & requested).sum(axis=(-2, -1)) >= least)
+            & (2 * missing <= requested.sum())
+        )
 
     @cached_property
     def partial(self) -> bool:
@@ -259,8 +294,8 @@ class Readings:
     def mean(self) -> "Readings":
         """Return the mean over frames (frames, rows, columns), cell by cell over the values.
 
-        If bounds outnumber the values of a cell, or are within the noise of their mean, the mean of values and bounds
-        is a bound. Lower and upper bounds in equal numbers count as missing.
+        If bounds outnumber the values of a cell, or are within the noise of their mean, the mean of
+        values and bounds is a bound. Lower and upper bounds in equal numbers count as missing.
         """
         value = self.plain
         bound = self.bounds
@@ -275,7 +310,9 @@ class Readings:
         mean = _standing_in(np.where(among, of_all, of_values), side, seen)
         if deviation is None or deviation_of_all is None:
             return Readings(mean, None, side, seen)
-        return Readings(mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen)
+        return Readings(
+            mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen
+        )
 
     def alone(self) -> "Readings":
         """Return one frame (rows, columns) as (1, rows, columns)."""
@@ -283,9 +320,9 @@ class Readings:
 
 
 def mean_change(value: Array, resting: Array) -> Array:
-    """Return the mean |log y/y₀| of each frame, (…), for readings y (…, rows, columns) and y₀ (rows, columns).
+    """Return the mean |log y/y₀| of each frame, (…).
 
-    NaN is ignored.
+    It is for readings y (…, rows, columns) and y₀ (rows, columns). NaN is ignored.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
@@ -295,33 +332,47 @@ def mean_change(value: Array, resting: Array) -> Array:
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
-    """Return the frame (one of the numbers `frames`) with the largest mean |log y/y₀|, the last one if several."""
+    """Return the frame with the largest mean |log y/y₀|, the last one if several.
+
+    It is one of the numbers `frames`.
+    """
     change = mean_change(value[frames], resting)
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 
 def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str = "") -> None:
-    """Raise InputError unless readings have the panel's shape, and σ (or None) the same shape and positive entries.
+    """Raise InputError unless readings have the panel's shape.
 
-    `where` is the beginning of the message.
+    σ (or None) must have the same shape and positive entries. `where` is the beginning of the
+    message.
     """
     shape = scene.panel.shape
     if recorded.shape[-2:] != shape:
         size = " × ".join(str(length) for length in recorded.shape)
-        raise InputError(f"{where}the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
+        raise InputError(
+            f"{where}the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}"
+        )
     if sigma is None:
         return
     if sigma.shape not in (recorded.shape, shape):
         raise InputError(f"{where}sigma has another shape than the readings")
     if np.any(out := beyond_any_panel(sigma)):
-        raise InputError(f"{where}sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has")
+        raise InputError(
+            f"{where}sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has"
+        )
     if np.any(sigma <= 0):
         index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
-        raise InputError(f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")
+        raise InputError(
+            f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be "
+            "positive"
+        )
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """Return σ of every reading of the network from the given one, or from the readout's; None if unknown."""
+    """Return σ of every reading of the network from the given one, or from the readout's.
+
+    None if unknown.
+    """
     if sigma is not None:
         return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
     if scene.readout is None:
@@ -332,17 +383,27 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
 def _without_channel_before(
     scene: Scene, memory: float, recorded: Array, side: Array, sigma: Array | None
 ) -> tuple[Array, Array, Array]:
-    """Return recorded values within the rails, their sides and σ, without the converter's memory of other channels."""
+    """Return recorded values within the rails, their sides and σ.
+
+    They are without the converter's memory of other channels.
+    """
     if scene.readout is None:
-        raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
-    known = scene.readout.sigma(recorded) if sigma is None else np.broadcast_to(sigma, recorded.shape)
+        raise InputError(
+            "converter_memory needs a readout in the scene, of whose voltages it is a fraction"
+        )
+    known = (
+        scene.readout.sigma(recorded) if sigma is None else np.broadcast_to(sigma, recorded.shape)
+    )
     freed, sigma = without_memory(scene.readout, memory, recorded, known)
     within, beyond = _within_rails(scene, freed)
     return within, np.where(side == VALUE, beyond, side), sigma
 
 
 def _least_value(scene: Scene, reach: Array) -> Array:
-    """Return the network's reading up to which a value is an upper bound, for `reach` of NOISE_REACH σ."""
+    """Return the network's reading up to which a value is an upper bound.
+
+    It is for `reach` of NOISE_REACH σ.
+    """
     if scene.circuit.unit != "ohm":
         return np.zeros_like(reach)
     if scene.readout is None:
@@ -362,9 +423,10 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
 
 
 def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
-    """Return readings with the largest or smallest value of the frame for bounds without a finite number, and `seen`.
+    """Return readings with numbers for bounds without a finite number, and `seen`.
 
-    `seen` is 0 for all readings of a frame without any finite number.
+    The number is the largest or smallest value of the frame. `seen` is 0 for all readings of a
+    frame without any finite number.
     """
     known = (seen > 0) & np.isfinite(network) & (network > 0)
     largest = np.max(network, axis=(-2, -1), keepdims=True, initial=0.0, where=known)
@@ -373,17 +435,29 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
     return network, np.where(known.any(axis=(-2, -1), keepdims=True), seen, 0.0)
 
 
-def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
-    """Return the mean over the counted frames and its σ, (rows, columns) each; 1 if no frame counts."""
+def _averaged(
+    value: Array, sigma: Array | None, counted: NDArray[np.bool_]
+) -> tuple[Array, Array | None]:
+    """Return the mean over the counted frames and its σ, (rows, columns) each.
+
+    1 if no frame counts.
+    """
     count = np.maximum(counted.sum(axis=0), 1)
     blank = ~counted.any(axis=0)
     mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
-    noise = None if sigma is None else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
+    noise = (
+        None
+        if sigma is None
+        else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
+    )
     return mean, noise
 
 
 def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
-    """Return frames with substitutes where `whole` is 0, predicted from the values among the seen readings."""
+    """Return frames with substitutes where `whole` is 0.
+
+    They are predicted from the values among the seen readings.
+    """
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
@@ -391,7 +465,10 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
 
 
 def _filled(values: Array, seen: Array) -> Array:
-    """Return frames with their geometric mean in place of missing readings; 1 if all of a frame are missing."""
+    """Return frames with their geometric mean in place of missing readings.
+
+    1 if all of a frame are missing.
+    """
     logarithm = np.log(np.where(seen > 0, values, 1.0))
     count = np.maximum(seen.sum(axis=(-2, -1), keepdims=True), 1)
     mean = np.exp((logarithm * seen).sum(axis=(-2, -1), keepdims=True) / count)
@@ -399,10 +476,11 @@ def _filled(values: Array, seen: Array) -> Array:
 
 
 def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
-    """Return groups of rows with equal readings in all frames (frames, rows, columns); none if the noise is unknown.
+    """Return groups of rows with equal readings in all frames (frames, rows, columns).
 
-    Two rows that touch are one node: their readings are equal in every column of every frame, and differ from those of
-    other rows in every frame. Rows of a uniform panel that no load reaches differ from the others only under loads, and
+    None if the noise is unknown: there are no groups then. Two rows that touch are one node: their
+    readings are equal in every column of every frame, and differ from those of other rows in every
+    frame. Rows of a uniform panel that no load reaches differ from the others only under loads, and
     not in the frame in which the rows are most alike.
     """
     sigma = readings.sigma_of_values
@@ -415,20 +493,26 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     unlike, count = _row_differences(value, noise)
     # Equal rows: the mean square of n normal differences is 1 ± √(2/n).
     similar = (unlike <= 1 + UNUSUAL * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)
-    # Groups count only among rows that differ significantly from most others, in the calmest frame, too.
+    # Groups count only among rows that differ significantly from most others, in the calmest frame,
+    # too.
     distinct = _differ_from_most(unlike, similar | (count < 4))
     if np.any(distinct):
         means = np.ma.masked_invalid(np.where(np.isfinite(noise), value, np.nan)).mean(axis=-1)
         calmest = int(np.argmin(np.ma.filled(means.std(axis=-1), np.inf)))
         in_calmest, values_there = _row_differences(value[[calmest]], noise[[calmest]])
         distinct &= _differ_from_most(in_calmest, similar | (values_there < 4))
-    groups, group = scipy.sparse.csgraph.connected_components(similar & distinct & distinct[:, None], directed=False)
+    groups, group = scipy.sparse.csgraph.connected_components(
+        similar & distinct & distinct[:, None], directed=False
+    )
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 
 
 def _row_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return the mean square difference of each two rows in units of their noise, and the number of its values."""
+    """Return the mean square difference of each two rows, and the number of its values.
+
+    The difference is in units of their noise.
+    """
     rows = value.shape[-2]
     value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (value, noise))
     unlike = np.zeros((rows, rows))
@@ -436,14 +520,16 @@ def _row_differences(value: Array, noise: Array) -> tuple[Array, NDArray[np.intp
     for row in range(rows):
         spread = np.hypot(noise[:, [row]], noise)
         finite = np.isfinite(spread)
-        square = np.where(finite, (value[:, [row]] - value) / np.where(finite, spread, 1.0), 0.0) ** 2
+        square = (
+            np.where(finite, (value[:, [row]] - value) / np.where(finite, spread, 1.0), 0.0) ** 2
+        )
         count[row] = finite.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
     return unlike, count
 
 
 def _differ_from_most(unlike: Array, left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether a row differs significantly from most of the rows that are not left out, (rows,)."""
+    """Return whether a row differs significantly from most of the rows not left out, (rows,)."""
     distant = np.where(left_out, np.nan, unlike)
     with np.errstate(invalid="ignore"):
         medians = [np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]

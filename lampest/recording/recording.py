@@ -18,13 +18,21 @@ from lampest.panel.scene import Scene
 from lampest.panel.scene_file import read_scene, scene_text
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
-from lampest.recording.foreign.labelled import frames_of_table, labelled_array, named_units, panel_of
+from lampest.recording.foreign.labelled import (
+    frames_of_table,
+    labelled_array,
+    named_units,
+    panel_of,
+)
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED, MEASURED = ROLES = 0, 1
-UNREFERENCED = "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
-MIN_CHANGE = 0.01  # least relative change of readings or cells by a load or a common error, far above drift
+UNREFERENCED = (
+    "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
+)
+# Least relative change of readings or cells by a load or a common error, far above drift.
+MIN_CHANGE = 0.01
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,8 +44,8 @@ class Recording(Validated):
     scene : Scene
         Scene that the estimator gets.
     recorded : array, shape (frames, rows, columns)
-        In ohm for two-point readouts, including series resistance; otherwise in volt at the converter. NaN if missing;
-        for bounds see `Readings.of`.
+        In ohm for two-point readouts, including series resistance; otherwise in volt at the
+        converter. NaN if missing; for bounds see `Readings.of`.
     time : array, shape (frames,)
         Times of the frames in s.
     role : array, shape (frames,)
@@ -99,7 +107,8 @@ class Recording(Validated):
             )
         where = f"{self.name}: {self._group}/"
         check_sigma(self.scene, self.recorded, self.sigma, where)
-        object.__setattr__(self, "recorded", as_panels_have(self.recorded))  # no value refuses a recording
+        # No value refuses a recording.
+        object.__setattr__(self, "recorded", as_panels_have(self.recorded))
         if np.any(np.abs(self.time) > 1e13):  # clocks count milliseconds since 1970, with room
             raise InputError(f"{where}time goes beyond 1e+13 s")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
@@ -125,17 +134,26 @@ class Recording(Validated):
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
 
     def _check_unit(self) -> None:
-        """Raise InputError if the values are probably in kohm: without raw sums, all below the series resistance."""
+        """Raise InputError if the values are probably in kohm.
+
+        They are, without raw sums, if all are below the series resistance.
+        """
         circuit = self.scene.circuit
         valid = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
-        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or self.of_module or not valid.size:
+        if (
+            not isinstance(circuit, TwoPointReadout)
+            or self.raw_sums is not None
+            or self.of_module
+            or not valid.size
+        ):
             return
         series = float(np.min(self.scene.series_ohm))
         code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(valid))))
         stuck = valid.min() == valid.max()  # at the converter's rail: a module without contact
         if not stuck and valid.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
             raise InputError(
-                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, less than the {series:.4g} ohm in series; "
+                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, less than the "
+                f"{series:.4g} ohm in series; "
                 "are these kohm?"
             )
 
@@ -153,7 +171,9 @@ class Recording(Validated):
     def resistance(self) -> Array:
         """Values `recorded` of a two-point readout, ohm. Raises InputError for other readouts."""
         if self.scene.circuit.unit != "ohm":
-            raise InputError(f"{self.name}: its readout gives {self.scene.circuit.unit}, not resistances")
+            raise InputError(
+                f"{self.name}: its readout gives {self.scene.circuit.unit}, not resistances"
+            )
         return self.recorded
 
     @classmethod
@@ -161,7 +181,8 @@ class Recording(Validated):
     def load(cls, path: str | Path, part: slice = hdf5.ALL) -> "Recording":
         """Return the recording of a file, finished or not.
 
-        `part` selects frames of a finished file. Raises InputError with the path of an invalid dataset.
+        `part` selects frames of a finished file. Raises InputError with the path of an invalid
+        dataset.
         """
         path = Path(path)
         with recording_file(path) as (file, scene, _, _):
@@ -184,8 +205,8 @@ class Recording(Validated):
         Parameters
         ----------
         values : array_like, shape (frames, rows, columns)
-            Readings; NaN where missing. Voltages and codes at a rail of the converter, and resistances of zero or
-            infinity, are bounds.
+            Readings; NaN where missing. Voltages and codes at a rail of the converter, and
+            resistances of zero or infinity, are bounds.
         unit : str
             'ohm', 'kohm', 'volt', 'mV' or 'code'.
         baseline : int
@@ -207,14 +228,25 @@ class Recording(Validated):
         array = values.astype(float)
         known = read_scene(scene) if isinstance(scene, str | Path) else scene
         requested = ("rows", "columns") if known is None else known.panel.shape
-        if array.ndim != 3 or array.size == 0 or (known is not None and array.shape[1:] != requested):
-            shapes = f"(frames, {requested[0]}, {requested[1]}) with at least one frame, not {array.shape}"
+        if (
+            array.ndim != 3
+            or array.size == 0
+            or (known is not None and array.shape[1:] != requested)
+        ):
+            shapes = (
+                f"(frames, {requested[0]}, {requested[1]}) with at least one frame, not "
+                f"{array.shape}"
+            )
             raise InputError(f"values must have the shape {shapes}")
         if not 0 <= baseline <= len(array):
-            raise InputError(f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}")
+            raise InputError(
+                f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}"
+            )
         check_unit(unit, known, "values")
         known = known or Scene(Panel(*array.shape[1:]))
-        recorded = recorded_values(array, unit, known, lambda *at: f"values[{', '.join(map(str, at))}]", "values")
+        recorded = recorded_values(
+            array, unit, known, lambda *at: f"values[{', '.join(map(str, at))}]", "values"
+        )
         role = np.where(np.arange(len(array)) < baseline, UNLOADED, MEASURED).astype(np.uint8)
         seconds = np.arange(len(array), dtype=float) if time is None else time.astype(float)
         return cls(known, recorded, seconds, role)
@@ -229,10 +261,11 @@ class Recording(Validated):
         rows: int | None = None,
         columns: int | None = None,
     ) -> "Recording":
-        """Return the recording of a pandas.DataFrame, or of another table with `columns` and `itertuples`.
+        """Return the recording of a pandas.DataFrame, or of another table.
 
-        The names of its columns are understood as those of a file's header (docs/howto/import.md): a line for each
-        frame, each row of a frame, or each value. An index with a name, or of dates, is a column, too.
+        The other table has `columns` and `itertuples`. The names of its columns are understood as
+        those of a file's header (docs/howto/import.md): a line for each frame, each row of a frame,
+        or each value. An index with a name, or of dates, is a column, too.
 
         Parameters
         ----------
@@ -251,7 +284,8 @@ class Recording(Validated):
             If the table does not fit the panel, with the line and the column.
 
         >>> import pandas as pd
-        >>> table = pd.DataFrame({"time_s": [0.0, 0.5], "r0c0": [510.2, 505.1], "r0c1": [480.4, 250.3]})
+        >>> cells = {"r0c0": [510.2, 505.1], "r0c1": [480.4, 250.3]}
+        >>> table = pd.DataFrame({"time_s": [0.0, 0.5], **cells})
         >>> lampest.Recording.from_dataframe(table, rows=1, columns=2)
         Recording(recording: 2 frames (0 unloaded) of 1 × 2 cells, 0 to 0.5 s)
         """
@@ -262,7 +296,9 @@ class Recording(Validated):
         values = np.where(panel.present, frames.values, np.nan)
         named = unit or understood_unit(values, named_units(frames, "table"), known, "table")[0]
         clock = None if frames.timing is None else frames.timing(None)
-        made = cls.from_array(values, named, baseline, known or Scene(panel), None if clock is None else clock.seconds)
+        made = cls.from_array(
+            values, named, baseline, known or Scene(panel), None if clock is None else clock.seconds
+        )
         return made if clock is None else replace(made, start_time=clock.start)
 
     @classmethod
@@ -278,8 +314,8 @@ class Recording(Validated):
         Parameters
         ----------
         data : DataArray
-            Dimensions are recognised by their names: time (or frame), row (or y), column (or x). Coordinates of the
-            time in s, or dates, are the times of the frames.
+            Dimensions are recognised by their names: time (or frame), row (or y), column (or x).
+            Coordinates of the time in s, or dates, are the times of the frames.
         unit : str or None
             None: its attribute `units`, otherwise ohm.
         baseline, scene
@@ -291,7 +327,9 @@ class Recording(Validated):
             If dimensions are not recognised, or a value is impossible in this unit and scene.
 
         >>> import xarray
-        >>> data = xarray.DataArray(np.full((2, 3, 4), 500.0), dims=("row", "column", "time"), attrs={"units": "ohm"})
+        >>> values = np.full((2, 3, 4), 500.0)
+        >>> axes = ("row", "column", "time")
+        >>> data = xarray.DataArray(values, dims=axes, attrs={"units": "ohm"})
         >>> lampest.Recording.from_xarray(data, baseline=1)
         Recording(recording: 4 frames (1 unloaded) of 2 × 3 cells, 0 to 3 s)
         """
@@ -307,7 +345,9 @@ class Recording(Validated):
         vmin: float | None = None,
         vmax: float | None = None,
     ) -> Any:
-        """Return a Matplotlib figure with a map of a frame's readings, against the unloaded ones where there are some.
+        """Return a Matplotlib figure with a map of a frame's readings.
+
+        They are shown against the unloaded ones where there are some.
 
         Parameters
         ----------
@@ -322,12 +362,16 @@ class Recording(Validated):
             If there is no such frame.
         """
         with extra():
-            from lampest.report.plots import recording_picture  # loaded where a picture is asked for
+            # Loaded where a picture is asked for.
+            from lampest.report.plots import recording_picture
 
         return recording_picture(self, frame, ax, figsize, vmin, vmax)
 
     def save(self, path: str | Path) -> None:
-        """Write the recording, completely or not at all. Raises InputError if the file cannot be written."""
+        """Write the recording, completely or not at all.
+
+        Raises InputError if the file cannot be written.
+        """
         with hdf5.new_file(Path(path)) as file:
             self._write(file)
 
@@ -339,17 +383,24 @@ class Recording(Validated):
         if self.start_time is not None:
             hdf5.write_text(entry, "start_time", self.start_time)  # NeXus has it under this name
         axes = {1: ("time",), 2: ("row", "column"), 3: ("time", "row", "column")}
-        flags = {"flag_values": np.array(ROLES, dtype=np.uint8), "flag_meanings": "unloaded measured"}
+        flags = {
+            "flag_values": np.array(ROLES, dtype=np.uint8),
+            "flag_meanings": "unloaded measured",
+        }
         for field, (path, kind, units, long_name) in stored_fields(self.scene.circuit).items():
             name, signal = path.split("/")
-            values = None if field == "raw_sums" and self.raw_readings is None else getattr(self, field)
+            values = (
+                None if field == "raw_sums" and self.raw_readings is None else getattr(self, field)
+            )
             if values is None or field == "time":  # each group has a time of its own
                 continue
             group = entry.get(name)
             if group is None:
                 group = create_frames_group(entry, name, signal, self.scene.panel, self.time)
             meanings: dict[str, Any] = flags if field == "role" else {}
-            hdf5.write_dataset(group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings)
+            hdf5.write_dataset(
+                group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings
+            )
         if "raw" in entry:
             hdf5.set_attributes(entry["raw"], readings=np.uint16(self.raw_readings or 0))
         if self.truth_cell_resistance is not None and self.simulation is not None:
@@ -367,7 +418,12 @@ class Recording(Validated):
         maps = {name: values for name in names if (values := getattr(self, name)) is not None}
         cells = [(..., *layout.cells(number)) for number in range(layout.count)]
         return tuple(
-            replace(self, scene=scene, of_module=True, **{name: column[inside] for name, column in maps.items()})
+            replace(
+                self,
+                scene=scene,
+                of_module=True,
+                **{name: column[inside] for name, column in maps.items()},
+            )
             for inside, scene in zip(cells, self.scene.of_modules, strict=True)
         )
 

@@ -1,7 +1,7 @@
 """Recordings that are too long for memory: files that are read, estimated and written part by part.
 
-A recording of more than MAX_READINGS readings stays in its file. Its parts have PART_READINGS readings each, and end,
-where possible, with a chunk of the results.
+A recording of more than MAX_READINGS readings stays in its file. Its parts have PART_READINGS
+readings each, and end, where possible, with a chunk of the results.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,7 +24,8 @@ from lampest.recording.acquisition import group_of, undamaged_frames
 from lampest.recording.file import recording_file
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-MAX_READINGS = 2_000_000  # readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each
+# Readings of a recording in memory at once: 2 GB, because error bars take 1 kB for each.
+MAX_READINGS = 2_000_000
 PART_READINGS = 500_000  # readings of a part of a longer recording
 
 
@@ -49,7 +50,10 @@ class StoredRecording:
 
     @classmethod
     def of(cls, path: Path) -> "StoredRecording":
-        """Return the stored recording of a file. Raises InputError if it is no recording, or its datasets disagree."""
+        """Return the stored recording of a file.
+
+        Raises InputError if it is no recording, or its datasets disagree.
+        """
         with recording_file(path) as (file, scene, group, signal):
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
@@ -57,8 +61,15 @@ class StoredRecording:
             end = undamaged_frames(file, scene).stop
             for axis in (f"{group}/time", f"{group}/role") if end is None else ():
                 if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
-                    raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")
-        return cls(path, scene, shape[0] if end is None else end, Recording.load(path, slice(0, 1)).start_time)
+                    raise InputError(
+                        f"{path}: {axis} does not have one value for each of the {shape[0]} frames"
+                    )
+        return cls(
+            path,
+            scene,
+            shape[0] if end is None else end,
+            Recording.load(path, slice(0, 1)).start_time,
+        )
 
     @property
     def name(self) -> str:
@@ -76,7 +87,11 @@ class StoredRecording:
         with hdf5.existing_file(self.path) as file:
             path = f"/entry/{group_of(self.scene.circuit)}/role"
             known = hdf5.has(file, path)
-            return hdf5.read_array(file, path, 1, part=slice(0, self.frames)) if known else np.ones(self.frames)
+            return (
+                hdf5.read_array(file, path, 1, part=slice(0, self.frames))
+                if known
+                else np.ones(self.frames)
+            )
 
     @cached_property
     def blocks(self) -> tuple[range, ...]:
@@ -97,10 +112,17 @@ class StoredRecording:
     @property
     def measured_blocks(self) -> tuple[int, ...]:
         """Numbers of the blocks with measured frames."""
-        return tuple(n for n, part in enumerate(self.blocks) if np.any(self.role[part.start : part.stop] == MEASURED))
+        return tuple(
+            n
+            for n, part in enumerate(self.blocks)
+            if np.any(self.role[part.start : part.stop] == MEASURED)
+        )
 
     def part(self, frames: range, beside: int = 0) -> Recording:
-        """Return a range of frames with up to `beside` further ones on either side. Raises as `Recording.load`."""
+        """Return a range of frames with up to `beside` further ones on either side.
+
+        Raises as `Recording.load`.
+        """
         within = slice(max(frames.start - beside, 0), min(frames.stop + beside, self.frames))
         return replace(Recording.load(self.path, within), start_time=self.start_time)
 
@@ -111,25 +133,43 @@ def joined(parts: Sequence[Recording], chosen: NDArray[Any] | None = None) -> Re
     `chosen` are their indices or a mask; None: each numbered frame of overlapping parts once.
     """
     first = parts[0]
-    names = ["recorded", "time", "role", "number", "board_log_change", "truth_cell_resistance", "truth_pressure"]
+    names = [
+        "recorded",
+        "time",
+        "role",
+        "number",
+        "board_log_change",
+        "truth_cell_resistance",
+        "truth_pressure",
+    ]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
     present = [name for name in names if getattr(first, name) is not None]
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in present
+    }
     frames = np.unique(columns["number"], return_index=True)[1] if chosen is None else chosen
     chosen_of_each = {name: values[frames] for name, values in columns.items()}
     return replace(first, **chosen_of_each, raw_sums=None, raw_readings=None, acquisition=None)
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
-    """Return at most `most` unloaded frames from the beginning of a recording; None if there is none."""
+    """Return at most `most` unloaded frames from the beginning of a recording.
+
+    None if there is none.
+    """
     numbers = np.flatnonzero(stored.role == UNLOADED)[:most]
     parts = (stored.part(frames) for frames in stored.blocks if np.isin(numbers, frames).any())
-    chosen = [joined((part,), np.isin(part.number, numbers)) for part in parts if part.number is not None]
+    chosen = [
+        joined((part,), np.isin(part.number, numbers)) for part in parts if part.number is not None
+    ]
     return joined(chosen) if chosen else None
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
-    """Return the measured frames of a range, and of `beside` frames on either side; None if the range has none."""
+    """Return the measured frames of a range, and of `beside` frames on either side.
+
+    None if the range has none.
+    """
     part = stored.part(frames, beside)
     assert part.number is not None
     measured = part.role == MEASURED
@@ -140,7 +180,8 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:
     """Write a recording from its parts, completely or not at all.
 
-    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it cannot be written.
+    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it
+    cannot be written.
     """
     files: list[Path] = []
     with folder_beside(path) as folder:
@@ -159,7 +200,10 @@ def too_long(frames: int, cells: int) -> bool:
 
 
 def opened(path: Path) -> Recording | StoredRecording:
-    """Return the recording of a file, as parts if it is too long for memory. Raises InputError as `Recording.load`."""
+    """Return the recording of a file, as parts if it is too long for memory.
+
+    Raises InputError as `Recording.load`.
+    """
     with recording_file(path) as (file, _, group, signal):
         readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
     return StoredRecording.of(path) if readings > MAX_READINGS else Recording.load(path)

@@ -11,27 +11,35 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 
 def frames_named(text: str, frames: int | None = None) -> range:
-    """Return the range of frames for a text such as '40:50', frames 40 to 49; either side may be omitted.
+    """Return the range of frames for a text such as '40:50', frames 40 to 49.
 
-    `frames` is the number of frames of the recording, if it is known. Raises InputError for an invalid or empty range.
+    Either side may be omitted. `frames` is the number of frames of the recording, if it is known.
+    Raises InputError for an invalid or empty range.
     """
     match = re.fullmatch(r"\s*(\d{0,9})\s*:\s*(\d{0,9})\s*", text)
     if match is None:
-        raise InputError(f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}")
+        raise InputError(
+            f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}"
+        )
     named = range(int(match[1] or 0), int(match[2] or frames or sys.maxsize))
     if frames is not None and not named.start < named.stop <= frames:
-        raise InputError(f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named")
+        raise InputError(
+            f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named"
+        )
     return named
 
 
 def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
-    """Return the recording with given frames as the only unloaded ones, and the change of readings within them.
+    """Return the recording with given frames as the only unloaded ones, and their change.
 
-    The change is the largest relative change of a reading from the first half of the frames to the second half; 0 for a
-    single frame. Raises InputError if no measured frame would remain.
+    It is the change of readings within them. The change is the largest relative change of a reading
+    from the first half of the frames to the second half; 0 for a single frame. Raises InputError if
+    no measured frame would remain.
     """
     if len(frames) == len(recording.role):
-        raise InputError(f"{recording.name}: where all frames are unloaded, none is left to measure")
+        raise InputError(
+            f"{recording.name}: where all frames are unloaded, none is left to measure"
+        )
     role = np.full(len(recording.role), MEASURED, dtype=np.uint8)
     role[frames.start : frames.stop] = UNLOADED
     shown = recording.readings()[frames.start : frames.stop].shown

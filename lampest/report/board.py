@@ -14,24 +14,36 @@ MAX_COMPARED = 12  # frames, evenly over the recording: some seconds
 
 
 def board_sentence(recording: Recording) -> str:
-    """Return what the board estimated, and its difference from lampest's default estimate; '' without a board's."""
+    """Return what the board estimated, and its difference from lampest's default estimate.
+
+    '' without a board's.
+    """
     if recording.board_log_change is None:
         return ""
     measured = recording.role == MEASURED
     estimated = measured & np.isfinite(recording.board_log_change).any(axis=(1, 2))
-    count = f"the board estimated {int(np.sum(estimated))} of {int(np.sum(measured))} measured frames"
+    count = (
+        f"the board estimated {int(np.sum(estimated))} of {int(np.sum(measured))} measured frames"
+    )
     unloaded = recording.role == UNLOADED
     if not np.any(unloaded) or not np.any(estimated):
-        return f"{count}; they are compared where unloaded frames precede them" if np.any(estimated) else count
+        return (
+            f"{count}; they are compared where unloaded frames precede them"
+            if np.any(estimated)
+            else count
+        )
     try:
         return f"{count}; {_difference(recording, unloaded, np.flatnonzero(estimated))}"
     except InputError as error:
         return f"{count}; not compared: {error}"
 
 
-def _difference(recording: Recording, unloaded: NDArray[np.bool_], estimated: NDArray[np.intp]) -> str:
+def _difference(
+    recording: Recording, unloaded: NDArray[np.bool_], estimated: NDArray[np.intp]
+) -> str:
     """Return the difference in words. Raises InputError where lampest has no estimate."""
-    from lampest.estimate.estimator import Estimator  # with all of the estimate, which results do without
+    # With all of the estimate, which results do without.
+    from lampest.estimate.estimator import Estimator
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
 
@@ -55,7 +67,9 @@ def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArr
         Their numbers in the recording.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        difference = np.abs(board_log_change - np.log(case.cell_resistance / case.baseline_resistance))
+        difference = np.abs(
+            board_log_change - np.log(case.cell_resistance / case.baseline_resistance)
+        )
     difference[(case.open_cell | case.at_lower_bound) > 0] = np.nan
     size = difference
     if case.sigma_own is not None:
@@ -74,6 +88,7 @@ def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArr
     unit = "" if case.sigma_own is None else "; σ is a cell's own error"
     count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"
     return (
-        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) by {median} in the median, {largest} at "
+        f"its cells differ from lampest's ({' + '.join(case.costs)}, {count}) by {median} in the "
+        f"median, {largest} at "
         f"most, in frame {frames[worst[0]]}{unit}"
     )

@@ -1,4 +1,7 @@
-"""Comparison tables of recordings and estimators: solve time, data error, cell error, published figures."""
+"""Comparison tables of recordings and estimators.
+
+They compare solve time, data error, cell error, published figures.
+"""
 
 import csv
 import io
@@ -25,22 +28,31 @@ if TYPE_CHECKING:
     from lampest.runs.case import DataFrame
 
 Steps = Literal["all", "initial", "following"]
-Columns = Mapping[str, str | Callable[[Any], str]]  # header → template over the values of an item, or its text
-Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
+# Header → template over the values of an item, or its text.
+Columns = Mapping[str, str | Callable[[Any], str]]
+# Header of the CSV file → figure of a case over some of its steps, None where there is none.
+Row = Mapping[str, Any]
 ASIDE = ("label", "warnings", "chosen weights")  # entries of a row that are not in the table
 MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
 MAX_SHOWN = 6  # recordings, estimators of them, and contacts that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # explanations of headers that begin with the key
-    "verified by IPOPT": "verified by IPOPT: frames solved again on the nodal program from another start "
-    "(the strongest of a recording by default, `verify`): largest difference of ln r between both estimates",
-    "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
+    "verified by IPOPT": "verified by IPOPT: frames solved again on the nodal program from another "
+    "start "
+    "(the strongest of a recording by default, `verify`): largest difference of ln r between both "
+    "estimates",
+    "solved": "solved: frames at a verified local optimum, the best of all starts; approximate "
+    "formulations: all "
     "frames with an estimate",
-    "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
-    "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
-    "own / common": "own / common sd: median standard deviations of each cell's own error / of the error common to all",
+    "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over "
+    "all readings",
+    "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th "
+    "percentile",
+    "own / common": "own / common sd: median standard deviations of each cell's own error / of the "
+    "error common to all",
     "pressure sd": "pressure sd: the same of the pressures of pressed cells, own / common",
-    "first": "first, later: the first frame, estimated jointly with the baseline as in the paper; the frames after it",
+    "first": "first, later: the first frame, estimated jointly with the baseline as in the paper; "
+    "the frames after it",
     "published": "published: of another recording and computer, as the run's file quotes it",
 }
 
@@ -70,7 +82,9 @@ class Table:
 class _Template(Formatter):
     """Template over the values of a row by their names, whatever signs these have."""
 
-    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> tuple[Any, str]:
+    def get_field(
+        self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]
+    ) -> tuple[Any, str]:
         return kwargs[field_name], field_name
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -85,7 +99,9 @@ def screen_table(items: Iterable[Any], columns: Columns, title: str = "") -> Tab
     def text(of: str | Callable[[Any], str], item: Any) -> str:
         if callable(of):
             return of(item)
-        return template.vformat(of, (), item if isinstance(item, Mapping) else vars(item)).strip(" ±/")
+        return template.vformat(of, (), item if isinstance(item, Mapping) else vars(item)).strip(
+            " ±/"
+        )
 
     texts = {header: [text(of, item) for item in items] for header, of in columns.items()}
     filled = {header: column for header, column in texts.items() if any(column)}
@@ -103,10 +119,15 @@ STATISTICS: dict[str, Callable[[Array], float | None]] = {
 
 
 def statistics(values: Array | None, header: str, *names: str) -> dict[str, float | None]:
-    """Map headers such as 'time {} [s]' to statistics of the finite values, None if there are no such values."""
+    """Map headers such as 'time {} [s]' to statistics of the finite values.
+
+    None if there are no such values.
+    """
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     with np.errstate(over="ignore", invalid="ignore"):
-        return {header.format(name): STATISTICS[name](known) if known.size else None for name in names}
+        return {
+            header.format(name): STATISTICS[name](known) if known.size else None for name in names
+        }
 
 
 def relative_error(values: Array, reference: Array) -> Array:
@@ -116,12 +137,18 @@ def relative_error(values: Array, reference: Array) -> Array:
 
 
 def data_error(case: CaseResult) -> Array:
-    """Return 100·|model − measured|/measured, (frames, rows, columns) percent; NaN where a reading is no value."""
+    """Return 100·|model − measured|/measured, (frames, rows, columns) percent.
+
+    NaN where a reading is no value.
+    """
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
 
 def weighted_residual(case: CaseResult) -> Array:
-    """Return (model − measured)/σ, (frames, rows, columns); NaN where a reading is no value, and without σ."""
+    """Return (model − measured)/σ, (frames, rows, columns).
+
+    NaN where a reading is no value, and without σ.
+    """
     sigma = np.nan if case.sigma is None else case.sigma
     return np.where(case.valued, (case.reading_model - case.measured) / sigma, np.nan)
 
@@ -137,8 +164,8 @@ def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> l
 def compare(results: Results, source: str = "") -> list[Row]:
     """Return the rows of one results file.
 
-    A case has one row, with `steps` equal to 'all'. A case whose first frame was solved jointly with the baseline has
-    two, 'initial' and 'following'. Failed frames count in `frames` only.
+    A case has one row, with `steps` equal to 'all'. A case whose first frame was solved jointly
+    with the baseline has two, 'initial' and 'following'. Failed frames count in `frames` only.
     """
     rows: list[Row] = []
     for case in results.cases:
@@ -147,22 +174,38 @@ def compare(results: Results, source: str = "") -> list[Row]:
         parts: dict[Steps, NDArray[np.bool_]] = {"initial": first, "following": ~first}
         if not case.joint_start:
             parts = {"all": first | ~first}
-        texts = {"model": case.model_mark, "model check": case.model_sentence, "noise check": case.noise_sentence}
+        texts = {
+            "model": case.model_mark,
+            "model check": case.model_sentence,
+            "noise check": case.noise_sentence,
+        }
         label = case.unswept_name if case.swept else results.label(case).replace("lambda", "λ")
         texts |= {"label": label, "warnings": case.warnings, "chosen weights": case.chosen_weights}
         for steps, chosen in parts.items():
             if np.any(chosen) or steps == "all":
-                named = {"results": source, "recording": case.recording, "estimator": case.estimator, "steps": steps}
+                named = {
+                    "results": source,
+                    "recording": case.recording,
+                    "estimator": case.estimator,
+                    "steps": steps,
+                }
                 figures = figures_of(case, chosen) | _quoted(published, steps)
                 rows.append(named | {"swept": case.swept} | figures | texts)
     return rows
 
 
 def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-    """Map headers to figures of the solved frames among the chosen ones, and to counts of their missing readings."""
+    """Map headers to figures of the solved frames among the chosen ones.
+
+    Headers are also mapped to counts of their missing readings.
+    """
     good = chosen & case.solved
-    errors = None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
-    individual, common = (None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common))
+    errors = (
+        None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
+    )
+    individual, common = (
+        None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common)
+    )
     own_kpa, common_kpa = case.pressed_errors(good) or (None, None)
     counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
     return {
@@ -180,21 +223,32 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         **statistics(common_kpa, "common standard deviation of pressed cells {} [kPa]", "median"),
         "open cells": int(np.sum(case.open_cell[good] != 0)),
         **statistics(case.kkt_residual[good], "worst KKT residual", "largest"),
-        **{name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()},
+        **{
+            name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()
+        },
     }
 
 
 def _solver_of(case: CaseResult, good: NDArray[np.bool_]) -> str:
-    """Return the solver of the solved frames, with the number of frames of each where there are several."""
-    names = () if case.solver is None else tuple(name for name, chosen in zip(case.solver, good, strict=True) if chosen)
+    """Return the solver of the solved frames.
+
+    It is with the number of frames of each where there are several.
+    """
+    names = (
+        ()
+        if case.solver is None
+        else tuple(name for name, chosen in zip(case.solver, good, strict=True) if chosen)
+    )
     counts = {name: names.count(name) for name in dict.fromkeys(names) if name}
-    return ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts.items())
+    return ", ".join(
+        name if len(counts) == 1 else f"{name} ({count})" for name, count in counts.items()
+    )
 
 
 def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
-    """Return the outcome of the second solves by IPOPT in words; '' where no frame was solved again.
+    """Return the outcome of the second solves by IPOPT in words.
 
-    An agreeing frame has the largest difference of ln r.
+    '' where no frame was solved again. An agreeing frame has the largest difference of ln r.
     """
     if case.verified is None or case.verified_difference is None or case.verified_decrease is None:
         return ""
@@ -205,7 +259,11 @@ def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
     lower = chosen & (case.verified == Witness.LOWER)
     if lower.any():
         decrease = 100 * case.verified_decrease[lower].max()
-        texts.append(f"IPOPT found a cost {decrease:.2g} % lower: kept" if decrease else "IPOPT alone solved it: kept")
+        texts.append(
+            f"IPOPT found a cost {decrease:.2g} % lower: kept"
+            if decrease
+            else "IPOPT alone solved it: kept"
+        )
     if np.any(chosen & (case.verified == Witness.HIGHER)):
         texts.append("IPOPT ended higher")
     if np.any(chosen & (case.verified == Witness.FAILED)):
@@ -214,7 +272,10 @@ def _verified_text(case: CaseResult, chosen: NDArray[np.bool_]) -> str:
 
 
 def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
-    """Return published figures of these steps; figures of all steps and of following steps substitute each other."""
+    """Return published figures of these steps.
+
+    Figures of all steps and of following steps substitute each other.
+    """
     known = published or PublishedFigures()
     later = (known.all, known.following) if steps == "all" else (known.following, known.all)
     figures = next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
@@ -227,11 +288,21 @@ def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
-    """Return the weights that the data chose, and the warnings of each recording, a line each; each once."""
+    """Return the weights that the data chose, and the warnings of each recording.
+
+    A line each; each once.
+    """
     chosen = (
-        f"{row['recording']}, {row['estimator']}: {row['chosen weights']}" for row in rows if row["chosen weights"]
+        f"{row['recording']}, {row['estimator']}: {row['chosen weights']}"
+        for row in rows
+        if row["chosen weights"]
     )
-    notes = (f"warning: {row['recording']}: {line}" for row in rows for line in row["warnings"].split("\n") if line)
+    notes = (
+        f"warning: {row['recording']}: {line}"
+        for row in rows
+        for line in row["warnings"].split("\n")
+        if line
+    )
     return list(dict.fromkeys((*chosen, *notes)))
 
 
@@ -247,7 +318,9 @@ def write_rows(stream: TextIO, rows: Iterable[Iterable[object]]) -> None:
 
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
-    """Write all figures of the rows as CSV with units in the headers, full precision, empty where there is none.
+    """Write all figures of the rows as CSV with units in the headers.
+
+    They have full precision, and are empty where there is none.
 
     Raises InputError where the place cannot be written.
     """
@@ -261,7 +334,11 @@ def table_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     lines = list[dict[str, Any]]()
     for row in rows:
         swept = {key: row["swept"].get(key) for key in keys}
-        parts = (swept if header == "swept" else {header: row[header]} for header in row if header not in ASIDE)
+        parts = (
+            swept if header == "swept" else {header: row[header]}
+            for header in row
+            if header not in ASIDE
+        )
         lines.append({header: figure for part in parts for header, figure in part.items()})
     return lines
 
@@ -272,11 +349,14 @@ def swept_keys(rows: Iterable[Row]) -> tuple[str, ...]:
 
 
 def comparison(*paths: str | Path) -> "DataFrame":
-    """Return the table of `lampest compare` as a pandas.DataFrame, with a column for each swept key.
+    """Return the table of `lampest compare` as a pandas.DataFrame.
+
+    It has a column for each swept key.
 
     Raises InputError where a results file cannot be read, or pandas is not installed.
 
-    >>> lampest.comparison("results.h5")[["recording", "estimator", "frames solved"]].values.tolist()
+    >>> table = lampest.comparison("results.h5")
+    >>> table[["recording", "estimator", "frames solved"]].values.tolist()
     [['mine', 'LSM', 2]]
     """
     return data_frame(table_lines(compare_files(paths)))
@@ -289,7 +369,9 @@ def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table
     """
     groups = list(grouped(rows, itemgetter("results", "recording")).values())
     if len(groups) > MAX_SHOWN:
-        title = f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
+        title = (
+            f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
+        )
         estimators = grouped(rows, itemgetter("estimator", "steps")).values()
         return [screen_table(estimators, _with_swept(OVER_ALL, rows), title)]
     several = len({row["results"] for row in rows}) > 1
@@ -298,13 +380,25 @@ def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table
 
 
 def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
-    """Return the columns of rows, or of groups of them, with one for each swept key after the estimator."""
+    """Return the columns of rows, or of groups of them, with one for each swept key.
+
+    These come after the estimator.
+    """
     first, *remaining = columns.items()
-    return dict([first, *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)), *remaining])
+    return dict(
+        [
+            first,
+            *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)),
+            *remaining,
+        ]
+    )
 
 
 def _swept_text(key: str, rows: Row | Sequence[Row]) -> str:
-    """Return the value that a sweep gave a key in a row or in a group of rows, as text; '' where it gave none."""
+    """Return the value that a sweep gave a key in a row or in a group of rows, as text.
+
+    '' where it gave none.
+    """
     row = rows if isinstance(rows, Mapping) else rows[0]
     value = row["swept"].get(key, "")
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -322,7 +416,9 @@ def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
     """Return a sentence for each header of the tables that needs an explanation."""
     headers = [header for block in blocks for header in block.headers]
     headers += ["first"] * any(row["steps"] != "all" for row in rows)
-    return [note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)]
+    return [
+        note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)
+    ]
 
 
 def _title(group: Sequence[Row], *, several: bool) -> str:
@@ -330,7 +426,8 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
     first = group[0]
     first_rows = [row for row in group if row["estimator"] == first["estimator"]]
     frames, missing, bounds = (
-        sum(row[name] for row in first_rows) for name in ("frames", "missing readings", "bound readings")
+        sum(row[name] for row in first_rows)
+        for name in ("frames", "missing readings", "bound readings")
     )
     parts = [counted(frames, "frame")]
     parts += [f"{counted(missing, 'reading')} missing"] if missing else []
@@ -339,13 +436,18 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
 
 
 def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
-    """Return mean and standard deviation such as '2.3 ± 1.4', '' without; header is such as 'time {} [s]'."""
+    """Return mean and standard deviation such as '2.3 ± 1.4', '' without.
+
+    The header is such as 'time {} [s]'.
+    """
     mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
     if mean is None:
         return ""
     if 0 < mean * factor < MIN_DIFFERENCE:
         return f"< {MIN_DIFFERENCE:g}"
-    return digits(factor * mean, 2) + ("" if sd is None else f" ± {digits(factor * sd, 2, like=factor * mean)}")
+    return digits(factor * mean, 2) + (
+        "" if sd is None else f" ± {digits(factor * sd, 2, like=factor * mean)}"
+    )
 
 
 def _solved(group: Sequence[Row]) -> str:
@@ -353,8 +455,13 @@ def _solved(group: Sequence[Row]) -> str:
     return f"{solved}/{frames}{STEPS[group[0]['steps']]}"
 
 
-def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float], factor: float = 1.0) -> str:
-    """Return statistics of a group's figures, such as '2.1 … 3.5', or '' if there are no figures."""
+def _over(
+    group: Sequence[Row], header: str, *functions: Callable[[Any], float], factor: float = 1.0
+) -> str:
+    """Return statistics of a group's figures, such as '2.1 … 3.5'.
+
+    '' if there are no figures.
+    """
     known = [factor * row[header] for row in group if row[header] is not None]
     return " … ".join(digits(float(function(known))) for function in functions if known)
 
@@ -367,7 +474,8 @@ COLUMNS: Columns = {
     "verified by IPOPT": "{verified by IPOPT}",
     "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
     "cell error [%]": "{cell error median [%]:digits} / {cell error 95th percentile [%]:digits}",
-    "own / common sd [%]": "{own standard deviation median [%]:digits} / {common standard deviation median [%]:digits}",
+    "own / common sd [%]": "{own standard deviation median [%]:digits} / {common standard "
+    "deviation median [%]:digits}",
     "pressure sd [kPa]": "{own standard deviation of pressed cells median [kPa]:digits} / "
     "{common standard deviation of pressed cells median [kPa]:digits}",
 }

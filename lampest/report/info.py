@@ -34,15 +34,23 @@ UNKNOWN = "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 Sentence = tuple[str, object]  # heading, text
-UNSEALED = "readable, but without checksums: written by an older version or another program, or never closed"
-WEAK = "readable; its checksums notice turned bits, but neither zeroed nor exchanged values (no digests: {paths})"
+UNSEALED = (
+    "readable, but without checksums: written by an older version or another program, or "
+    "never closed"
+)
+WEAK = (
+    "readable; its checksums notice turned bits, but neither zeroed nor exchanged values (no "
+    "digests: {paths})"
+)
 
 
 def describe(path: str | Path) -> list[str]:
-    """Describe a file: format, frames, panel, scene, times, roles, range of readings, and the strongest change.
+    """Describe a file.
 
-    Of a file that exceeds the memory, all frames are counted and the first ones are described. Raises InputError for a
-    damaged file and for one that is neither a recording nor results.
+    Format, frames, panel, scene, times, roles, range of readings, and the strongest change.
+
+    Of a file that exceeds the memory, all frames are counted and the first ones are described.
+    Raises InputError for a damaged file and for one that is neither a recording nor results.
     """
     path = Path(path)
     too_long_words = "too long for memory; frames {} to {}:"
@@ -72,7 +80,10 @@ def describe(path: str | Path) -> list[str]:
 
 
 def _lines(sentences: Iterable[Sentence]) -> list[str]:
-    """Return a line for each sentence that is not empty, behind its heading; files hold ± as ASCII."""
+    """Return a line for each sentence that is not empty, behind its heading.
+
+    Files hold ± as ASCII.
+    """
     return [f"{head:10} {text}".replace("+-", "±") for head, text in sentences if text]
 
 
@@ -80,7 +91,11 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     """Yield the numbers of frames and their times."""
     unloaded = int(np.sum(role == UNLOADED))
     measured = int(np.sum(role == MEASURED))
-    yield "frames", f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
+    yield (
+        "frames",
+        f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} "
+        "s",
+    )
 
 
 def _recording_lines(recording: Recording) -> list[str]:
@@ -100,36 +115,52 @@ def _recording_lines(recording: Recording) -> list[str]:
         ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
         *(("", sentence) for sentence in _holes(recording)),
         ("board", board_sentence(recording)),
-        ("besides", ", ".join(name for name, values in extras.items() if values is not None) or "nothing"),
+        (
+            "besides",
+            ", ".join(name for name, values in extras.items() if values is not None) or "nothing",
+        ),
     ]
     strongest = strongest_readings(recording)
     lines = _lines(sentences)
     if strongest is None:
         return [*lines, f"readings of frame 0 in {circuit.unit}:", *text_map(recording.recorded[0])]
     where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
-    return [*lines, f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(strongest[1])]
+    return [
+        *lines,
+        f"readings of {where}, the strongest change against the unloaded ones:",
+        *shaded_map(strongest[1]),
+    ]
 
 
 def _audit(recording: Recording) -> Iterator[Sentence]:
-    """Yield the health of the panel, the noise of the frames, the verdict on the circuit, warnings and advice."""
+    """Yield the health of the panel, the noise of the frames and the verdict on the circuit.
+
+    Warnings and advice follow.
+    """
     from lampest.audit.advice import Audit  # with all of the estimate, which results do without
     from lampest.estimate.prepared import Prepared
 
     with suppress(InputError):  # an estimate raises it; a description of the file does not
         audit = Audit(Prepared(recording))
-        yield from (("health" if not number else "", line) for number, line in enumerate(audit.health.lines))
+        yield from (
+            ("health" if not number else "", line) for number, line in enumerate(audit.health.lines)
+        )
         yield "noise", audit.prepared.frame_noise.summary
         yield "model", f"{audit.verdict.mark}: {audit.verdict.sentence}"
         told = audit.verdict.sentence
         if (reason := _processing(recording)) and recording.scene.baseline is None:
             yield "warning", f"these are no readings as the converter gives them: {reason}"
-        yield from (("warning", warning) for warning in audit.prepared.warnings if warning not in told)
+        yield from (
+            ("warning", warning) for warning in audit.prepared.warnings if warning not in told
+        )
         yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
         yield from (("advice", finding.text) for finding in audit.advice)
 
 
 def apply_advice(path: str | Path) -> list[str]:
-    """Write the lines of a recording's advice into its scene, and return what was done in sentences.
+    """Write the lines of a recording's advice into its scene.
+
+    Return what was done in sentences.
 
     Raises InputError where the file is no recording that fits into memory.
     """
@@ -140,19 +171,28 @@ def apply_advice(path: str | Path) -> list[str]:
     path = Path(path)
     own(path)
     if hdf5.format_of(path) == FORMAT:
-        raise InputError(f"{path}: --apply: results keep the scene of their run; name the recording")
+        raise InputError(
+            f"{path}: --apply: results keep the scene of their run; name the recording"
+        )
     recording = opened(path)
     if not isinstance(recording, Recording):
-        raise InputError(f"{path}: --apply: too long for memory; write the lines into its scene before import")
+        raise InputError(
+            f"{path}: --apply: too long for memory; write the lines into its scene before import"
+        )
     scene, taken, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
     if taken:
         replace(recording, scene=scene).save(path)
     done = [f"written to the scene of {path}: {line}" for line in taken]
-    return [*done, *(f"not written: {sentence}" for sentence in refused)] or [f"{path}: no advice has a line to write"]
+    return [*done, *(f"not written: {sentence}" for sentence in refused)] or [
+        f"{path}: no advice has a line to write"
+    ]
 
 
 def _processing(recording: Recording) -> str:
-    """Return what firmware did to the recorded readings; '' where nothing is seen. See `processing_of`."""
+    """Return what firmware did to the recorded readings.
+
+    '' where nothing is seen. See `processing_of`.
+    """
     readout = recording.scene.readout
     panel = recording.scene.panel
     if readout is None or readout.floor_code is not None:
@@ -172,8 +212,14 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
         each = f"{modules.each.rows} × {modules.each.columns}"
         seam = f"seams of {modules.seam_mm:g} mm"
         cells = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
-    yield "panel", f"{panel.rows} rows × {panel.columns} columns{cells}, pitch {panel.pitch_mm:g} mm"
-    yield "readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()
+    yield (
+        "panel",
+        f"{panel.rows} rows × {panel.columns} columns{cells}, pitch {panel.pitch_mm:g} mm",
+    )
+    yield (
+        "readout",
+        "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
+    )
     yield "assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"
     yield "series", scene.series_text if scene.circuit.unit == "ohm" else ""
     for name, part in plain_content(scene).items():
@@ -182,12 +228,15 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
 
 
 def _in_words(part: Any) -> str:
-    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'; many numbers as their range.
+    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'.
 
-    Entries of a list of mappings are separated by semicolons.
+    Many numbers are given as their range. Entries of a list of mappings are separated by
+    semicolons.
     """
     if isinstance(part, dict):
-        return ", ".join(f"{key} {words}" for key, value in part.items() if (words := _in_words(value)))
+        return ", ".join(
+            f"{key} {words}" for key, value in part.items() if (words := _in_words(value))
+        )
     if isinstance(part, list) and any(isinstance(item, dict) for item in part):
         return "; ".join(map(_in_words, part))
     if isinstance(part, list) and (numbers := [*_numbers(part)]):
@@ -213,13 +262,17 @@ def _results_lines(results: Results) -> list[str]:
         taken_off = ", series resistance taken off" if first.scene.circuit.unit == "ohm" else ""
         values = spanned(as_recorded(first.measured, first.scene), first.scene.circuit.unit)
         lines.append(
-            f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
-            f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file"
+            f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} "
+            "s, "
+            f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth "
+            f"{truth} the file"
         )
         missing = (
             np.isnan(first.measured) & first.scene.requested
         )  # results of older versions do not say what are bounds
-        bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
+        bounds = (
+            np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
+        )
         shown = first.model_mark and first.model_sentence not in first.warnings
         lines += _lines(
             [
@@ -245,14 +298,21 @@ def _results_lines(results: Results) -> list[str]:
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        against = "the first measured frame" if UNREFERENCED in case.warnings else "the unloaded panel"
-        lines.append(f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:")
+        against = (
+            "the first measured frame" if UNREFERENCED in case.warnings else "the unloaded panel"
+        )
+        lines.append(
+            f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:"
+        )
         lines += shaded_map(case.relative_change[place])
     return lines
 
 
 def _starts(case: CaseResult) -> str:
-    """Return the number of starts per frame in words, or ''; the estimate is the lowest verified optimum of them."""
+    """Return the number of starts per frame in words, or ''.
+
+    The estimate is the lowest verified optimum of them.
+    """
     if case.local_optima is None:
         return ""
     _, least, most = case.local_optima
@@ -261,28 +321,40 @@ def _starts(case: CaseResult) -> str:
 
 
 def _holes(recording: Recording) -> Iterator[str]:
-    """Yield sentences on missing and bounded readings, except those of faulty cells, and on their consequences."""
+    """Yield sentences on missing and bounded readings, and on their consequences.
+
+    Those of faulty cells are excepted.
+    """
     readings = recording.readings()
     scene = recording.scene
     yield holes_sentence(readings.missing(scene), readings.bounds)
     estimable = readings.enough(scene)
     unloaded = recording.role == UNLOADED
     if not np.all(estimable):
-        yield f"{int(np.sum(~estimable))} of {len(estimable)} frames have too few values to be estimated"
+        yield (
+            f"{int(np.sum(~estimable))} of {len(estimable)} frames have too few values to be "
+            "estimated"
+        )
     if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
         yield "the unloaded frames have too few values: the first frame with enough stands for them"
 
 
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
-    """Return a sentence such as `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
+    """Return a sentence on missing readings and readings at a rail.
 
-    missing, bounds : (frames, rows, columns). Lines without readings are named. Empty if every reading is a value.
+    It is such as `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
+
+    missing, bounds : (frames, rows, columns). Lines without readings are named. Empty if every
+        reading is a value.
     """
     kinds = (missing, "missing"), (bounds, "at a rail, zero or below the series resistance")
     counts = [(int(np.sum(kind)), words) for kind, words in kinds if np.any(kind)]
     if not counts:
         return ""
-    parts = [f"{count} {words} ({float(f'{100 * count / missing.size:.2g}'):g} %)" for count, words in counts]
+    parts = [
+        f"{count} {words} ({float(f'{100 * count / missing.size:.2g}'):g} %)"
+        for count, words in counts
+    ]
     parts[0] = parts[0].replace(" ", " reading " if counts[0][0] == 1 else " readings ", 1)
     frames = int(np.sum((missing | bounds).any(axis=(1, 2))))
     empty = (("row", missing.all(axis=(0, 2))), ("column", missing.all(axis=(0, 1))))
@@ -293,12 +365,21 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
 
 
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
-    """Return the notes of an import and a map of mean readings, in which swapped rows and columns show."""
-    return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean_reading(recording.recorded))]
+    """Return the notes of an import and a map of mean readings.
+
+    Swapped rows and columns show in the map.
+    """
+    return [
+        *notes,
+        f"mean reading in {recording.scene.circuit.unit}:",
+        *text_map(mean_reading(recording.recorded)),
+    ]
 
 
 def checked_sentence(path: Path) -> str:
-    """Read a whole file and return a sentence on its integrity, which names datasets that cannot be verified.
+    """Read a whole file and return a sentence on its integrity.
+
+    The sentence names datasets that cannot be verified.
 
     Raises InputError with the path of a damaged dataset.
     """
@@ -321,18 +402,22 @@ def checked_sentence(path: Path) -> str:
 
 def text_map(values: Array) -> list[str]:
     """Return a matrix (rows, columns) as lines of numbers, cropped to the screen."""
-    texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MAX_ROWS]]
+    texts = [
+        ["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MAX_ROWS]
+    ]
     lines = [[*map(str, range(values.shape[1]))], *texts]
     labels = ["column", *(f"row {row}" for row in range(len(texts)))]
-    drawn, remark = _fitted(labels, lines, max(len(text) for line in lines for text in line) + 2, values.shape)
+    drawn, remark = _fitted(
+        labels, lines, max(len(text) for line in lines for text in line) + 2, values.shape
+    )
     return drawn + remark
 
 
 def shaded_map(change: Array) -> list[str]:
     """Return changes (rows, columns) in percent as shaded characters.
 
-    Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is two characters wide
-    if all columns fit, else one.
+    Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is
+    two characters wide if all columns fit, else one.
     """
     signs = np.where(np.isfinite(change), " ", UNKNOWN)
     keys = []
@@ -353,13 +438,16 @@ def shaded_map(change: Array) -> list[str]:
 
 
 def _room() -> int:
-    return max(shutil.get_terminal_size((100, 24)).columns, 20)  # where no terminal says how many signs it has
+    # Where no terminal says how many signs it has.
+    return max(shutil.get_terminal_size((100, 24)).columns, 20)
 
 
 def _fitted(
     labels: Sequence[str], lines: Sequence[Sequence[str]], width: int, shape: tuple[int, ...]
 ) -> tuple[list[str], list[str]]:
-    """Return lines of texts behind their labels, as far as they fit the screen, and a remark on what does not.
+    """Return lines of texts behind their labels, as far as they fit the screen.
+
+    A remark on what does not is returned as well.
 
     shape : of the whole map.
     """

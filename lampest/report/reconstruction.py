@@ -38,12 +38,13 @@ INTERNAL = {"of", "tared"}  # attributes that the package's own columns read
 class Reconstruction(Estimates):
     """Estimated cell resistances of the measured frames of a recording.
 
-    Arrays are those of `Estimates`: `cell_resistance` (frames, rows, columns) in ohm, `relative_change` in percent of
-    the unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`. `status` is the outcome of each
-    solve.
+    Arrays are those of `Estimates`: `cell_resistance` (frames, rows, columns) in ohm,
+    `relative_change` in percent of the unloaded panel, `pressure` in kPa, each with `_errors`,
+    `_lower` and `_upper`. `status` is the outcome of each solve.
 
-    Methods take `name`, the name of the estimator in files and plots (by default its terms, `misfit + gradient`), and
-    `columns`, your own columns. They raise InputError for an unfit name and for values that do not fit their column.
+    Methods take `name`, the name of the estimator in files and plots (by default its terms, `misfit
+    + gradient`), and `columns`, your own columns. They raise InputError for an unfit name and for
+    values that do not fit their column.
 
     >>> found
     Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
@@ -56,27 +57,38 @@ class Reconstruction(Estimates):
         estimator: Estimator,
         on_frame: Callable[[int, int], None] = lambda done, frames: None,
     ) -> Self:
-        """Solve every measured frame of a recording. Raises InputError if estimator and recording do not fit.
+        """Solve every measured frame of a recording.
+
+        Raises InputError if estimator and recording do not fit.
 
         on_frame : receives the numbers of solved and of all frames.
         """
-        estimates = reconstruct(recording, estimator, lambda done, frames, so_far: on_frame(done, frames))
+        estimates = reconstruct(
+            recording, estimator, lambda done, frames, so_far: on_frame(done, frames)
+        )
         return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
 
     @property
     def weights(self) -> dict[str, Array]:
         """Penalty → λ (frames), given or chosen by the data."""
-        values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
+        values: Mapping[str, Array] = next(
+            folder for folder in FIGURES if folder.name == "weights"
+        ).value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
     @property
     def model_check(self) -> ModelCheck:
-        """The verdict on the scene's circuit: 'yes', 'doubtful' or 'no', with all that speaks against it."""
+        """The verdict on the scene's circuit: 'yes', 'doubtful' or 'no'.
+
+        It comes with all that speaks against the circuit.
+        """
         return verdict(super().model_check, self.prepared)
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """Suggestions of the recording beyond its scene, with evidence and the line to add; computed when asked.
+        """Suggestions of the recording beyond its scene, with evidence and the line to add.
+
+        They are computed when asked.
 
         >>> found.advice
         ()
@@ -87,17 +99,20 @@ class Reconstruction(Estimates):
         return list({*super().__dir__()} - INTERNAL)
 
     def fit_report(self) -> str:
-        """Return a summary of the fit in sections: model, statistics, weights, cells of the strongest frame, warnings.
+        """Return a summary of the fit in sections.
 
-        Statistics are medians over the solved frames. χ² is the sum of squared residuals over their variances; its
-        reduced value is near 1 where the scene and its noise explain the readings.
+        The sections are model, statistics, weights, cells of the strongest frame, warnings.
+        Statistics are medians over the solved frames. χ² is the sum of squared residuals over their
+        variances; its reduced value is near 1 where the scene and its noise explain the readings.
 
         >>> print(found.fit_report().splitlines()[0])
         [[Model]]
         """
         case = self.result()
         place = strongest_index([self.result()])
-        residual = np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
+        residual = (
+            np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
+        )
         statistics = {
             "frames solved": f"{int(self.solved.sum())} of {len(self.steps)}",
             "readings": f"{int(case.valued.sum())} in {len(self.steps)} frames",
@@ -106,7 +121,9 @@ class Reconstruction(Estimates):
         }
         if self.misfit:
             statistics["chi-square"] = _median(self.misfit["chi_square"])
-            statistics["reduced chi-square"] = _median(self.misfit["chi_square"] / self.misfit["degrees_of_freedom"])
+            statistics["reduced chi-square"] = _median(
+                self.misfit["chi_square"] / self.misfit["degrees_of_freedom"]
+            )
         cells = {
             "resistance": spanned(self.cell_resistance[place], "ohm"),
             "change": spanned(self.relative_change[place], "%"),
@@ -123,7 +140,11 @@ class Reconstruction(Estimates):
             "Estimated": list(estimated_lines(self.noise.estimated)),
             "Warnings": list(self.checks),
         }
-        blocks = ((f"[[{title}]]", *(f"    {line}" for line in lines)) for title, lines in sections.items() if lines)
+        blocks = (
+            (f"[[{title}]]", *(f"    {line}" for line in lines))
+            for title, lines in sections.items()
+            if lines
+        )
         return "\n".join(line for block in blocks for line in block)
 
     def _repr_html_(self) -> str:
@@ -140,7 +161,9 @@ class Reconstruction(Estimates):
         """Return the case for a results file; `write_results` writes several into one file."""
         return named_result(self, name, columns)
 
-    def save(self, path: str | Path, name: str | None = None, columns: Sequence[Column] = ()) -> None:
+    def save(
+        self, path: str | Path, name: str | None = None, columns: Sequence[Column] = ()
+    ) -> None:
         """Write a results file atomically, for `read_results` and the commands.
 
         Raises InputError if the place cannot be written.
@@ -148,14 +171,19 @@ class Reconstruction(Estimates):
         write_results(path, [self.result(name, columns)], columns=columns)
 
     def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
-        """Return an xarray.Dataset over time (s), row and column, with x and y in mm and units in `attrs`.
+        """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
+
+        Units are in `attrs`.
 
         Raises InputError if xarray is not installed.
         """
         return self.result(columns=columns).to_xarray(columns)
 
     def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
-        """Return a pandas.DataFrame with a line for every cell of every frame; units are in `attrs["units"]`."""
+        """Return a pandas.DataFrame with a line for every cell of every frame.
+
+        Units are in `attrs["units"]`.
+        """
         return self.result(columns=columns).to_dataframe(columns)
 
     @property
@@ -178,7 +206,9 @@ class Reconstruction(Estimates):
         vmin: float | None = None,
         vmax: float | None = None,
     ) -> "Figure":
-        """Return a Matplotlib figure of a kind such as `change` or `residuals`, or of your own Plot.
+        """Return a Matplotlib figure of a kind, or of your own Plot.
+
+        A kind is for example `change` or `residuals`.
 
         Parameters
         ----------
@@ -186,7 +216,8 @@ class Reconstruction(Estimates):
         frame : int, optional
             Index into the recording; by default a frame of strong change.
         ax : Axes, optional
-            Axes into which the map of the estimate alone is drawn; by default a new figure with all maps.
+            Axes into which the map of the estimate alone is drawn; by default a new figure with all
+            maps.
         figsize : tuple of float, optional
             Width and height of a new figure in inches.
         vmin, vmax : float, optional
@@ -198,7 +229,8 @@ class Reconstruction(Estimates):
             For an unknown kind or frame, and if there is nothing to draw.
         """
         with extra():
-            from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve
+            # Matplotlib takes longer to load than a frame to solve.
+            from lampest.report.plots import picture
 
         return picture((self.result(),), kind, frame, ax, figsize, vmin=vmin, vmax=vmax)
 

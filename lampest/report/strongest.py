@@ -17,7 +17,10 @@ def percent_change(resistance: Array, baseline: Array) -> Array:
 
 
 def as_recorded(value: Array, scene: Scene) -> Array:
-    """Return readings of the network as the converter recorded them: with pull-ups, supply less load voltage."""
+    """Return readings of the network as the converter recorded them.
+
+    With pull-ups, they are supply less load voltage.
+    """
     return scene.circuit.to_recorded(value, scene) if scene.circuit.mirrored else value
 
 
@@ -45,11 +48,12 @@ def furthest(value: Array, resting: Array) -> int:
 
 
 def likely_change(value: Array, resting: Array) -> Array:
-    """Approximate ln(r/r₀) by K·(x̄/K + a/M + b/N + w/2) with x = ln(y/y₀) = x̄ + a + b + w, K = M + N − 1.
+    """Approximate ln(r/r₀) by K·(x̄/K + a/M + b/N + w/2).
 
-    This inverts the derivative of the two-point resistances of a uniform panel, for which mean, row effects, column
-    effects and residuals are eigenvectors. Unlike readings, it also responds to suction within a pressed rim. It is
-    used to select frames only.
+    Here x = ln(y/y₀) = x̄ + a + b + w, and K = M + N − 1. This inverts the derivative of the
+    two-point resistances of a uniform panel, for which mean, row effects, column effects and
+    residuals are eigenvectors. Unlike readings, it also responds to suction within a pressed rim.
+    It is used to select frames only.
 
     Parameters
     ----------
@@ -71,9 +75,10 @@ def likely_change(value: Array, resting: Array) -> Array:
 
 
 def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
-    """Return the strongest frame and the change of its readings in percent of the mean unloaded ones.
+    """Return the strongest frame and the change of its readings.
 
-    Frames with garbled lines are not considered. None without unloaded frames or without measured ones.
+    The change is in percent of the mean unloaded ones. Frames with garbled lines are not
+    considered. None without unloaded frames or without measured ones.
     """
     garbled = readings_of(garbled_lines(recording), recording)
     unloaded = recording.role == UNLOADED

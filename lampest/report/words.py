@@ -13,12 +13,21 @@ def listed(names: Sequence[str]) -> str:
 
 
 def no_formula(value: object) -> object:
-    """Return the value; texts that spreadsheets would evaluate as formulas get a leading apostrophe."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+    """Return the value, with a leading apostrophe where it would be a formula.
+
+    This concerns texts that spreadsheets would evaluate as formulas.
+    """
+    return (
+        f"'{value}"
+        if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
+        else value
+    )
 
 
 def digits(value: float, count: int = 3, like: float | None = None) -> str:
-    """Format a number with `count` significant digits, without an exponent if possible: '0.0012', '3,050'.
+    """Format a number with `count` significant digits, such as '0.0012', '3,050'.
+
+    It is without an exponent if possible.
 
     like : a number that gets `count` digits; the value then has the same decimals.
     """
@@ -40,7 +49,10 @@ def text_of(value: float | str | None, form: str = "digits") -> str:
 
 
 def median_text(values: Array, text: Callable[[float], str] = digits) -> str:
-    """Return the median of the known values, with their range where they differ; '' where none is known."""
+    """Return the median of the known values, with their range where they differ.
+
+    '' where none is known.
+    """
     known = values[np.isfinite(values)]
     if not known.size:
         return ""

@@ -1,7 +1,8 @@
-"""Batches of cases: finished ones are skipped, failures are isolated, each result is a file of its own.
+"""Batches of cases.
 
-A recording that fits into memory is solved as a whole, a longer one part by part. Each part has a results file of its
-own, and until the last part is done a second file with the memory for later frames.
+Finished ones are skipped, failures are isolated, each result is a file of its own. A recording that
+fits into memory is solved as a whole, a longer one part by part. Each part has a results file of
+its own, and until the last part is done a second file with the memory for later frames.
 """
 
 import fcntl
@@ -25,7 +26,14 @@ from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import logged_reason
-from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
+from lampest.files.whole import (
+    inner_folder,
+    opened_for_locking,
+    output_folder,
+    own,
+    remove_own,
+    sparing,
+)
 from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
@@ -38,7 +46,8 @@ from lampest.runs.results import join_case, read_results, stored_cases, write_re
 RESULTS = "results.h5"
 CASES = "cases"
 CARRIED = "carried/3"
-EVERY_SECONDS = 1.0  # between two counts of finished frames; least time between two files of these frames
+# Between two counts of finished frames; least time between two files of these frames.
+EVERY_SECONDS = 1.0
 KEPT_SHARE = 0.05  # largest share of a case's time for these files
 
 
@@ -59,8 +68,8 @@ class Report:
     not_run : int
         Number of cases that no executor ran, for the reason `lost`.
     warnings, advice, estimated : tuple of str
-        Warnings about the results, advice on the scenes, and the numbers that recordings determined, each behind the
-        recording's name.
+        Warnings about the results, advice on the scenes, and the numbers that recordings
+        determined, each behind the recording's name.
     """
 
     results: Path | None
@@ -94,7 +103,10 @@ class Task:
 
     @property
     def count(self) -> Path:
-        """File whose size in bytes is the number of finished frames, which is valid even while it is written."""
+        """File whose size in bytes is the number of finished frames.
+
+        The size is valid even while it is written.
+        """
         return self.folder / CASES / f".{self.case.case_id}.frames"
 
     @property
@@ -111,7 +123,10 @@ class Task:
 
     @property
     def parts(self) -> Path:
-        """Folder of the parts of a long case. Raises InputError if it is a link to a place outside."""
+        """Folder of the parts of a long case.
+
+        Raises InputError if it is a link to a place outside.
+        """
         return inner_folder(self.file.parent, f"{self.case.case_id}.parts")
 
     def part(self, number: int) -> Path:
@@ -128,7 +143,10 @@ class Task:
         return sorted(int(file.stem) for file in self.parts.glob("[0-9]" * 6 + ".h5"))
 
     def carried_over(self, number: int) -> CarriedOver | None:
-        """Return the memory after a part; None if the part is incomplete, so that it is solved again."""
+        """Return the memory after a part; None if it is incomplete.
+
+        An incomplete part is solved again.
+        """
         with suppress(InputError):
             hdf5.checked(self.part(number))
             [held] = stored_cases(self.part(number))
@@ -162,7 +180,8 @@ def run_batch(
 ) -> Report:
     """Solve the cases without a result in `folder`, then write results.h5 with all results.
 
-    Failed cases do not affect other cases. An interruption keeps finished cases, and finished frames of running ones.
+    Failed cases do not affect other cases. An interruption keeps finished cases, and finished
+    frames of running ones.
 
     Parameters
     ----------
@@ -177,7 +196,8 @@ def run_batch(
     Raises
     ------
     InputError
-        If the folder cannot be written, is used by another run, or holds a recording under the name of the results.
+        If the folder cannot be written, is used by another run, or holds a recording under the name
+        of the results.
     """
     executor.ready()
     with exclusive(folder), sparing({case.path for case in run.cases}):
@@ -201,7 +221,9 @@ def run_batch(
             lost = str(error)
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
-            known = finished | _results([task for task in tasks if task.file not in finished], unfinished=True)
+            known = finished | _results(
+                [task for task in tasks if task.file not in finished], unfinished=True
+            )
             held = [known[task.file] for task in tasks if task.file in known]
             _clear(folder, tasks, fresh=False)
             if held:
@@ -215,7 +237,18 @@ def run_batch(
             (case.recording, case.scene.estimated) for case in held if isinstance(case, CaseResult)
         )
         results = folder / RESULTS if held else None
-        return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, warnings, advice, estimated)
+        return Report(
+            results,
+            solved,
+            skipped,
+            tuple(failed),
+            aside,
+            not_run,
+            lost,
+            warnings,
+            advice,
+            estimated,
+        )
 
 
 def _failure(task: Task, error: BaseException) -> tuple[str, str]:
@@ -224,8 +257,13 @@ def _failure(task: Task, error: BaseException) -> tuple[str, str]:
     return name, logged_reason(error, name)
 
 
-def _different_lines(held: Sequence[CaseResult | StoredCase], name: Literal["warnings", "advice"]) -> tuple[str, ...]:
-    """Return the different lines of results' warnings or advice, with the names of their recordings."""
+def _different_lines(
+    held: Sequence[CaseResult | StoredCase], name: Literal["warnings", "advice"]
+) -> tuple[str, ...]:
+    """Return the different lines of results' warnings or advice.
+
+    They come with the names of their recordings.
+    """
     lines = (
         f"{case.recording}: {line}"
         for case in held
@@ -265,7 +303,10 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
 
 
 def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
-    """Return the outcomes of all cases; the parts of cases that exceed the memory are solved first."""
+    """Return the outcomes of all cases.
+
+    The parts of cases that exceed the memory are solved first.
+    """
     with ExitStack() as stack:
         parts = [(task, number) for task in waiting for number in parts_to_solve(task)]
         if parts:  # failures of parts show when their cases are joined
@@ -274,7 +315,10 @@ def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
 
 
 def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:
-    """Rename a file of other cases, or of another format, to results_1.h5 and so on; return the new name."""
+    """Rename a file of other cases, or of another format; return the new name.
+
+    The new names are results_1.h5 and so on.
+    """
     if path.is_symlink() or not path.is_file():
         return None
     with suppress(InputError):
@@ -304,7 +348,9 @@ def solve_part(part: tuple[Task, int]) -> None:
     recording = _recording(task.case.path, task.case.sha256)
     if isinstance(recording, StoredRecording):
         parts = _parts(task.case.estimator, recording)
-        list(task.write_parts(parts.estimates(lambda at: None if at == number else CarriedOver({}))))
+        list(
+            task.write_parts(parts.estimates(lambda at: None if at == number else CarriedOver({})))
+        )
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:
@@ -320,13 +366,19 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
-    """Solve a case part by part, beginning with the first unfinished one, and write its result atomically."""
+    """Solve a case part by part, and write its result atomically.
+
+    It begins with the first unfinished part.
+    """
     solved = list[int]()
     stored_parts = set(task.whole_parts)
     if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= stored_parts:
         parts = _parts(task.case.estimator, stored)
-        # Files after a newly solved part depend on another state and are solved again, unless parts are independent.
-        waiting = parts.estimates(lambda at: None if solved and not parts.independent else task.carried_over(at))
+        # Files after a newly solved part depend on another state and are solved again, unless parts
+        # are independent.
+        waiting = parts.estimates(
+            lambda at: None if solved and not parts.independent else task.carried_over(at)
+        )
         for number in task.write_parts(waiting):
             solved.append(number)
     join_case(task.file, [task.part(number) for number in task.whole_parts], task.case.recording)
@@ -346,7 +398,10 @@ def _asked(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
 
 def write_carried(path: Path, carried: CarriedOver) -> None:
-    """Write the memory after a part atomically. Raises InputError where the place cannot be written."""
+    """Write the memory after a part atomically.
+
+    Raises InputError where the place cannot be written.
+    """
     with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, lampest_format=CARRIED)
         group = file.create_group("carried")
@@ -361,11 +416,16 @@ def read_carried(path: Path) -> CarriedOver:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")
         names = hdf5.children(file, "/carried")
-        return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names})
+        return CarriedOver(
+            {name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names}
+        )
 
 
 def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
-    """Return a function that counts the finished frames of a case, and at intervals writes their estimates."""
+    """Return a function that counts the finished frames of a case.
+
+    At intervals it writes their estimates.
+    """
     told = written = time.monotonic()
     pause = EVERY_SECONDS
 
@@ -386,7 +446,10 @@ def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | No
 
 @lru_cache(maxsize=1)
 def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
-    """Read and prepare a recording once for successive cases. Raises InputError if it was replaced meanwhile."""
+    """Read and prepare a recording once for successive cases.
+
+    Raises InputError if it was replaced meanwhile.
+    """
     recording = opened(path)
     if digest(path) != sha256:
         raise InputError(f"{path}: was replaced after the run began; run again")
@@ -395,7 +458,10 @@ def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Lock the folder for one run. Raises InputError if it cannot be written or another run uses it."""
+    """Lock the folder for one run.
+
+    Raises InputError if it cannot be written or another run uses it.
+    """
     inner_folder(output_folder(folder), CASES)
     try:
         descriptor = opened_for_locking(folder / ".lock", make=True)
@@ -410,7 +476,10 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 
 def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
-    """Remove unfinished files of these tasks that killed processes left, and with `fresh` their results."""
+    """Remove unfinished files of these tasks that killed processes left.
+
+    With `fresh`, the results of these tasks are removed, too.
+    """
     wholes = {RESULTS, *(task.file.name for task in tasks)}
     for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):
         if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
@@ -423,7 +492,9 @@ def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
         task.clear_parts()
 
 
-def _results(tasks: Sequence[Task], *, unfinished: bool = False) -> dict[Path, CaseResult | StoredCase]:
+def _results(
+    tasks: Sequence[Task], *, unfinished: bool = False
+) -> dict[Path, CaseResult | StoredCase]:
     """Return the readable results by file; cases with a damaged one are solved again.
 
     The result of a recording that is too long for memory stays in its file.

@@ -24,16 +24,28 @@ if TYPE_CHECKING:
     from xarray import Dataset as Dataset
 
 SHARED = "recording"  # group with the measurement that all estimators share
-COLUMNS = tuple(Column(item.name, **item.metadata["column"]) for item in fields(Content) if "column" in item.metadata)
-TIME, FRAME, MEASURED = (column for column in COLUMNS if column.name in ("time", "frame", "measured"))
+COLUMNS = tuple(
+    Column(item.name, **item.metadata["column"])
+    for item in fields(Content)
+    if "column" in item.metadata
+)
+TIME, FRAME, MEASURED = (
+    column for column in COLUMNS if column.name in ("time", "frame", "measured")
+)
 NAMES = frozenset(column.name for column in COLUMNS)
-REQUIRED = frozenset(item.name for item in fields(Content) if item.name in NAMES and item.default is MISSING)
+REQUIRED = frozenset(
+    item.name for item in fields(Content) if item.name in NAMES and item.default is MISSING
+)
 FIGURES = tuple(
-    replace(item.metadata["figures"], name=item.name) for item in fields(Content) if "figures" in item.metadata
+    replace(item.metadata["figures"], name=item.name)
+    for item in fields(Content)
+    if "figures" in item.metadata
 )
 # Attribute of an estimator's group → its field, and the value if the attribute is missing.
 ATTRIBUTES: dict[str, tuple[str, Any]] = {
-    item.metadata["attribute"]: (item.name, item.default) for item in fields(Content) if "attribute" in item.metadata
+    item.metadata["attribute"]: (item.name, item.default)
+    for item in fields(Content)
+    if "attribute" in item.metadata
 }
 
 
@@ -54,8 +66,9 @@ def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
 class CaseResult(Content):
     """Result of a case: the estimates of a recording's measured frames by an estimator.
 
-    Raises InputError for unfit names, wrong shapes and impossible values. Arrays that are not listed are described by
-    the columns of their names; they are None if not computed, and NaN in failed frames.
+    Raises InputError for unfit names, wrong shapes and impossible values. Arrays that are not
+    listed are described by the columns of their names; they are None if not computed, and NaN in
+    failed frames.
 
     Attributes
     ----------
@@ -68,7 +81,8 @@ class CaseResult(Content):
     swept_json : str
         Values of a sweep by key.
     costs, weights, weight_sigma, contacts, misfit : mapping
-        Name → values (frames), see `lampest.runs.columns.FIGURES`; names with `_errors` are standard deviations.
+        Name → values (frames), see `lampest.runs.columns.FIGURES`; names with `_errors` are
+        standard deviations.
     baseline_status, baseline_solve_time : str, float
         Outcome of the baseline's solve, and its time in s (NaN: not solved separately).
     model_mark : str
@@ -76,7 +90,8 @@ class CaseResult(Content):
     advice : str
         What the recording suggests beyond its scene, one line each.
     reading_error : float
-        Standard deviation of ln of a constant factor on each reading, estimated from still cells; 0: none.
+        Standard deviation of ln of a constant factor on each reading, estimated from still cells;
+        0: none.
     error_in_sigma : float
         The part of `reading_error` that `sigma` includes.
     model_factor : float
@@ -109,7 +124,9 @@ class CaseResult(Content):
             raise InputError(f"{path} must be frames × rows × columns with at least one frame")
         if self.measured.shape[1:] != self.scene.panel.shape:
             rows, columns = self.scene.panel.shape
-            raise InputError(f"{path} does not have the {rows} × {columns} cells of the scene's panel")
+            raise InputError(
+                f"{path} does not have the {rows} × {columns} cells of the scene's panel"
+            )
         for folder in FIGURES:
             for name, values in getattr(self, folder.name).items():
                 check_name(name, folder.folder)
@@ -125,7 +142,9 @@ class CaseResult(Content):
             known = sigma[np.isfinite(sigma)]
             weights = self.weights[term][np.isfinite(self.weights[term])]
             if known.size and weights.size:
-                messages.append(f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})")
+                messages.append(
+                    f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})"
+                )
         return ", ".join(messages)
 
     @cached_property
@@ -134,7 +153,9 @@ class CaseResult(Content):
         try:
             return dict(json.loads(self.swept_json or "{}"))
         except (ValueError, TypeError) as error:
-            raise InputError(f"/entry/{self.recording}/{self.estimator}@swept is no mapping in JSON") from error
+            raise InputError(
+                f"/entry/{self.recording}/{self.estimator}@swept is no mapping in JSON"
+            ) from error
 
     @property
     def unswept_name(self) -> str:
@@ -143,7 +164,10 @@ class CaseResult(Content):
 
     @property
     def local_optima(self) -> tuple[int, int, int] | None:
-        """Number of frames at a local optimum, and least and largest number of their starts; None if unknown."""
+        """Number of frames at a local optimum, and least and largest number of their starts.
+
+        None if unknown.
+        """
         optima = np.array([status.startswith(("optimum", "an optimum,")) for status in self.status])
         if self.starts is None or not optima.any():
             return None
@@ -152,11 +176,17 @@ class CaseResult(Content):
     @property
     def error_words(self) -> str:
         """Medians of own and common standard deviations as text; '' if unknown."""
-        if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
+        if (
+            self.sigma_own is None
+            or self.sigma_common is None
+            or not np.isfinite(self.sigma_own).any()
+        ):
             return ""
         known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
         words = "own {:.2g} {unit}, common {:.2g} {unit}"
-        individual, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
+        individual, common = (
+            100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common)
+        )
         message = f"standard deviation of cells: {words.format(individual, common, unit='%')}"
         parts = self.pressed_errors(self.solved)
         if parts is None or not parts[0].size:
@@ -164,7 +194,10 @@ class CaseResult(Content):
         return f"{message}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
 
     def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
-        """Return own and common standard deviations of pressure in kPa of the pressed cells in some frames."""
+        """Return own and common standard deviations of pressure in kPa.
+
+        They are those of the pressed cells in some frames.
+        """
         if self.pressing is None or self.pressure_own is None or self.pressure_common is None:
             return None
         pressed = (self.pressing != 0) & chosen[:, None, None]
@@ -182,24 +215,33 @@ class CaseResult(Content):
     def of(cls, values: Mapping[str, Any], **further: Any) -> CaseResult:
         """Return a case with values of columns; those without an attribute become `extra`."""
         extra = {name: value for name, value in values.items() if name not in NAMES}
-        return cls(**{name: value for name, value in values.items() if name in NAMES}, **further, extra=extra)
+        return cls(
+            **{name: value for name, value in values.items() if name in NAMES},
+            **further,
+            extra=extra,
+        )
 
     def column(self, name: str) -> Any:
         """Return the values of a column, or None."""
         return getattr(self, name) if name in NAMES else self.extra.get(name)
 
     def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
-        """Return an xarray.Dataset over time (s), row and column, with x and y in mm and units in `attrs`.
+        """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
 
-        columns : descriptions of `extra`, as in `read_results`. Raises InputError for an extra without column and if
-        xarray is not installed.
+        Units are in `attrs`.
+
+        columns : descriptions of `extra`, as in `read_results`. Raises InputError for an extra
+        without column and if xarray is not installed.
         """
         with extra("xarray"):
             from xarray import Dataset
         held = series_of(self, self.described(columns))
         axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
         parts = [
-            {name: (series.axes, np.asarray(series.values), series.attributes) for name, series in part.items()}
+            {
+                name: (series.axes, np.asarray(series.values), series.attributes)
+                for name, series in part.items()
+            }
             for part in (held, axes)
         ]
         return Dataset(*parts, about(self))
@@ -207,16 +249,21 @@ class CaseResult(Content):
     def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
         """Return a long pandas.DataFrame with a line for every cell of every frame.
 
-        Its columns are time, frame, row, column and those of the case; values of frames and of cells are repeated.
-        Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
+        Its columns are time, frame, row, column and those of the case; values of frames and of
+        cells are repeated. Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
         held = self.long_columns(columns)
         table = data_frame({name: series.values for name, series in held.items()})
-        table.attrs = about(self) | {"units": {n: series.units for n, series in held.items() if n not in CELLS}}
+        table.attrs = about(self) | {
+            "units": {n: series.units for n, series in held.items() if n not in CELLS}
+        }
         return table
 
     def long_columns(self, columns: Sequence[Column] = ()) -> dict[str, Series]:
-        """Return the columns of `to_dataframe`, without need of pandas. Raises InputError as `to_xarray`."""
+        """Return the columns of `to_dataframe`, without need of pandas.
+
+        Raises InputError as `to_xarray`.
+        """
         held = series_of(self, self.described(columns))
         first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
         held = first | {name: series for name, series in held.items() if "/" not in series.path}
@@ -236,13 +283,20 @@ class CaseResult(Content):
         self.check(table)
         for name in self.extra:
             if name not in {column.name for column in table}:
-                raise InputError(f"{self.recording} × {self.estimator}: no column says what the extra '{name}' is")
+                raise InputError(
+                    f"{self.recording} × {self.estimator}: no column says what the extra '{name}' "
+                    "is"
+                )
         return table
 
     def check(self, columns: Sequence[Column]) -> None:
         """Raise InputError for wrong shapes and impossible values."""
         values = {column: self.column(column.name) for column in columns}
-        filled = {column: held for column, held in values.items() if column.name in REQUIRED or held is not None}
+        filled = {
+            column: held
+            for column, held in values.items()
+            if column.name in REQUIRED or held is not None
+        }
         for column, held in filled.items():
             self._check_shape(self._path(column), held, column.axes)
         present = self.scene.panel.present
@@ -258,7 +312,10 @@ class CaseResult(Content):
                     raise InputError(f"{self._path(column)} {fault}")
 
     def _estimated(self) -> NDArray[np.bool_]:
-        """Return a mask (frames, rows, columns) of expected estimates: solved frames, in modules that have any."""
+        """Return a mask (frames, rows, columns) of expected estimates.
+
+        Expected are those of solved frames, in modules that have any.
+        """
         estimated = np.broadcast_to(self.solved[:, None, None], self.measured.shape)
         layout = self.scene.panel.modules
         if layout is None:
@@ -275,7 +332,9 @@ class CaseResult(Content):
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
         shape = tuple(sizes[axis] for axis in axes)
         if np.shape(values) != shape:
-            held, requested = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape))
+            held, requested = (
+                " × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape)
+            )
             raise InputError(f"{path} is {held}; the frames ask for {requested}")
 
 
@@ -292,21 +351,33 @@ class StoredCase:
 
 
 def check_name(name: str, noun: str) -> None:
-    """Raise InputError unless `name` can name a group: printable ASCII without '/', trimmed, not reserved."""
+    """Raise InputError unless `name` can name a group.
+
+    Such a name is printable ASCII without '/', trimmed, not reserved.
+    """
     fit = name.isascii() and name.isprintable() and "/" not in name and name == name.strip()
     if not fit or name in ("", ".", "..") or len(name) > 200:
         raise InputError(
-            f"{name[:200]!r} cannot name this {noun}: 1 to 200 printable ASCII characters without '/' "
+            f"{name[:200]!r} cannot name this {noun}: 1 to 200 printable ASCII characters without "
+            "'/' "
             "or blanks at the ends are needed, other than '.' and '..'"
         )
     if (noun, name) == ("estimator", SHARED):
-        raise InputError(f"an estimator cannot be called '{SHARED}': results keep the measurement under that name")
+        raise InputError(
+            f"an estimator cannot be called '{SHARED}': results keep the measurement under that "
+            "name"
+        )
 
 
-def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False) -> dict[str, Series]:
-    """Return every column and figure of a case by name, in the unit of its readout; costs are called cost_misfit.
+def series_of(
+    case: CaseResult, columns: Sequence[Column], *, raw: bool = False
+) -> dict[str, Series]:
+    """Return every column and figure of a case by name, in the unit of its readout.
 
-    raw : whether flags have the values of files; otherwise they are NaN for cells without an estimate.
+    Costs are called cost_misfit.
+
+    raw : whether flags have the values of files; otherwise they are NaN for cells without an
+        estimate.
     """
     held: dict[str, Series] = {}
     missing = np.isnan(case.cell_resistance)
@@ -324,7 +395,9 @@ def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False)
             name = f"{folder.folder}_{figure}"
             units = folder.units
             meaning = folder.long_name(figure)
-            held[name] = Series(name, FRAMES, values, units, meaning, path=f"{folder.folder}/{figure}")
+            held[name] = Series(
+                name, FRAMES, values, units, meaning, path=f"{folder.folder}/{figure}"
+            )
     return held
 
 
@@ -337,7 +410,10 @@ def places_of(case: CaseResult) -> dict[str, Series]:
 
 
 def data_frame(columns: Any) -> DataFrame:
-    """Return columns by name, or rows by column, as a pandas.DataFrame. Raises InputError if pandas is missing."""
+    """Return columns by name, or rows by column, as a pandas.DataFrame.
+
+    Raises InputError if pandas is missing.
+    """
     with extra("tables"):
         from pandas import DataFrame  # takes 0.3 s
 
@@ -346,8 +422,17 @@ def data_frame(columns: Any) -> DataFrame:
 
 def about(case: CaseResult) -> dict[str, Any]:
     """Return the texts of a case: names, resolved case and scene as YAML, sentences."""
-    names = {"recording": case.recording, "estimator": case.estimator, "scene": scene_text(case.scene)}
+    names = {
+        "recording": case.recording,
+        "estimator": case.estimator,
+        "scene": scene_text(case.scene),
+    }
     held = {name: getattr(case, field) for name, (field, _) in ATTRIBUTES.items()}
     texts = {name: text for name, text in held.items() if text and isinstance(text, str)}
     started = {"start_time": case.start_time} if case.start_time else {}
-    return names | texts | started | {f"{library}_version": text for library, text in sorted(case.versions.items())}
+    return (
+        names
+        | texts
+        | started
+        | {f"{library}_version": text for library, text in sorted(case.versions.items())}
+    )

@@ -1,6 +1,7 @@
-"""Content of a case, each part declared once: columns of a results file with their checks, attributes, figures.
+"""Content of a case, each part declared once.
 
-A package adds columns by naming them in the entry point group `lampest.columns`, a script by handing them to
+The parts are columns of a results file with their checks, attributes, figures. A package adds
+columns by naming them in the entry point group `lampest.columns`, a script by handing them to
 `named_result`, `write_results` and `read_results`.
 """
 
@@ -33,9 +34,20 @@ FRAMES = ("time",)
 CELLS = ("row", "column")
 MAPS = FRAMES + CELLS
 # Names in the groups of a results file that are no columns.
-RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "model_check")
+RESERVED = (
+    *CELLS,
+    "x",
+    "y",
+    "scene",
+    "start_time",
+    "cost",
+    "weight",
+    "weight_sigma",
+    "model_check",
+)
 
-# (values, mask of expected estimates) → fault, the end of a sentence that begins with the path; None: no fault.
+# (values, mask of expected estimates) → fault, the end of a sentence that begins with the path;
+# None: no fault.
 Check = Callable[[Any, NDArray[np.bool_]], str | None]
 
 
@@ -45,8 +57,13 @@ def possible(values: Array, solved: NDArray[np.bool_]) -> str | None:
     return f"holds {beyond[0]:.6g}, which no panel has" if beyond.size else None
 
 
-def _check(sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, physical: bool = True) -> Check:
-    """Return a check of values, which must be possible, too, where they are measured or comparable."""
+def _check(
+    sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, physical: bool = True
+) -> Check:
+    """Return a check of values.
+
+    They must be possible, too, where they are measured or comparable.
+    """
 
     def fault(values: Any, solved: NDArray[np.bool_]) -> str | None:
         beyond = possible(values, solved) if physical else None
@@ -57,7 +74,8 @@ def _check(sentence: str, right: Callable[[Array, NDArray[np.bool_]], Any], *, p
 
 finite = _check("must be finite", lambda values, solved: np.isfinite(values))
 positive_or_missing = _check(
-    "must be positive and finite, or NaN", lambda values, solved: np.isnan(values) | ((values > 0) & (values < np.inf))
+    "must be positive and finite, or NaN",
+    lambda values, solved: np.isnan(values) | ((values > 0) & (values < np.inf)),
 )
 positive_or_infinite = _check("must be positive everywhere", lambda values, solved: values > 0)
 not_negative = _check("must not be negative", lambda values, solved: ~(values < 0), physical=False)
@@ -67,7 +85,9 @@ numbers_if_solved = _check(
     lambda values, solved: np.where(solved, np.isfinite(values), np.isnan(values)),
 )
 known_if_solved = _check(  # numbers, or infinite
-    "must be NaN where solved is 0, only", lambda values, solved: np.isnan(values) != solved, physical=False
+    "must be NaN where solved is 0, only",
+    lambda values, solved: np.isnan(values) != solved,
+    physical=False,
 )
 missing_unless_solved = _check(
     "must be numbers or NaN where solved is 1, and NaN elsewhere",
@@ -83,17 +103,22 @@ class Column(Validated):
     Parameters
     ----------
     name : attribute of a case, and name of the dataset unless `dataset` is given.
-    axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : attributes in the file.
-    value : estimates → values over the axes, or None without values; by default their attribute of the same name.
-    checks : functions that return a fault of the values, the end of a sentence that begins with their path, or None.
+    axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name :
+        attributes in the file.
+    value : estimates → values over the axes, or None without values; by default their attribute of
+        the same name.
+    checks : functions that return a fault of the values, the end of a sentence that begins with
+        their path, or None.
     dtype : float, bool, an integer kind, or str.
     shared : whether it is a measurement, which all estimates of a recording share.
-    as_volt : name of the dataset if the readout's unit is volt, which is then the unit; '' if the unit is fixed.
+    as_volt : name of the dataset if the readout's unit is volt, which is then the unit; '' if the
+        unit is fixed.
     flags : meanings of values that are no amounts: (value, a word of ASCII letters and _).
 
     Raises InputError where the name, the axes or a flag's word are invalid.
 
-    >>> force = lampest.Column("force", ("time",), "newton", "total force", value=lambda estimates: estimates.time)
+    >>> taken = lambda estimates: estimates.time
+    >>> force = lampest.Column("force", ("time",), "newton", "total force", value=taken)
     >>> found.result(columns=[force]).extra["force"].shape
     (2,)
     """
@@ -113,13 +138,20 @@ class Column(Validated):
     def __post_init__(self) -> None:
         if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
             raise InputError(
-                f"{self.path!r} cannot name a column: a word of ASCII letters is needed, none of {RESERVED}"
+                f"{self.path!r} cannot name a column: a word of ASCII letters is needed, none of "
+                f"{RESERVED}"
             )
         if self.axes not in (MAPS, CELLS, FRAMES):
-            raise InputError(f"the column {self.name} cannot lie along {self.axes}: only {MAPS}, {CELLS} or {FRAMES}")
+            raise InputError(
+                f"the column {self.name} cannot lie along {self.axes}: only {MAPS}, {CELLS} or "
+                f"{FRAMES}"
+            )
         for _, word in self.flags:
             if not (word.isidentifier() and word.isascii()):
-                raise InputError(f"the column {self.name} says {word!r} of a value; a word of ASCII letters is needed")
+                raise InputError(
+                    f"the column {self.name} says {word!r} of a value; a word of ASCII letters is "
+                    "needed"
+                )
 
     @property
     def path(self) -> str:
@@ -128,7 +160,10 @@ class Column(Validated):
 
     @property
     def label(self) -> str:
-        """Name in labelled arrays, tables and exports: that of the dataset, except for measurements."""
+        """Name in labelled arrays, tables and exports.
+
+        It is that of the dataset, except for measurements.
+        """
         return self.name if self.shared else self.path
 
     def of(self, readout: Readout) -> Column:
@@ -141,7 +176,11 @@ class Column(Validated):
         values = getattr(estimates, self.name) if self.value is None else self.value(estimates)
         if values is None:
             return None
-        return tuple(np.asarray(values).tolist()) if self.dtype is str else np.asarray(values, self.dtype)
+        return (
+            tuple(np.asarray(values).tolist())
+            if self.dtype is str
+            else np.asarray(values, self.dtype)
+        )
 
     def read(self, file: Any, group: str, sizes: Mapping[str, int], part: slice = hdf5.ALL) -> Any:
         """Read the values in a group of a file.
@@ -162,7 +201,13 @@ class Column(Validated):
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
         if self.dtype is str:
             return hdf5.read_texts(file, path, shape[0], part)
-        integer = None if np.dtype(self.dtype).kind == "f" else np.uint8 if self.dtype is bool else self.dtype
+        integer = (
+            None
+            if np.dtype(self.dtype).kind == "f"
+            else np.uint8
+            if self.dtype is bool
+            else self.dtype
+        )
         return hdf5.read_array(file, path, len(shape), shape, part, integer).astype(self.dtype)
 
 
@@ -215,14 +260,27 @@ class Series:
         attributes = {"units": self.units, "long_name": self.long_name}
         if not self.flags:
             return attributes
-        values = np.array([value for value, _ in self.flags], dtype=np.uint8 if self.dtype is bool else self.dtype)
-        return attributes | {"flag_values": values, "flag_meanings": " ".join(word for _, word in self.flags)}
+        values = np.array(
+            [value for value, _ in self.flags], dtype=np.uint8 if self.dtype is bool else self.dtype
+        )
+        return attributes | {
+            "flag_values": values,
+            "flag_meanings": " ".join(word for _, word in self.flags),
+        }
 
 
 def _declared(
-    axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any
+    axes: tuple[str, ...],
+    units: str,
+    words: str,
+    *checks: Check,
+    default: Any = MISSING,
+    **more: Any,
 ) -> Any:
-    """Return a dataclass field that is a column, optional if `default` is None; `more` are arguments of `Column`."""
+    """Return a dataclass field that is a column, optional if `default` is None.
+
+    `more` are arguments of `Column`.
+    """
     about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more
     return field(default=default, metadata={"column": about})
 
@@ -250,12 +308,14 @@ def _share(words: str, units: str = "1") -> Any:
 
 
 def _attribute(name: str, source: str = "", default: Any = "", value: Any = None) -> Any:
-    """Return a field that is an attribute of the estimator's group, omitted in the file at its default.
+    """Return a field that is an attribute of the estimator's group.
 
-    Its value is that of estimates: a function of them, or the dotted name of an attribute.
+    It is omitted in the file at its default. Its value is that of estimates: a function of them, or
+    the dotted name of an attribute.
     """
     return field(
-        default=default, metadata={"attribute": name, "value": value or (attrgetter(source) if source else None)}
+        default=default,
+        metadata={"attribute": name, "value": value or (attrgetter(source) if source else None)},
     )
 
 
@@ -270,7 +330,10 @@ def _of_solutions(name: str) -> Callable[[Estimates], Array]:
 
 
 def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]:
-    """Return a function that stacks a field of the verifications, shape (frames,); None where no frame was verified."""
+    """Return a function that stacks a field of the verifications, shape (frames,).
+
+    None where no frame was verified.
+    """
 
     def values(done: Estimates) -> Array | None:
         if all(step.verification is None for step in done.steps):
@@ -291,13 +354,21 @@ def _unloaded_frames(done: Estimates) -> int:
 
 
 def _truth(done: Estimates) -> Array | None:
-    """Return true cells, (frames, rows, columns) ohm, NaN where the scene has no intact cell, or None."""
+    """Return true cells, (frames, rows, columns) ohm, or None.
+
+    NaN where the scene has no intact cell.
+    """
     cells = done.recording.truth_cell_resistance
-    return None if cells is None else np.where(done.recording.scene.broken, np.nan, cells[done.frame])
+    return (
+        None if cells is None else np.where(done.recording.scene.broken, np.nan, cells[done.frame])
+    )
 
 
 def _truth_baseline(done: Estimates) -> Array | None:
-    """Return the mean of true unloaded cells, (rows, columns) ohm, NaN without an intact cell, or None."""
+    """Return the mean of true unloaded cells, (rows, columns) ohm, or None.
+
+    NaN without an intact cell.
+    """
     cells = done.recording.truth_cell_resistance
     unloaded = done.recording.role == UNLOADED
     if cells is None or not np.any(unloaded):
@@ -305,13 +376,20 @@ def _truth_baseline(done: Estimates) -> Array | None:
     return np.where(done.recording.scene.broken, np.nan, cells[unloaded].mean(axis=0))
 
 
-def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
-    """Map terms to values of all steps; repeated kinds, which scripts can give, are `kind_2` and so on."""
+def _of_terms(
+    done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]
+) -> dict[str, Array]:
+    """Map terms to values of all steps.
+
+    Repeated kinds, which scripts can give, are `kind_2` and so on.
+    """
     from lampest.cost.terms import term_kind  # with CasADi, which reading results does not need
 
     kinds = [term_kind(term) for term in done.estimator.terms]
     counts = [kinds[:number].count(kind) for number, kind in enumerate(kinds, 1)]
-    names = [kind if count == 1 else f"{kind}_{count}" for kind, count in zip(kinds, counts, strict=True)]
+    names = [
+        kind if count == 1 else f"{kind}_{count}" for kind, count in zip(kinds, counts, strict=True)
+    ]
     return {name: np.array([step[number] for step in values]) for number, name in enumerate(names)}
 
 
@@ -326,19 +404,31 @@ def _weights(done: Estimates) -> dict[str, Array]:
 
 
 def _chosen(done: Estimates) -> dict[str, Array]:
-    """Map terms with weights chosen by the data to the standard deviation of ln λ in every frame."""
+    """Map terms with weights chosen by the data to the deviation of ln λ in every frame.
+
+    It is the standard deviation.
+    """
     size = len(done.estimator.terms)
-    by_term = _of_terms(done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps])
+    by_term = _of_terms(
+        done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps]
+    )
     return {name: values for name, values in by_term.items() if np.isfinite(values).any()}
 
 
 def _contacts(done: Estimates) -> dict[str, Array]:
-    """Return contact resistances of the lines and their standard deviations, equal in all frames; empty if unknown."""
+    """Return contact resistances of the lines and their standard deviations.
+
+    They are equal in all frames; empty if unknown.
+    """
     if done.contacts is None:
         return {}
     shape = done.recording.scene.panel.shape
     per_frame = np.ones(len(done.steps))
-    lines = [f"{side}_{line}" for side, count in zip(("row", "column"), shape, strict=True) for line in range(count)]
+    lines = [
+        f"{side}_{line}"
+        for side, count in zip(("row", "column"), shape, strict=True)
+        for line in range(count)
+    ]
     ohm = done.contacts.mean(shape)
     errors = done.contacts.deviation(shape)
     names = [*lines, *(f"{line}_errors" for line in lines)]
@@ -393,7 +483,8 @@ MISFIT = {
 
 def _verdict(done: Estimates) -> ModelCheck:
     """Return the verdict on the scene's circuit."""
-    from lampest.audit.verdict import verdict  # with all of the estimate, which the reading of results does without
+    # With all of the estimate, which the reading of results does without.
+    from lampest.audit.verdict import verdict
 
     return verdict(done.model_check, done.prepared)
 
@@ -417,14 +508,18 @@ class Content(Validated):
     swept_json: str = _attribute("swept")
     versions: dict[str, str] = field(default_factory=dict)
     baseline_status: str = _attribute("baseline_status", "baseline.status")
-    baseline_solve_time: float = _attribute("baseline_solve_time_s", "baseline.seconds", float("nan"))
+    baseline_solve_time: float = _attribute(
+        "baseline_solve_time_s", "baseline.seconds", float("nan")
+    )
     joint_start: bool = _attribute("joint_start", "joint_start", default=False)
     model_mark: str = _attribute("model_explains", value=lambda done: _verdict(done).mark)
     model_sentence: str = _attribute("model_check", value=lambda done: _verdict(done).sentence)
     advice: str = _attribute("advice", value=lambda done: _advice(done))
     noise_sentence: str = _attribute("noise_check", "noise.sentence")
     noise_learned: str = _attribute("noise_learned", "noise.summary")
-    film_sentence: str = _attribute("film", value=lambda done: "" if done.film is None else done.film.sentence)
+    film_sentence: str = _attribute(
+        "film", value=lambda done: "" if done.film is None else done.film.sentence
+    )
     warnings: str = _attribute("warnings", value=lambda done: "\n".join(done.checks))
     reading_error: float = _attribute("reading_error", "noise.reading_error", 0.0)
     error_in_sigma: float = _attribute("reading_error_in_sigma", "noise.error_in_sigma", 0.0)
@@ -432,9 +527,12 @@ class Content(Validated):
     unloaded_frames: int = _attribute("unloaded_frames", default=0, value=_unloaded_frames)
     frame_noise: dict[str, Array] = field(default_factory=dict)
     start_time: str = ""
-    # The measurement that all estimates of a recording share: frames, readings with their noise, and the truth.
+    # The measurement that all estimates of a recording share: frames, readings with their noise,
+    # and the truth.
     time: Array = _frames("s", "time of the frame", finite, shared=True)
-    frame: NDArray[np.int64] = _counts("index of the frame in the recording", value=_frame_numbers, shared=True)
+    frame: NDArray[np.int64] = _counts(
+        "index of the frame in the recording", value=_frame_numbers, shared=True
+    )
     measured: Array = _maps(
         "ohm",
         "reading between the lines without series resistance; NaN where missing",
@@ -444,13 +542,26 @@ class Content(Validated):
         shared=True,
     )
     measured_baseline: Array = _cells(
-        "mean of the unloaded frames", positive_or_missing, dataset="baseline", as_volt="baseline", shared=True
+        "mean of the unloaded frames",
+        positive_or_missing,
+        dataset="baseline",
+        as_volt="baseline",
+        shared=True,
     )
     sigma: Array | None = _maps(
-        "ohm", "standard deviation of the reading", positive_or_infinite, as_volt="sigma", shared=True, default=None
+        "ohm",
+        "standard deviation of the reading",
+        positive_or_infinite,
+        as_volt="sigma",
+        shared=True,
+        default=None,
     )
     sigma_baseline: Array | None = _cells(
-        "standard deviation of the baseline", positive_or_infinite, as_volt="sigma_baseline", shared=True, default=None
+        "standard deviation of the baseline",
+        positive_or_infinite,
+        as_volt="sigma_baseline",
+        shared=True,
+        default=None,
     )
     reading_side: NDArray[np.int8] | None = _maps(
         "1",
@@ -461,7 +572,9 @@ class Content(Validated):
         shared=True,
         default=None,
     )
-    missing_readings: NDArray[np.int64] | None = _counts("readings that say nothing", shared=True, default=None)
+    missing_readings: NDArray[np.int64] | None = _counts(
+        "readings that say nothing", shared=True, default=None
+    )
     bound_readings: NDArray[np.int64] | None = _counts(
         "readings at a rail, zero, or below the series resistance", shared=True, default=None
     )
@@ -469,11 +582,19 @@ class Content(Validated):
         "ohm", "true cell resistance", positive_or_missing, value=_truth, shared=True, default=None
     )
     truth_baseline: Array | None = _cells(
-        "mean true unloaded cell resistance", positive_or_missing, value=_truth_baseline, shared=True, default=None
+        "mean true unloaded cell resistance",
+        positive_or_missing,
+        value=_truth_baseline,
+        shared=True,
+        default=None,
     )
     # The estimate of every frame, and the outcome of its solve.
-    cell_resistance: Array = _maps("ohm", "estimated cell resistance", numbers_if_solved, not_zero_or_less)
-    relative_change: Array = _maps("percent", "cell resistance against its baseline", missing_unless_solved)
+    cell_resistance: Array = _maps(
+        "ohm", "estimated cell resistance", numbers_if_solved, not_zero_or_less
+    )
+    relative_change: Array = _maps(
+        "percent", "cell resistance against its baseline", missing_unless_solved
+    )
     reading_model: Array = _maps(
         "ohm",
         "reading of the estimated cells",
@@ -497,7 +618,9 @@ class Content(Validated):
     )
     baseline_resistance: Array = _cells("estimated unloaded cell resistance", possible)
     status: tuple[str, ...] = _frames("1", "how the solve ended", dtype=str)
-    iterations: NDArray[np.int64] = _counts("iterations of the solver", value=_of_solutions("iterations"))
+    iterations: NDArray[np.int64] = _counts(
+        "iterations of the solver", value=_of_solutions("iterations")
+    )
     solver: tuple[str, ...] | None = _frames(
         "1",
         "solver that gave the estimate; empty where none did",
@@ -536,15 +659,26 @@ class Content(Validated):
         value=_of_solutions("starts"),
         default=None,
     )
-    solve_time: Array = _frames("s", "wall time of the solve", value=of_steps(lambda step: step.seconds))
+    solve_time: Array = _frames(
+        "s", "wall time of the solve", value=of_steps(lambda step: step.seconds)
+    )
     objective: Array = _frames("1", "value of the cost function", value=_of_solutions("objective"))
-    kkt_residual: Array = _frames("1", "violation of the optimality conditions", value=_of_solutions("kkt_residual"))
-    solved: NDArray[np.bool_] = _frames("1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved")))
-    # The uncertainty of an estimate; absent where the noise is unknown or error bars were not requested.
-    cell_resistance_errors: Array | None = _deviation("ohm", "posterior standard deviation of the cell resistance")
+    kkt_residual: Array = _frames(
+        "1", "violation of the optimality conditions", value=_of_solutions("kkt_residual")
+    )
+    solved: NDArray[np.bool_] = _frames(
+        "1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved"))
+    )
+    # The uncertainty of an estimate; absent where the noise is unknown or error bars were not
+    # requested.
+    cell_resistance_errors: Array | None = _deviation(
+        "ohm", "posterior standard deviation of the cell resistance"
+    )
     cell_resistance_lower: Array | None = _share("95 % interval, lower end", "ohm")
     cell_resistance_upper: Array | None = _share("95 % interval, upper end", "ohm")
-    relative_change_errors: Array | None = _deviation("percent", "posterior standard deviation of the relative change")
+    relative_change_errors: Array | None = _deviation(
+        "percent", "posterior standard deviation of the relative change"
+    )
     relative_change_lower: Array | None = _share("95 % interval, lower end", "percent")
     relative_change_upper: Array | None = _share("95 % interval, upper end", "percent")
     sigma_own: Array | None = _deviation("1", "standard deviation of ln r: each cell's own error")
@@ -557,11 +691,16 @@ class Content(Validated):
     baseline_resistance_errors: Array | None = _cells(
         "posterior standard deviation of the unloaded cell resistance", not_negative, default=None
     )
-    # Pressures of the cells; absent without error bars, which the uncertainty of pressures requires.
+    # Pressures of the cells; absent without error bars, which the uncertainty of pressures
+    # requires.
     pressure: Array | None = _share("pressure of the load on the cell", "kPa")
     pressure_errors: Array | None = _deviation("kPa", "standard deviation of the pressure")
-    pressure_own: Array | None = _deviation("kPa", "standard deviation of the pressure: each cell's own error")
-    pressure_common: Array | None = _deviation("kPa", "standard deviation of the pressure: common error of all cells")
+    pressure_own: Array | None = _deviation(
+        "kPa", "standard deviation of the pressure: each cell's own error"
+    )
+    pressure_common: Array | None = _deviation(
+        "kPa", "standard deviation of the pressure: common error of all cells"
+    )
     pressure_lower: Array | None = _share("95 % interval, lower end", "kPa")
     pressure_upper: Array | None = _share("95 % interval, upper end", "kPa")
     saturated: NDArray[np.uint8] | None = _flag(
@@ -575,13 +714,20 @@ class Content(Validated):
         default=None,
     )
     tared: tuple[str, ...] | None = _frames(
-        "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, default=None
+        "1",
+        "why the zero of pressures was taken anew after the frame; empty: it was not",
+        dtype=str,
+        default=None,
     )
     contacts: dict[str, Array] = _figures("contact", _contacts, _of_contact, "ohm")
     costs: dict[str, Array] = _figures("cost", _costs, "cost of the term {}".format)
     weights: dict[str, Array] = _figures("weight", _weights, "weight of the term {}".format)
     weight_sigma: dict[str, Array] = _figures(
-        "weight_sigma", _chosen, "standard deviation of ln of the chosen weight of the term {}".format
+        "weight_sigma",
+        _chosen,
+        "standard deviation of ln of the chosen weight of the term {}".format,
     )
-    misfit: dict[str, Array] = _figures("model_check", attrgetter("misfit"), lambda name: MISFIT.get(name, name))
+    misfit: dict[str, Array] = _figures(
+        "model_check", attrgetter("misfit"), lambda name: MISFIT.get(name, name)
+    )
     extra: Mapping[str, Array] = field(default_factory=dict)

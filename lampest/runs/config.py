@@ -16,7 +16,14 @@ from lampest.estimate.methods import AnyMethod, MethodName
 from lampest.estimate.sequence import check_by_parts
 from lampest.estimate.witness import Verify
 from lampest.files import sweep
-from lampest.files.document import Document, adapter, plain_content, read_document, to_yaml, validated
+from lampest.files.document import (
+    Document,
+    adapter,
+    plain_content,
+    read_document,
+    to_yaml,
+    validated,
+)
 from lampest.files.errors import InputError, meant
 from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
@@ -46,11 +53,17 @@ class _WithInstalled:
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
         """Return the schema of a class with fields for these terms; called by pydantic."""
-        further = {kind: term for kind, term in term_types().items() if kind not in source.__dataclass_fields__}
+        further = {
+            kind: term
+            for kind, term in term_types().items()
+            if kind not in source.__dataclass_fields__
+        }
         return handler.generate_schema(terms_class(further, source)) if further else handler(source)
 
 
-Terms = terms_class({kind: term for term in shipped(AnyTerm) for kind in kinds_of(term)}, _WithInstalled)
+Terms = terms_class(
+    {kind: term for term in shipped(AnyTerm) for kind in kinds_of(term)}, _WithInstalled
+)
 
 
 def terms_of(terms: Any) -> tuple[Term, ...]:
@@ -60,7 +73,10 @@ def terms_of(terms: Any) -> tuple[Term, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Options of a run file for all estimators, or of an estimator; the latter override solver and bounds by key."""
+    """Options of a run file for all estimators, or of an estimator.
+
+    The latter override solver and bounds by key.
+    """
 
     __pydantic_config__: ClassVar[Any] = FORBID
     formulation: MethodName | AnyMethod = "auto"
@@ -158,10 +174,12 @@ class Run:
 def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     """Read the cases of a run file with `PATH=VALUE` settings applied.
 
-    Raises InputError for any fault before the first solve. An unreadable recording among several is no fault here: its
-    cases fail later, without effect on the others.
+    Raises InputError for any fault before the first solve. An unreadable recording among several is
+    no fault here: its cases fail later, without effect on the others.
 
-    >>> _ = Path("run.yaml").write_text("{schema: 1, recordings: [mine.h5], estimators: {LSM: {terms: {misfit: {}}}}}")
+    >>> estimators = "{LSM: {terms: {misfit: {}}}}"
+    >>> text = f"{{schema: 1, recordings: [mine.h5], estimators: {estimators}}}"
+    >>> _ = Path("run.yaml").write_text(text)
     >>> len(lampest.read_run(Path("run.yaml")).cases)
     1
     """
@@ -172,12 +190,19 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
     fixed = {"executor": "where cases run changes no result, so it cannot be swept"}
-    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile), "estimators", fixed):
+    for point in sweep.combinations(
+        document, lambda varied: validated(varied, RunFile), "estimators", fixed
+    ):
         run: RunFile = point.value
         published |= run.published or {}
-        executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
+        executor = (
+            run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
+        )
         prefix = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
-        swept = {path.removeprefix(prefix).removeprefix("terms."): value for path, value in point.assignments.items()}
+        swept = {
+            path.removeprefix(prefix).removeprefix("terms."): value
+            for path, value in point.assignments.items()
+        }
         name = _varied_name(point.entry, swept)
         estimator = resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):
@@ -187,12 +212,18 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     faults = [source.fault for source in recordings.values()]
     if faults[0] is not None and all(faults):
         raise faults[0]
-    scenes = {file.stem: source.scene.assumed_text for file, source in recordings.items() if source.scene is not None}
+    scenes = {
+        file.stem: source.scene.assumed_text
+        for file, source in recordings.items()
+        if source.scene is not None
+    }
     # Recordings in order, their estimators together, each case once.
     order = {case.recording: None for case in cases}
     unique = {case.case_id: case for case in cases}.values()
     distinct = tuple(case for name in order for case in unique if case.recording == name)
-    return Run(distinct, published, executor, tuple((name, text) for name, text in scenes.items() if text))
+    return Run(
+        distinct, published, executor, tuple((name, text) for name, text in scenes.items() if text)
+    )
 
 
 def _refuse_unknown(path: Path, document: Document, settings: tuple[str, ...]) -> None:
@@ -201,7 +232,12 @@ def _refuse_unknown(path: Path, document: Document, settings: tuple[str, ...]) -
     estimators = known.get("estimators") if isinstance(known, dict) else None
     for key in (setting.partition("=")[0] for setting in settings):
         room, *inner = key.split(".")
-        if room == "estimators" and len(inner) > 1 and isinstance(estimators, dict) and inner[0] not in estimators:
+        if (
+            room == "estimators"
+            and len(inner) > 1
+            and isinstance(estimators, dict)
+            and inner[0] not in estimators
+        ):
             listed = meant(inner[0], estimators) or f"; there are {', '.join(estimators)}"
             raise document.error((), f"{key}: there is no estimator {inner[0]!r}{listed}")
 
@@ -238,7 +274,13 @@ class _Source:
             recording = opened(path)
             if isinstance(recording, StoredRecording):
                 first = recording.part(recording.blocks[0])
-                return cls(*names, recording.scene, first.readings(), frames=recording.frames, stored=recording)
+                return cls(
+                    *names,
+                    recording.scene,
+                    first.readings(),
+                    frames=recording.frames,
+                    stored=recording,
+                )
             frames = len(recording.measured_frames())
         except InputError as error:
             return cls(*names, fault=error)
@@ -259,7 +301,12 @@ class _Source:
     def case(self, name: str, estimator: Estimator, swept: Mapping[str, Any]) -> Case:
         """Return the case of an estimator of that name."""
         recording = self.path.stem
-        content = {"recording": recording, "recording_sha256": self.sha256, "estimator": name, "case_format": 1}
+        content = {
+            "recording": recording,
+            "recording_sha256": self.sha256,
+            "estimator": name,
+            "case_format": 1,
+        }
         resolved = to_yaml(content | plain_content(estimator))
         names = (self.path, self.sha256, recording, name)
         return Case(*names, estimator, resolved, hash_of(resolved), self.stored, swept, self.frames)
@@ -280,7 +327,9 @@ def digest(path: Path) -> str:
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
-    """Return the files that the patterns name, relative to the run file; `*` stands for any part of a name.
+    """Return the files that the patterns name, relative to the run file.
+
+    `*` stands for any part of a name.
 
     Raises InputError if a pattern matches nothing or two files share a stem.
     """
@@ -304,16 +353,26 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     """Return an estimator, with options of the run as defaults."""
-    shared = {item.name: document.content[item.name] for item in fields(Choices) if item.name in document.content}
+    shared = {
+        item.name: document.content[item.name]
+        for item in fields(Choices)
+        if item.name in document.content
+    }
     written = document.content["estimators"][name]
-    merged = shared | written | {part: shared.get(part, {}) | written.get(part, {}) for part in ("solver", "bounds")}
+    merged = (
+        shared
+        | written
+        | {part: shared.get(part, {}) | written.get(part, {}) for part in ("solver", "bounds")}
+    )
     try:
         entry: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
     except ValueError as error:
         raise document.error(("estimators", name), "does not fit the run") from error
     try:
         check_name(name, "estimator")
-        return Estimator(terms_of(entry.terms), *(getattr(entry, item.name) for item in fields(Choices)))
+        return Estimator(
+            terms_of(entry.terms), *(getattr(entry, item.name) for item in fields(Choices))
+        )
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

@@ -1,6 +1,7 @@
 """Executors of batches: this process, processes of this machine, or a Dask cluster.
 
-An executor calls a function once for every argument, one call at a time on each worker, and yields the results.
+An executor calls a function once for every argument, one call at a time on each worker, and yields
+the results.
 """
 
 import logging
@@ -21,7 +22,13 @@ from threading import Thread
 from typing import Annotated, Any, Literal
 
 from lampest.files.errors import InputError, extra
-from lampest.files.process import ENDING, EXPENDABLE, check_address_space, interrupted, libraries_to_the_log
+from lampest.files.process import (
+    ENDING,
+    EXPENDABLE,
+    check_address_space,
+    interrupted,
+    libraries_to_the_log,
+)
 from lampest.files.typed import ByKind, Configuration, check_not_negative, check_ranges
 
 Function = Callable[[Any], Any]
@@ -32,10 +39,11 @@ class WorkerDiedError(RuntimeError):
 
 
 class Worker:
-    """Fresh process that answers one task after the other, ignores Ctrl-C, and is killed at the end.
+    """Fresh process that answers one task after the other.
 
-    Parent and process share a pipe and nothing else: no thread, queue or semaphore that could fail by itself. Only
-    the process holds the pipe's other end, so that its death ends every reading.
+    It ignores Ctrl-C, and is killed at the end. Parent and process share a pipe and nothing else:
+    no thread, queue or semaphore that could fail by itself. Only the process holds the pipe's other
+    end, so that its death ends every reading.
 
     Parameters
     ----------
@@ -46,12 +54,15 @@ class Worker:
     Attributes
     ----------
     pipe : Connection
-        Readable once there is an answer or the process is dead; there is none before the first task.
+        Readable once there is an answer or the process is dead; there is none before the first
+        task.
     process : SpawnProcess, or None
         The process, once it has started.
     """
 
-    def __init__(self, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()) -> None:
+    def __init__(
+        self, begun: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
+    ) -> None:
         self._begun = begun
         self._arguments = arguments
         self._killed = False
@@ -69,18 +80,24 @@ class Worker:
             self.pipe.send((function, argument))
 
     def _started(self) -> SpawnProcess:
-        # Blocked, so that even the imports of a process are undisturbed, and the tracker does not die before them.
+        # Blocked, so that even the imports of a process are undisturbed, and the tracker does not
+        # die before them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
         try:
             resource_tracker.ensure_running()
-            signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)  # which the start of the tracker undid
+            # Which the start of the tracker undid.
+            signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
             self.pipe, theirs = get_context("spawn").Pipe()
             with theirs:
-                process = get_context("spawn").Process(target=_serve, args=(theirs, self._begun, self._arguments))
+                process = get_context("spawn").Process(
+                    target=_serve, args=(theirs, self._begun, self._arguments)
+                )
                 process.start()
         except (OSError, MemoryError) as error:
             reason = getattr(error, "strerror", None) or "not enough memory"
-            raise InputError(f"cannot start a further process ({reason}); --jobs 1 needs none") from error
+            raise InputError(
+                f"cannot start a further process ({reason}); --jobs 1 needs none"
+            ) from error
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if self._killed:
@@ -135,7 +152,8 @@ class Worker:
 def answered_first(workers: Collection[Worker]) -> list[Worker]:
     """Wait until some workers have answered or are dead, and return them.
 
-    A pipe says both. That each process lives is asked as well, in case a child of a dead one holds its pipe.
+    A pipe says both. That each process lives is asked as well, in case a child of a dead one holds
+    its pipe.
     """
     while True:
         readable = wait([worker.pipe for worker in workers], LIVENESS_SECONDS)
@@ -144,8 +162,12 @@ def answered_first(workers: Collection[Worker]) -> list[Worker]:
 
 
 def _serve(pipe: Connection, begun: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
-    """Answer tasks in a new process, which ends with its parent: a parent that is killed ends no running task."""
-    with suppress(RuntimeError):  # no further thread can be started: the process ends after its task
+    """Answer tasks in a new process, which ends with its parent.
+
+    A parent that is killed ends no running task.
+    """
+    # No further thread can be started: the process ends after its task.
+    with suppress(RuntimeError):
         Thread(target=_end_with_parent, daemon=True).start()
     if begun is not None:
         begun(*arguments)
@@ -164,7 +186,10 @@ def _end_with_parent() -> None:
 
 
 def _answer(task: bytes) -> bytes:
-    """Return the pickled result, the pickled exception, or the text of an exception that cannot be pickled."""
+    """Return the pickled result or the pickled exception.
+
+    For an exception that cannot be pickled, its text is returned.
+    """
     try:
         with libraries_to_the_log():
             function, argument = pickle.loads(task)
@@ -182,10 +207,12 @@ def cores() -> int:
 
 
 LIVENESS_SECONDS = 1.0  # between questions whether processes live
-MAX_TRIES = 4  # of a task whose process dies: processes may be killed from outside, repeatedly by chance
+# Of a task whose process dies: processes may be killed from outside, repeatedly by chance.
+MAX_TRIES = 4
 DIED = f"its process died {MAX_TRIES} times"
 HUNG = (
-    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
+    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that "
+    "its process was ended"
 )
 MIN_TASKS = 12  # fewer tasks of half a second end before processes have started
 # A Dask worker receives one task at a time where there are many.
@@ -213,10 +240,12 @@ class Executor(Configuration):
 
     @abstractmethod
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """Yield pairs of argument and result as they finish; the result may be the exception of the call.
+        """Yield pairs of argument and result as they finish.
 
-        Raises LostError if no further results will come. After the generator is closed no call starts, and running
-        ones are killed.
+        The result may be the exception of the call.
+
+        Raises LostError if no further results will come. After the generator is closed no call
+        starts, and running ones are killed.
         """
 
 
@@ -242,8 +271,9 @@ class Serial(Executor):
 class Processes(Executor):
     """Fresh processes with one BLAS thread each, by default as many as there are cores.
 
-    If a process dies, its task is tried again a few times, and no other task is affected. A process that hangs beyond
-    the time limit of a frame is ended, and its task fails. Raises ValueError if the number of workers is out of range.
+    If a process dies, its task is tried again a few times, and no other task is affected. A process
+    that hangs beyond the time limit of a frame is ended, and its task fails. Raises ValueError if
+    the number of workers is out of range.
     """
 
     workers: int | None = None
@@ -257,7 +287,10 @@ class Processes(Executor):
         waiting = deque(range(len(arguments)))
         deaths = Counter[int]()
         with ExitStack() as stack:
-            idle = [stack.enter_context(Worker()) for _ in range(min(self.workers or cores(), len(arguments)))]
+            idle = [
+                stack.enter_context(Worker())
+                for _ in range(min(self.workers or cores(), len(arguments)))
+            ]
             busy: dict[Worker, int] = {}
             while waiting or busy:
                 while waiting and idle:
@@ -283,7 +316,9 @@ class Processes(Executor):
 
 @dataclass(frozen=True)
 class Tls(Configuration):
-    """Files for the mutual authentication of a cluster; without them, anybody who reaches a scheduler can run code.
+    """Files for the mutual authentication of a cluster.
+
+    Without them, anybody who reaches a scheduler can run code.
 
     Parameters
     ----------
@@ -296,7 +331,10 @@ class Tls(Configuration):
     key_file: str
 
     def beside(self, folder: Path) -> "Tls":
-        """Return the files with paths relative to a folder. Raises InputError for unreadable files."""
+        """Return the files with paths relative to a folder.
+
+        Raises InputError for unreadable files.
+        """
         names = ("ca_file", "cert_file", "key_file")
         return Tls(*(_readable(folder / getattr(self, name), f"tls.{name}") for name in names))
 
@@ -307,15 +345,21 @@ class Dask(Executor):
 
     Parameters
     ----------
-    workers : number of processes of this machine, by default that of its cores. Not with a scheduler.
-    address : address of a running scheduler, such as tcp://host:8786; its workers: dask worker ADDRESS --nthreads 1.
-    scheduler_file : file in which such a scheduler writes its address (dask scheduler --scheduler-file).
-    wait_s : longest time in s until the first worker appears; jobs of a cluster may wait in a queue.
-    tls : files for the authentication of scheduler, workers and this computer; an address then begins with tls://.
+    workers : number of processes of this machine, by default that of its cores. Not with a
+        scheduler.
+    address : address of a running scheduler, such as tcp://host:8786; its workers: dask worker
+        ADDRESS --nthreads 1.
+    scheduler_file : file in which such a scheduler writes its address (dask scheduler
+        --scheduler-file).
+    wait_s : longest time in s until the first worker appears; jobs of a cluster may wait in a
+        queue.
+    tls : files for the authentication of scheduler, workers and this computer; an address then
+        begins with tls://.
 
-    Without address and file the workers are processes of this machine. The task of a worker that dies is tried again a
-    few times, a number that a scheduler elsewhere determines. On processors of one kind the results are bitwise those
-    of `Serial`. Raises ValueError where the parameters exclude each other.
+    Without address and file the workers are processes of this machine. The task of a worker that
+    dies is tried again a few times, a number that a scheduler elsewhere determines. On processors
+    of one kind the results are bitwise those of `Serial`. Raises ValueError where the parameters
+    exclude each other.
     """
 
     kind: Literal["dask"] = "dask"
@@ -329,38 +373,55 @@ class Dask(Executor):
         check_ranges(self, 1, 10_000, "workers")
         if sum(part is not None for part in (self.workers, self.address, self.scheduler_file)) > 1:
             raise ValueError(
-                "address names a cluster that runs, and so does scheduler_file: one of them, without workers"
+                "address names a cluster that runs, and so does scheduler_file: one of them, "
+                "without workers"
             )
         check_not_negative(self, "wait_s")
 
     def beside(self, folder: Path) -> "Dask":
-        """Return the executor with files relative to a folder. Raises InputError for unreadable files."""
+        """Return the executor with files relative to a folder.
+
+        Raises InputError for unreadable files.
+        """
         file = self.scheduler_file and _readable(folder / self.scheduler_file, "scheduler_file")
         return replace(self, scheduler_file=file, tls=self.tls and self.tls.beside(folder))
 
     def ready(self) -> None:
         """Raise InputError if the extra is not installed or encryption does not fit the address."""
         if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
-            raise InputError("executor: tls goes with an address that begins with tls://, and such an address with tls")
+            raise InputError(
+                "executor: tls goes with an address that begins with tls://, and such an address "
+                "with tls"
+            )
         if self.tls is not None and not (self.address or self.scheduler_file):
-            raise InputError("executor: workers of this machine listen on its loopback address alone, without tls")
+            raise InputError(
+                "executor: workers of this machine listen on its loopback address alone, without "
+                "tls"
+            )
         _library("distributed")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """Yield results, as `Executor.results`. Raises InputError also if no suitable worker answers."""
+        """Yield results, as `Executor.results`.
+
+        Raises InputError also if no suitable worker answers.
+        """
         if not arguments:
             return
         distributed = _library("distributed")
         with self._client(distributed, len(arguments)) as client:
             rounds = [dict(enumerate(arguments))]
             for tasks in rounds:
-                numbers = {client.submit(function, task, pure=False): number for number, task in tasks.items()}
+                numbers = {
+                    client.submit(function, task, pure=False): number
+                    for number, task in tasks.items()
+                }
                 for future in distributed.as_completed(list(numbers), loop=client.loop):
                     number = numbers.pop(future)
                     outcome = _outcome(distributed, client, future)
                     if not isinstance(outcome, distributed.KilledWorker):
                         yield arguments[number], outcome
-                    elif len(tasks) > 1:  # Dask attributes the death of a worker to all of its tasks: try each alone
+                    # Dask attributes the death of a worker to all of its tasks: try each alone
+                    elif len(tasks) > 1:
                         rounds.append({number: arguments[number]})
                     else:
                         yield arguments[number], RuntimeError(DIED)
@@ -381,18 +442,25 @@ class Dask(Executor):
                 files = dict(zip(names, astuple(self.tls), strict=True))
                 where["security"] = distributed.Security(**files, require_encryption=True)
             try:
-                client = stack.enter_context(distributed.Client(**where, timeout=self.wait_s, set_as_default=False))
+                client = stack.enter_context(
+                    distributed.Client(**where, timeout=self.wait_s, set_as_default=False)
+                )
                 client.wait_for_workers(1, timeout=self.wait_s)
             except (OSError, TimeoutError) as error:
                 raise InputError(
-                    f"executor: no Dask scheduler with workers answers at {place} within {self.wait_s:g} s"
+                    f"executor: no Dask scheduler with workers answers at {place} within "
+                    f"{self.wait_s:g} s"
                 ) from error
             for worker, threads in client.nthreads().items():
                 if threads != 1:
-                    raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
+                    raise InputError(
+                        f"executor: the worker {worker} has {threads} threads; start it with "
+                        "--nthreads 1"
+                    )
             yield client
             if place is None:
-                # Closed while it starts a worker anew, a nanny raises AssertionError (distributed 2026.8).
+                # Closed while it starts a worker anew, a nanny raises AssertionError (distributed
+                # 2026.8).
                 with suppress(TimeoutError):
                     client.wait_for_workers(workers, timeout=self.wait_s)
 
@@ -422,7 +490,10 @@ def _of_this_machine(distributed: Any, workers: int) -> Any:
 
 
 def dask_setup(worker: Any) -> None:
-    """Ignore Ctrl-C and a closed terminal, which concern the collecting process; Dask calls this by its name."""
+    """Ignore Ctrl-C and a closed terminal, which concern the collecting process.
+
+    Dask calls this by its name.
+    """
     for number in TERMINAL:
         signal.signal(number, signal.SIG_IGN)
 
@@ -430,7 +501,10 @@ def dask_setup(worker: Any) -> None:
 @contextmanager
 def _silence() -> Iterator[None]:
     """Silence Dask, which reports a lost scheduler in dozens of lines."""
-    names = {*NOISY, *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in NOISY)}
+    names = {
+        *NOISY,
+        *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in NOISY),
+    }
     before = {logging.getLogger(name): logging.getLogger(name).level for name in names}
     try:
         for logger in before:
@@ -495,9 +569,11 @@ def each_of(
     on_done : callable
         Receives the numbers of finished and of all items.
     executor : Executor or None
-        By default processes if there are many items. Serial for items whose classes other processes cannot import.
+        By default processes if there are many items. Serial for items whose classes other processes
+        cannot import.
     lost : callable or None
-        Makes a result from an item and the exception of its call; by default the first exception is raised.
+        Makes a result from an item and the exception of its call; by default the first exception is
+        raised.
     """
     executor = executor or (Processes() if len(items) > MIN_TASKS else Serial())
     executor.ready()
@@ -506,6 +582,8 @@ def each_of(
         for item, outcome in ends:
             if isinstance(outcome, BaseException) and lost is None:
                 raise outcome
-            results[id(item)] = lost(item, outcome) if lost and isinstance(outcome, BaseException) else outcome
+            results[id(item)] = (
+                lost(item, outcome) if lost and isinstance(outcome, BaseException) else outcome
+            )
             on_done(len(results), len(items))
     return [results[id(item)] for item in items]

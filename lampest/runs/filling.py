@@ -1,4 +1,7 @@
-"""Conversion of estimates to the content of a results file, and of its attributes to the noise of frames."""
+"""Conversion of estimates to the content of a results file.
+
+Also the conversion of its attributes to the noise of frames.
+"""
 
 import hashlib
 import json
@@ -21,7 +24,12 @@ from lampest.runs.config import Case, hash_of
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 # Stored name → attribute of `FrameNoise`: two numbers, and two patterns in volt.
-NOISE = {"gain": "gain", "unloaded": "unloaded", "together": "common_ripple", "apart": "line_ripple"}
+NOISE = {
+    "gain": "gain",
+    "unloaded": "unloaded",
+    "together": "common_ripple",
+    "apart": "line_ripple",
+}
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
@@ -29,11 +37,20 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
 
     Raises InputError where the values of a column have a wrong shape or are impossible.
     """
-    names = {"recording": case.recording, "estimator": case.name, "case_id": case.case_id, "case_yaml": case.resolved}
-    return _filled(estimates, (), names | ({"swept_json": json.dumps(case.swept)} if case.swept else {}))
+    names = {
+        "recording": case.recording,
+        "estimator": case.name,
+        "case_id": case.case_id,
+        "case_yaml": case.resolved,
+    }
+    return _filled(
+        estimates, (), names | ({"swept_json": json.dumps(case.swept)} if case.swept else {})
+    )
 
 
-def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
+def named_result(
+    estimates: Estimates, name: str | None, columns: Sequence[Column] = ()
+) -> CaseResult:
     """Return the result of estimates without a run file. Raises InputError as `case_result`.
 
     Parameters
@@ -52,7 +69,9 @@ def named_result(estimates: Estimates, name: str | None, columns: Sequence[Colum
     }
     content = names | {"readings_sha256": hashlib.sha256(recording.recorded.tobytes()).hexdigest()}
     resolved = to_yaml(content | plain_content(recording.scene) | plain_content(estimator))
-    return _filled(estimates, columns, names | {"case_id": hash_of(resolved), "case_yaml": resolved})
+    return _filled(
+        estimates, columns, names | {"case_id": hash_of(resolved), "case_yaml": resolved}
+    )
 
 
 def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, str]) -> CaseResult:
@@ -65,7 +84,11 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
         scene=estimates.recording.scene,
         frame_noise=_arrays_of(estimates.noise.frame),
         start_time=estimates.recording.start_time or "",
-        **{item.name: item.metadata["value"](estimates) for item in fields(Content) if item.metadata.get("value")},
+        **{
+            item.name: item.metadata["value"](estimates)
+            for item in fields(Content)
+            if item.metadata.get("value")
+        },
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)
@@ -79,13 +102,23 @@ def library_versions(*further: str) -> dict[str, str]:
 
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
-    """Return the numbers and the patterns in volt of a frame's noise by name; empty without noise."""
+    """Return the numbers and the patterns in volt of a frame's noise by name.
+
+    Empty without noise.
+    """
     parts = {} if noise is None else {name: getattr(noise, part) for name, part in NOISE.items()}
-    return {name: np.array(part, dtype=float, order="C") for name, part in parts.items() if np.size(part)}
+    return {
+        name: np.array(part, dtype=float, order="C")
+        for name, part in parts.items()
+        if np.size(part)
+    }
 
 
 def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:
-    """Return the frame noise of stored arrays, the inverse of `_arrays_of`. Raises ValueError for invalid arrays."""
+    """Return the frame noise of stored arrays, the inverse of `_arrays_of`.
+
+    Raises ValueError for invalid arrays.
+    """
     if scene.readout is None or not arrays:
         return None
     channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
@@ -97,5 +130,8 @@ def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | No
     if gain.shape or unloaded.shape or gain < 0 or unloaded < 1:
         raise ValueError("frame_gain must not be negative, frame_unloaded at least 1")
     if any(root.ndim != 2 or len(root) != channels for root in roots):
-        raise ValueError(f"frame_together and frame_apart must have {channels} rows, one for each channel of a line")
+        raise ValueError(
+            f"frame_together and frame_apart must have {channels} rows, one for each channel of a "
+            "line"
+        )
     return FrameNoise(scene, int(unloaded), float(gain), *(root.astype(float) for root in roots))

@@ -41,7 +41,9 @@ POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray
 
 @dataclass(frozen=True)
 class StepFigures(Configuration):
-    """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
+    """Published figures of some steps.
+
+    They are mean and standard deviation of solve time (s) and of data error (percent).
 
     Raises ValueError for negative and infinite figures.
 
@@ -60,7 +62,9 @@ class StepFigures(Configuration):
 
 @dataclass(frozen=True)
 class PublishedFigures(Configuration):
-    """Published figures of an estimator: over all steps, or separately for a joint first step and the following ones.
+    """Published figures of an estimator.
+
+    They are over all steps, or separately for a joint first step and the following ones.
 
     >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s
     16.45
@@ -99,12 +103,21 @@ class Results:
         return tuple(dict.fromkeys(case.estimator for case in self.cases))
 
     def label(self, case: CaseResult) -> str:
-        """Return the estimator's name, `LSR-CR, paper's lambda` with published figures and fixed weights."""
+        """Return the estimator's name.
+
+        It is `LSR-CR, paper's lambda` with published figures and fixed weights.
+        """
         chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
-        return case.estimator if chosen or case.estimator not in self.published else f"{case.estimator}, paper's lambda"
+        return (
+            case.estimator
+            if chosen or case.estimator not in self.published
+            else f"{case.estimator}, paper's lambda"
+        )
 
     def named(self, field: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
-        """Return the results of these recordings or estimators in the order of the file; all if none is named.
+        """Return the results of these recordings or estimators in the order of the file.
+
+        All if none is named.
 
         Raises InputError for an unknown name.
         """
@@ -112,9 +125,13 @@ class Results:
         for name in names:
             if name not in known:
                 close = meant(name, known)
-                raise InputError(f"no {field} is called {name!r}; there are {', '.join(known) or 'none'}{close}")
+                raise InputError(
+                    f"no {field} is called {name!r}; there are {', '.join(known) or 'none'}{close}"
+                )
         chosen = names or known
-        return replace(self, cases=tuple(case for case in self.cases if getattr(case, field) in chosen))
+        return replace(
+            self, cases=tuple(case for case in self.cases if getattr(case, field) in chosen)
+        )
 
 
 @typed
@@ -138,8 +155,8 @@ def write_results(
     Raises
     ------
     InputError
-        For repeated cases, different recordings of one name, an extra without column or unfit values, and a place that
-        cannot be written.
+        For repeated cases, different recordings of one name, an extra without column or unfit
+        values, and a place that cannot be written.
 
     >>> lampest.write_results("results.h5", [found.result("LSM")])
     """
@@ -153,11 +170,15 @@ def write_results(
     with hdf5.new_large_file(Path(path), size) if size else hdf5.new_file(Path(path)) as file:
         entry = _begun(file, next(iter(recordings), ""))
         if published:
-            text = json.dumps({name: asdict(figures) for name, figures in published.items()}, allow_nan=False)
+            text = json.dumps(
+                {name: asdict(figures) for name, figures in published.items()}, allow_nan=False
+            )
             hdf5.set_attributes(entry, published=text)
         for order, (name, held) in enumerate(recordings.items()):
             group = entry.create_group(name)
-            hdf5.set_attributes(group, NX_class="NXsubentry", default=held[0].estimator, order=order)
+            hdf5.set_attributes(
+                group, NX_class="NXsubentry", default=held[0].estimator, order=order
+            )
             for number, case in enumerate(held):
                 if isinstance(case, StoredCase):
                     for part in (SHARED, case.estimator)[bool(number) :]:
@@ -199,14 +220,19 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
             ("scene", case.scene, first.scene),
         ):
             numeric = isinstance(ours, np.ndarray) and ours.dtype.kind == "f"
-            if (ours is None) != (theirs is None) or not np.array_equal(ours, theirs, equal_nan=numeric):
+            if (ours is None) != (theirs is None) or not np.array_equal(
+                ours, theirs, equal_nan=numeric
+            ):
                 raise InputError(
-                    f"{case.estimator} and {first.estimator} were given different recordings of the name "
+                    f"{case.estimator} and {first.estimator} were given different recordings of "
+                    "the name "
                     f"{case.recording} ({name} differs)"
                 )
 
 
-def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], *, with_given: bool) -> None:
+def _write_case(
+    group: h5py.Group, case: CaseResult, table: Sequence[Column], *, with_given: bool
+) -> None:
     """Write an estimate and, with the first case of a recording, the measurement."""
     series = series_of(case, table, raw=True).values()
     if with_given:
@@ -225,7 +251,9 @@ def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], *,
     attributes["joint_start"] = np.uint8(case.joint_start)
     hdf5.set_attributes(estimate, **attributes)
     axes = (TIME.name, FRAME.name)
-    _write_series(estimate, case, [column for column in series if not column.shared or column.name in axes])
+    _write_series(
+        estimate, case, [column for column in series if not column.shared or column.name in axes]
+    )
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
@@ -253,7 +281,9 @@ def _write_series(group: h5py.Group, case: CaseResult, series: Iterable[Series])
 
 
 @typed
-def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range | None = None) -> Results:
+def read_results(
+    path: str | Path, columns: Sequence[Column] = (), frames: range | None = None
+) -> Results:
     """Read a results file.
 
     Parameters
@@ -287,12 +317,17 @@ def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range
         read = {name: part for name, part in parts.items() if part is not None}
         if names and not read:
             raise InputError(f"{path}: holds none of the frames that are asked for")
-        cases = [case for name, part in read.items() for case in _read_recording(file, name, table, part)]
+        cases = [
+            case for name, part in read.items() for case in _read_recording(file, name, table, part)
+        ]
         return Results(tuple(cases), published)
 
 
 def read_each(path: Path, most: int) -> Iterator[CaseResult]:
-    """Yield every case of a results file in parts of `most` readings. Raises InputError as `read_results`."""
+    """Yield every case of a results file in parts of `most` readings.
+
+    Raises InputError as `read_results`.
+    """
     with _results_file(path) as file:
         _read_published(file)
         for name in _in_order(file, "/entry"):
@@ -309,7 +344,9 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
         for recording in _in_order(file, "/entry"):
             for name in _estimators(file, recording):
                 identity = hdf5.read_attribute(file, f"/entry/{recording}/{name}", "case_id")
-                cases.append(StoredCase(path, recording, name, str(identity), *_sizes(file, recording)))
+                cases.append(
+                    StoredCase(path, recording, name, str(identity), *_sizes(file, recording))
+                )
         return tuple(cases)
 
 
@@ -319,14 +356,20 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         if not isinstance(form, str) or form != FORMAT:
             recording = isinstance(form, str) and form.startswith("recording/")
-            kind = "a recording, lampest run computes results of it" if recording else f"lampest_format is {form!r}"
+            kind = (
+                "a recording, lampest run computes results of it"
+                if recording
+                else f"lampest_format is {form!r}"
+            )
             raise InputError(f"{file.filename}: no results file ({kind})")
         yield file
 
 
 def _in_order(file: h5py.File, path: str) -> list[str]:
     names = hdf5.children(file, path, h5py.Group)
-    return sorted(names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name))
+    return sorted(
+        names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name)
+    )
 
 
 def _estimators(file: h5py.File, recording: str) -> list[str]:
@@ -335,31 +378,40 @@ def _estimators(file: h5py.File, recording: str) -> list[str]:
 
 def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
     """Return the numbers of frames and cells of a recording."""
-    frames, rows, columns = (hdf5.length_of(file, f"/entry/{recording}/{SHARED}/{axis}") for axis in MAPS)
+    frames, rows, columns = (
+        hdf5.length_of(file, f"/entry/{recording}/{SHARED}/{axis}") for axis in MAPS
+    )
     return frames, rows * columns
 
 
 def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
     """Return the slice of the stored frames that belong to a range; None if it is empty."""
-    stored = hdf5.read_array(file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1)
+    stored = hdf5.read_array(
+        file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1
+    )
     begin, end = np.searchsorted(stored, (frames.start, frames.stop))
     return slice(int(begin), int(end)) if begin < end else None
 
 
-def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: slice) -> list[CaseResult]:
+def _read_recording(
+    file: h5py.File, name: str, table: Sequence[Column], part: slice
+) -> list[CaseResult]:
     base = f"/entry/{name}/{SHARED}"
     scene: Scene = validated(
-        parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene"), Scene
+        parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene"),
+        Scene,
     )
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
-    hdf5.read_array(file, path, len(MAPS), part=slice(0))  # validation of type and dimensions; no values are read
+    # Validation of type and dimensions; no values are read.
+    hdf5.read_array(file, path, len(MAPS), part=slice(0))
     shape = hdf5.shape_of(file, path)
     estimators = _estimators(file, name)
     maps = sum(column.axes == MAPS and not column.shared for column in table)
     if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
         raise InputError(
-            f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, which are not read at once; "
+            f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, which are "
+            "not read at once; "
             f"of its {shape[0]} frames --frames 0:1000 names some"
         )
     sizes = dict(zip(MAPS, shape, strict=True))
@@ -372,14 +424,19 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
             if column.name in REQUIRED or hdf5.has(file, f"{group}/{column.path}")
         }
 
-    start = hdf5.read_text(file, f"{base}/start_time") if hdf5.has(file, f"{base}/start_time") else ""
+    start = (
+        hdf5.read_text(file, f"{base}/start_time") if hdf5.has(file, f"{base}/start_time") else ""
+    )
     given = held(base, (column for column in table if column.shared))
     known = {"recording": name, "scene": scene, "start_time": start}
     cases = []
     for estimator in estimators:
         group = f"/entry/{name}/{estimator}"
         values = given | held(group, (column for column in table if not column.shared))
-        figures = {kind.name: _read_figures(file, f"{group}/{kind.folder}", shape[:1], part) for kind in FIGURES}
+        figures = {
+            kind.name: _read_figures(file, f"{group}/{kind.folder}", shape[:1], part)
+            for kind in FIGURES
+        }
         attributes = known | _read_attributes(file, group) | figures
         try:
             case = CaseResult.of(values, estimator=estimator, **attributes)
@@ -390,7 +447,9 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     return cases
 
 
-def _read_figures(file: h5py.File, path: str, shape: tuple[int, ...], part: slice) -> dict[str, Array]:
+def _read_figures(
+    file: h5py.File, path: str, shape: tuple[int, ...], part: slice
+) -> dict[str, Array]:
     """Return figures by name, each of shape (frames,)."""
     names = hdf5.children(file, path) if hdf5.has(file, path) else []
     return {name: hdf5.read_array(file, f"{path}/{name}", 1, shape, part) for name in names}
@@ -398,11 +457,19 @@ def _read_figures(file: h5py.File, path: str, shape: tuple[int, ...], part: slic
 
 def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
     """Return the attributes of a case."""
-    texts = {name: hdf5.read_attribute(file, path, name) for name in hdf5.attribute_names(file, path)}
+    texts = {
+        name: hdf5.read_attribute(file, path, name) for name in hdf5.attribute_names(file, path)
+    }
     attributes: dict[str, Any] = {
-        "versions": {key.removesuffix("_version"): str(texts[key]) for key in texts if key.endswith("_version")},
+        "versions": {
+            key.removesuffix("_version"): str(texts[key])
+            for key in texts
+            if key.endswith("_version")
+        },
         "frame_noise": {
-            key.removeprefix("frame_"): np.asarray(texts[key]) for key in texts if key.startswith("frame_")
+            key.removeprefix("frame_"): np.asarray(texts[key])
+            for key in texts
+            if key.startswith("frame_")
         },
     }
     for name, (item, default) in ATTRIBUTES.items():
@@ -417,8 +484,12 @@ def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
     """Return the published figures by estimator, which are stored as JSON."""
     text = hdf5.read_attribute(file, "/entry", "published")
     try:
-        figures: dict[str, PublishedFigures] = adapter(dict[str, PublishedFigures]).validate_json(text or "{}")
+        figures: dict[str, PublishedFigures] = adapter(dict[str, PublishedFigures]).validate_json(
+            text or "{}"
+        )
         return figures
     except (ValueError, TypeError) as error:
         names = ", ".join(item.name for item in fields(PublishedFigures))
-        raise InputError(f"{file.filename}: /entry@published is not figures by estimator and {names}") from error
+        raise InputError(
+            f"{file.filename}: /entry@published is not figures by estimator and {names}"
+        ) from error

@@ -1,1 +1,4 @@
-"""Minimisation: projected Newton, IPOPT with node voltages as unknowns, and the choice of starts."""
+"""Minimisation: projected Newton, IPOPT, and the choice of starts.
+
+IPOPT has node voltages as unknowns.
+"""

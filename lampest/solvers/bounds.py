@@ -1,7 +1,8 @@
-"""Bounds of cells: active set, projected steps, and whether bounds prevent cells from explaining readings.
+"""Bounds of cells: active set and projected steps.
 
-The multiplier of an active bound is the remaining gradient. Source: Nocedal & Wright, Numerical Optimization,
-2006, section 12.3 (multipliers as sensitivities).
+Also whether bounds prevent cells from explaining readings. The multiplier of an active bound is the
+remaining gradient. Source: Nocedal & Wright, Numerical Optimization, 2006, section 12.3
+(multipliers as sensitivities).
 """
 
 import numpy as np
@@ -16,9 +17,10 @@ MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is roundin
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
-    """Return the cells that have room and that the gradient does not press against a bound, boolean (…, cells).
+    """Return the free cells, boolean (…, cells).
 
-    `gradient` is in u = log r, (…, cells).
+    These have room, and the gradient does not press them against a bound. `gradient` is in u = log
+    r, (…, cells).
     """
     lower, upper = at.data.log_bounds
     slope = gradient.reshape(at.position.shape)
@@ -28,7 +30,10 @@ def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
 
 
 def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
-    """Return a step of the free cells (numbers) in u, clipped to the bounds, as a step of all cells (cells,)."""
+    """Return a step of the free cells in u, clipped to the bounds, as a step of all cells.
+
+    The free cells are given as numbers; the step returned has the shape (cells,).
+    """
     position = at.position.ravel()
     target = position.copy()
     target[free] += step
@@ -37,23 +42,33 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
-    """Return a point of lower cost forward or backward along a direction (cells,) of u; None if none is found."""
+    """Return a point of lower cost forward or backward along a direction (cells,) of u.
+
+    None if none is found.
+    """
     least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
     size = float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in STEP_LENGTHS for sign in (1.0, -1.0)]
     candidates = (moved_by(at, length * along) for length in lengths)
-    return next((point for point in candidates if point is not None and _certain_cost(point) < least), None)
+    return next(
+        (point for point in candidates if point is not None and _certain_cost(point) < least), None
+    )
 
 
 def _certain_cost(at: Evaluation) -> float:
     """Return φ minus the rounding error of residuals with an absolute loss."""
     if not len(at.nonsmooth):
         return at.objective
-    return at.objective - float(np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits)))
+    return at.objective - float(
+        np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits))
+    )
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
-    """Return the evaluation after a step of u (flat), clipped to the bounds; None if its network cannot be solved."""
+    """Return the evaluation after a step of u (flat), clipped to the bounds.
+
+    None if its network cannot be solved.
+    """
     cells = np.exp(at.position + step.reshape(at.position.shape))
     try:
         return at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))
@@ -64,9 +79,9 @@ def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
 def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     """Return whether active bounds are the reason why a reading deviates by more than its noise.
 
-    With squared losses and no penalty this holds for every such reading. Otherwise three conditions hold for the
-    reading's own cell: its bound is active, the reading pulls the cell beyond the bound, and the multiplier of the
-    bound is at least half of the pull of all readings.
+    With squared losses and no penalty this holds for every such reading. Otherwise three conditions
+    hold for the reading's own cell: its bound is active, the reading pulls the cell beyond the
+    bound, and the multiplier of the bound is at least half of the pull of all readings.
 
     Parameters
     ----------
@@ -87,7 +102,9 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     networks = at.networks
     # Pull of a cell's own reading, J_cc·∂φ/∂y_c, and of all readings, Jᵀ·∂φ/∂y.
     curvature = through * np.stack([network.own_response() for network in networks])
-    pull = np.stack([network.adjoint(part) for network, part in zip(networks, through, strict=True)])
+    pull = np.stack(
+        [network.adjoint(part) for network, part in zip(networks, through, strict=True)]
+    )
     borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
     return bool(np.any(held & missed & borne & (curvature * gradient > 0)))
 

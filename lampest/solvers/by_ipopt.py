@@ -1,7 +1,7 @@
 """Solver that gives the nonlinear program with node voltages to IPOPT.
 
-It begins at the same starts as every other solver, and takes no other answer: initial voltages are those of the start's
-cells, multipliers those with which IPOPT ended the frame before.
+It begins at the same starts as every other solver, and takes no other answer: initial voltages are
+those of the start's cells, multipliers those with which IPOPT ended the frame before.
 """
 
 from dataclasses import dataclass, replace
@@ -32,15 +32,19 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
-# The unit of the objective is the cost of a cell at readings of zero; that of an optimum is decades smaller.
+# The unit of the objective is the cost of a cell at readings of zero; that of an optimum is decades
+# smaller.
 ACCURACY = 1e-4
 MAX_FINE = 3  # fine solves of a start: one, and one more after each saddle
-FAR = log(4.0)  # of ln r: a frame whose cells move less stays in its valley, even where IPOPT corrects the inertia
+# Of ln r: a frame whose cells move less stays in its valley, even where IPOPT corrects the inertia.
+FAR = log(4.0)
 
 
 @dataclass(frozen=True)
 class Ipopt(Solver):
-    """Solver of one cost, circuit and choice of patterns on one panel shape; the program is built once and cached.
+    """Solver of one cost, circuit and choice of patterns on one panel shape.
+
+    The program is built once and cached.
 
     Attributes
     ----------
@@ -72,11 +76,17 @@ class Ipopt(Solver):
         return replace(self, multipliers=carried if isinstance(carried, Multipliers) else None)
 
     def cold(self) -> "Ipopt":
-        """Return the solver that begins without multipliers, with a barrier parameter of IPOPT's own choice."""
+        """Return the solver that begins without multipliers.
+
+        It has a barrier parameter of IPOPT's own choice.
+        """
         return replace(self, multipliers=None)
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
-        """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
+        """Minimise from `start`.
+
+        A failed solve does not raise; the outcome's status states the failure.
+        """
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
         instance = self._instance(start)
@@ -88,12 +98,17 @@ class Ipopt(Solver):
             verdict = outcome.certificate
             if verdict is None or outcome.at is None or verdict.settled:
                 break
-            # IPOPT goes on, from the lower point beside a saddle if there is one, in units of that point
+            # IPOPT goes on, from the lower point beside a saddle if there is one, in units of that
+            # point
             instance = self._instance(verdict.lower or outcome.at)
-            multipliers = multipliers.in_units(instance.program, instance.scale, instance.cost_scale)
+            multipliers = multipliers.in_units(
+                instance.program, instance.scale, instance.cost_scale
+            )
             result = self._interface.fine.minimise(instance, multipliers)
             multipliers = instance.multipliers_of(result)
-            fine = self._outcome(start, instance, result, status, outcome.iterations + result.iterations)
+            fine = self._outcome(
+                start, instance, result, status, outcome.iterations + result.iterations
+            )
             if fine.at is None or fine.at.objective > outcome.at.objective:
                 return replace(outcome, iterations=fine.iterations)
             outcome = fine
@@ -107,13 +122,20 @@ class Ipopt(Solver):
         return Instance.of(self._interface.program, circuits, self.patterns, [at])
 
     def _outcome(
-        self, start: Evaluation, instance: Instance, result: ProgramResult, status: Status, iterations: int
+        self,
+        start: Evaluation,
+        instance: Instance,
+        result: ProgramResult,
+        status: Status,
+        iterations: int,
     ) -> Outcome:
         """Return the outcome of a result, with the certificate of an optimum."""
         cells = instance.cells_of(result)
         dual = instance.duals_of(result, self.cost.slope)
         moved = float(np.abs(np.log(cells / start.cell_resistance)).max())
-        outcome = Outcome(cells, dual, status, iterations, convex=not (result.corrected and moved > FAR))
+        outcome = Outcome(
+            cells, dual, status, iterations, convex=not (result.corrected and moved > FAR)
+        )
         if status is not Status.OPTIMUM or not np.all(np.isfinite(cells)):
             return outcome
         at = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
@@ -121,7 +143,10 @@ class Ipopt(Solver):
         return replace(outcome, at=at, certificate=verdict, carried=instance.multipliers_of(result))
 
     def _minimise(self, instance: Instance) -> tuple[ProgramResult, int]:
-        """Return IPOPT's result, and its iterations: warm where there are multipliers, and cold if that fails."""
+        """Return IPOPT's result, and its iterations.
+
+        The solve is warm where there are multipliers, and cold if that fails.
+        """
         iterations = 0
         if self.multipliers is not None and len(self.multipliers.of_bounds) == len(instance.start):
             warm = self.multipliers.in_units(instance.program, instance.scale, instance.cost_scale)
@@ -134,11 +159,15 @@ class Ipopt(Solver):
 
     @property
     def _interface(self) -> Interface:
-        return _interface(self.cost.unweighted, self.readout, self.wiring, self.patterns, self.settings)
+        return _interface(
+            self.cost.unweighted, self.readout, self.wiring, self.patterns, self.settings
+        )
 
 
 @lru_cache(maxsize=32)
-def _circuits(readout: Readout, shape: tuple[int, int], wiring: Wiring | None) -> tuple[Circuit, ...]:
+def _circuits(
+    readout: Readout, shape: tuple[int, int], wiring: Wiring | None
+) -> tuple[Circuit, ...]:
     return Circuit.of_readout(readout, shape, wiring)
 
 
@@ -149,6 +178,8 @@ def _interface(
 ) -> Interface:
     program = Program.build(cost, readout, _circuits(readout, cost.panel.shape, wiring), patterns)
     seconds = np.inf if settings.time_limit_s is None else settings.time_limit_s
-    interface = Interface(program, Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds))
+    interface = Interface(
+        program, Limits(ACCURACY * settings.tolerance, settings.max_iterations, seconds)
+    )
     interface.prepare()
     return interface

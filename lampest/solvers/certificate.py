@@ -1,9 +1,12 @@
-"""Second-order certificate of a local minimum: length of one more Newton step, and definiteness of the Hessian.
+"""Second-order certificate of a local minimum.
 
-With g and H of the cost in u = log r over the free cells, a Newton step is s = −H⁻¹ g, its decrement δ = √(gᵀ H⁻¹ g).
-Where cost/s₀² is −2·log probability, δ/(√2·s₀) bounds |s_c| over the posterior deviation of u_c (Cauchy and Schwarz).
-Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vandenberghe, Convex Optimization, 2004,
-section 9.5 (the decrement).
+It has the length of one more Newton step, and the definiteness of the Hessian.
+
+With g and H of the cost in u = log r over the free cells, a Newton step is s = −H⁻¹ g, its
+decrement δ = √(gᵀ H⁻¹ g). Where cost/s₀² is −2·log probability, δ/(√2·s₀) bounds |s_c| over the
+posterior deviation of u_c (Cauchy and Schwarz).
+Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vandenberghe, Convex
+Optimization, 2004, section 9.5 (the decrement).
 """
 
 from dataclasses import dataclass
@@ -21,13 +24,18 @@ from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bo
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
-# Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the noise is known.
+# Of a cell's posterior standard deviation: allowed length of the remaining Newton step where the
+# noise is known.
 DEVIATION_SHARE = 1e-3
-MIN_COST_SHARE = 1e-10  # of the cost's scale: four digits below the error that a verified cost may have
-MAX_RELATIVE_MISFIT = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
-MAX_DISTANCE = 0.3  # of log r: distance within which cells that reproduce all readings count as the same minimum
+# Of the cost's scale: four digits below the error that a verified cost may have.
+MIN_COST_SHARE = 1e-10
+# Of a reading: second derivatives of readings add no larger part to JᵀWJ.
+MAX_RELATIVE_MISFIT = 1e-5
+# Of log r: distance within which cells that reproduce all readings count as the same minimum.
+MAX_DISTANCE = 0.3
 ACCURACY = 0.1  # of a predicted step on large panels
-MIN_CURVATURE = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
+# Of the cost's scale, over a change of one in log r: below any digit of the cost itself.
+MIN_CURVATURE = 1e-14
 ROUNDING = 1e-11  # rounding error of a matrix with a unit diagonal, after differences of impedances
 
 
@@ -52,8 +60,9 @@ class Certificate:
     decrement : float
         δ = √(gᵀ H⁻¹ g).
     deviations : float
-        δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings with curvature: an upper bound of |s_c| over the posterior
-        standard deviation of its cell. Infinite if the noise is not known, or if the step is at most a millionth.
+        δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings with curvature: an upper bound of |s_c|
+        over the posterior standard deviation of its cell. Infinite if the noise is not known, or if
+        the step is at most a millionth.
     left : float
         Largest entry of the gradient in undetermined directions; infinite if it was not computed.
     factor : Cholesky or None
@@ -72,9 +81,18 @@ class Certificate:
 
     @classmethod
     def of(
-        cls, hessian: Hessian, kind: Definiteness, free: Numbers, part: Array, decrement: float | None, **more: Any
+        cls,
+        hessian: Hessian,
+        kind: Definiteness,
+        free: Numbers,
+        part: Array,
+        decrement: float | None,
+        **more: Any,
     ) -> "Certificate":
-        """Return the certificate for a Newton step `part` of the `free` cells (numbers); decrement None: computed."""
+        """Return the certificate for a Newton step `part` of the `free` cells (numbers).
+
+        If decrement is None, it is computed.
+        """
         step = within_bounds(hessian.at, free, part)
         data = hessian.at.data
         deviations = float("inf")
@@ -82,7 +100,12 @@ class Certificate:
             # δ² = gᵀ H⁻¹ g = −gᵀs
             decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
         long = float(np.abs(step).max(initial=0.0)) > MILLIONTH
-        if kind is Definiteness.POSITIVE and long and data.noise_known and np.any(hessian.curvature > 0):
+        if (
+            kind is Definiteness.POSITIVE
+            and long
+            and data.noise_known
+            and np.any(hessian.curvature > 0)
+        ):
             # √2·s₀ = √(mean ∂²φ/∂y² σ²)
             spread = (hessian.curvature * data.sigma.ravel() ** 2)[hessian.curvature > 0]
             deviations = decrement / float(np.sqrt(np.mean(spread)))
@@ -90,32 +113,49 @@ class Certificate:
 
     @property
     def settled(self) -> bool:
-        """Whether this is a strict minimum up to a millionth of log r or DEVIATION_SHARE of a posterior deviation."""
+        """Whether this is a strict minimum within a tolerance.
+
+        It is one up to a millionth of log r or DEVIATION_SHARE of a posterior deviation.
+        """
         if self.definiteness is not Definiteness.POSITIVE:
             return False
-        return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= DEVIATION_SHARE
+        return (
+            float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
+            or self.deviations <= DEVIATION_SHARE
+        )
 
     def after(self, hessian: Hessian) -> "Certificate":
-        """Return the certificate of a nearby point by the factor of this one: second derivatives hardly change."""
+        """Return the certificate of a nearby point by the factor of this one.
+
+        Second derivatives hardly change.
+        """
         assert self.factor is not None
         free = self.factor.cells
         part = self.factor.solve(-hessian.gradient[free])
-        return Certificate.of(hessian, self.definiteness, free, part, None, left=self.left, factor=self.factor)
+        return Certificate.of(
+            hessian, self.definiteness, free, part, None, left=self.left, factor=self.factor
+        )
 
     def converged(self, cost_scale: float) -> bool:
-        """Return whether one more step moves no cell by a millionth and lowers the cost by at most its rounding.
+        """Return whether one more step hardly changes cells and cost.
 
-        This replaces the test of the gradient for penalties that outweigh the data by 10⁸: their gradient is rounding,
-        but the Newton step, divided by their curvature, is small.
+        It then moves no cell by a millionth and lowers the cost by at most its rounding. This
+        replaces the test of the gradient for penalties that outweigh the data by 10⁸: their
+        gradient is rounding, but the Newton step, divided by their curvature, is small.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
-        flat = self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
+        flat = (
+            self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
+        )
         known = self.definiteness is Definiteness.POSITIVE or flat
         return small and known and self.decrement**2 <= MIN_COST_SHARE * cost_scale
 
 
 def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:
-    """Return the certificate of a point; `preconditioner` serves the conjugate gradients of large problems."""
+    """Return the certificate of a point.
+
+    `preconditioner` serves the conjugate gradients of large problems.
+    """
     if (exact := _of_reproduced(hessian)) is not None:
         return exact
     free = free_cells(hessian.at, hessian.gradient)
@@ -128,11 +168,12 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
-    """Return the certificate of plain least squares whose readings are all reproduced; None in other cases.
+    """Return the certificate of plain least squares whose readings are all reproduced.
 
-    The cost then is nearly zero, its least value, and the Newton step is s = −J⁻¹ e with the relative residuals e of
-    the readings. J alone keeps digits that H = JᵀWJ loses. If the noise is not known, the certificate also holds where
-    cells within MAX_DISTANCE reproduce all readings.
+    None in other cases. The cost then is nearly zero, its least value, and the Newton step is s =
+    −J⁻¹ e with the relative residuals e of the readings. J alone keeps digits that H = JᵀWJ loses.
+    If the noise is not known, the certificate also holds where cells within MAX_DISTANCE reproduce
+    all readings.
     """
     if not all(term.reads_measurement for term in hessian.at.cost.terms) or not hessian.only_data:
         return None
@@ -150,7 +191,11 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     cells = np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        return Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf) if close else None
+        return (
+            Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf)
+            if close
+            else None
+        )
     inside = within_bounds(hessian.at, cells, step)
     if not close and (float(np.abs(step).max()) > MAX_DISTANCE or not np.array_equal(inside, step)):
         return None
@@ -162,7 +207,10 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
 def _confirmed(
     hessian: Hessian, definiteness: Definiteness, free: Numbers, along: Array
 ) -> tuple[Definiteness, Evaluation | None]:
-    """Return INDEFINITE only if the cost falls along the direction of the free cells; and the point where it does."""
+    """Return INDEFINITE only if the cost falls along the direction of the free cells.
+
+    The point where it does is returned, too.
+    """
     if definiteness is not Definiteness.INDEFINITE:
         return definiteness, None
     direction = np.zeros(len(hessian.gradient))
@@ -177,20 +225,30 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     slope = hessian.gradient[free]
     # Usual curvature from a cell's own reading: the median weight of the readings times J_cc²
     weight = hessian.curvature[hessian.curvature > 0]
-    usual = np.median(weight) * hessian.own_response**2 if len(weight) else np.ones(len(hessian.own_response))
+    usual = (
+        np.median(weight) * hessian.own_response**2
+        if len(weight)
+        else np.ones(len(hessian.own_response))
+    )
     least = ROUNDING * usual[free]
     factor = None
     if np.all(matrix.diagonal() > least):
         factor = Cholesky.of(hessian.at.cell_resistance, free, matrix)
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
         part = factor.solve(-slope)
-        return Certificate.of(hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor)
+        return Certificate.of(
+            hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor
+        )
     definiteness, part, left, lowest = newton_step(matrix, slope, least)
     definiteness, lower = _confirmed(hessian, definiteness, free, lowest)
-    return Certificate.of(hessian, definiteness, free, part, None, left=left, factor=factor, lower=lower)
+    return Certificate.of(
+        hessian, definiteness, free, part, None, left=left, factor=factor, lower=lower
+    )
 
 
-def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness, Array, float, Array]:
+def newton_step(
+    matrix: Array, slope: Array, least: Array
+) -> tuple[Definiteness, Array, float, Array]:
     """Return the Newton step over the determined eigenvectors of a Hessian, and its definiteness.
 
     Parameters
@@ -223,14 +281,20 @@ def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness
     step = -vectors[:, solid] @ (part[solid] / values[solid]) / size
     left = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
     flat = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
-    return Definiteness.INDEFINITE if values[0] < -ROUNDING else flat, step, left, vectors[:, 0] / size
+    return (
+        Definiteness.INDEFINITE if values[0] < -ROUNDING else flat,
+        step,
+        left,
+        vectors[:, 0] / size,
+    )
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:
     """Return whether a matrix H = UᵀU with a unit diagonal is positive definite beyond rounding.
 
-    The criterion is 1/‖H⁻¹‖₁ > ROUNDING, because rounding may leave every pivot positive. `triangle` is U, `norm` is
-    ‖H‖₁. Source: Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 15.3.
+    The criterion is 1/‖H⁻¹‖₁ > ROUNDING, because rounding may leave every pivot positive.
+    `triangle` is U, `norm` is ‖H‖₁. Source: Higham, Accuracy and Stability of Numerical Algorithms,
+    2002, section 15.3.
     """
     # dpocon returns the reciprocal condition number 1/(‖H‖₁ ‖H⁻¹‖₁).
     return bool(lapack.dpocon(triangle, norm)[0] * norm > ROUNDING)
@@ -239,7 +303,10 @@ def clear_of_rounding(triangle: Array, norm: float) -> bool:
 def _by_conjugate_gradients(
     hessian: Hessian, free: NDArray[np.bool_], preconditioner: Preconditioner | None
 ) -> Certificate:
-    """Return the certificate by conjugate gradients; UNDETERMINED if these cannot take a first step."""
+    """Return the certificate by conjugate gradients.
+
+    UNDETERMINED if these cannot take a first step.
+    """
     chosen = np.flatnonzero(free)
     slope = hessian.gradient[chosen]
     product = restricted(hessian.product, chosen, free.size)
@@ -252,7 +319,11 @@ def _by_conjugate_gradients(
         along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
         curvature = float(along @ product(along))
         size = hessian.diagonal[chosen]
-        rounding = max(ROUNDING * float(along @ (size * along)), MIN_CURVATURE * hessian.at.cost_scale)
-        definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
+        rounding = max(
+            ROUNDING * float(along @ (size * along)), MIN_CURVATURE * hessian.at.cost_scale
+        )
+        definiteness = (
+            Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
+        )
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
     return Certificate.of(hessian, definiteness, chosen, solved.step, None, lower=lower)

@@ -1,8 +1,11 @@
-"""First and second derivatives of the cost in u = log r, potentials eliminated: as products, or as a matrix.
+"""First and second derivatives of the cost in u = log r, potentials eliminated.
 
-With J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), T the second derivatives of the terms by (r; y):
-∇²φ = (diag r; J)ᵀ T (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e). Gauss–Newton's matrix is JᵀWJ + PᵀKP, W = max(∂²φ/∂y², 0),
-P = ∂x/∂u of the penalties' residuals x, K = ρ'(x)/x of their losses.
+They are available as products, or as a matrix.
+
+With J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), T the second derivatives of the
+terms by (r; y): ∇²φ = (diag r; J)ᵀ T (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e). Gauss–Newton's matrix
+is JᵀWJ + PᵀKP, W = max(∂²φ/∂y², 0), P = ∂x/∂u of the penalties' residuals x, K = ρ'(x)/x of their
+losses.
 Source: Nocedal & Wright, Numerical Optimization, 2006, section 10.3.
 """
 
@@ -27,9 +30,10 @@ from lampest.solvers.smoothing import Smoothing
 
 @dataclass(frozen=True, eq=False)
 class Hessian:
-    """Gradient and Hessian of φ in u = log r at one point, or with a leading axis at one point of each of many panels.
+    """Gradient and Hessian of φ in u = log r at one point.
 
-    Vectors are flat, (…, frames · cells). Products, and matrices over chosen cells, exist for a single panel only.
+    With a leading axis, they are at one point of each of many panels. Vectors are flat, (…, frames
+    · cells). Products, and matrices over chosen cells, exist for a single panel only.
 
     Attributes
     ----------
@@ -49,12 +53,15 @@ class Hessian:
         size = self.at.cell_resistance.size
         if size <= DENSE_CELLS or size > MATRIX_CELLS:
             return size <= DENSE_CELLS
-        # Absolute losses and joint pairs need many products, so a matrix pays off up to MATRIX_CELLS.
+        # Absolute losses and joint pairs need many products, so a matrix pays off up to
+        # MATRIX_CELLS.
         stiff = len(self.at.cost.slope) > 0 or len(self.at.networks) > 1
         return stiff or int(np.sum(data.lower < data.upper)) <= DENSE_CELLS
 
     def elsewhere(self, position: Array) -> "Hessian":
-        """Return the derivatives at another point u, (…, cells), clipped to the bounds; without absolute losses only.
+        """Return the derivatives at another point u, (…, cells), clipped to the bounds.
+
+        This works without absolute losses only.
 
         Raises numpy.linalg.LinAlgError where a line is not connected.
         """
@@ -101,7 +108,9 @@ class Hessian:
     @cached_property
     def through(self) -> Array:
         """Part of the gradient through the readings, Jᵀ·∂φ/∂y, (…, cells)."""
-        return np.concatenate([self._flat(second.adjoint()) for second in self._second_orders], axis=-1)
+        return np.concatenate(
+            [self._flat(second.adjoint()) for second in self._second_orders], axis=-1
+        )
 
     @property
     def by_reading(self) -> Array:
@@ -109,7 +118,10 @@ class Hessian:
         return self._partials[1]
 
     def forward(self, step: Array) -> Array:
-        """Return J·p, the change of the readings (frames, rows, columns) for a step p of u, flat."""
+        """Return J·p, the change of the readings for a step p of u, flat.
+
+        The change has the shape (frames, rows, columns).
+        """
         pairs = zip(self.at.networks, step.reshape(self.at.cell_resistance.shape), strict=True)
         return np.stack([network.forward(frame) for network, frame in pairs])
 
@@ -129,7 +141,8 @@ class Hessian:
         matrix = with_entries(self.at.cost.functions.hessian.structure, self._smooth_terms)
         if not len(self.at.cost.slope):
             return matrix
-        # T = T_smooth + (∂x/∂(r; y))ᵀ diag(w·ψ'') (∂x/∂(r; y)), ψ the smoothed absolute loss of residuals x
+        # T = T_smooth + (∂x/∂(r; y))ᵀ diag(w·ψ'') (∂x/∂(r; y)), ψ the smoothed absolute loss of
+        # residuals x
         jacobian = self.smoothing.jacobian(self.at)
         weight = self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
         return sparse.csc_array(matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian))
@@ -151,8 +164,9 @@ class Hessian:
     def product(self, step: Array) -> Array:
         """Return ∇²φ·p, flat.
 
-        A product costs eight products of (rows, columns) with (columns, lines) matrices and never forms a matrix over
-        the cells: sums of its large and small entries would lose digits where readings span decades.
+        A product costs eight products of (rows, columns) with (columns, lines) matrices and never
+        forms a matrix over the cells: sums of its large and small entries would lose digits where
+        readings span decades.
         """
         cells = self.at.cell_resistance
         pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
@@ -162,7 +176,11 @@ class Hessian:
         force = self.terms @ move
         through = self.adjoint(force[step.size :].reshape(cells.shape))
         # + N·p + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)·p
-        force_of = cells.ravel() * force[: step.size] + through + np.concatenate([second.ravel() for second in seconds])
+        force_of = (
+            cells.ravel() * force[: step.size]
+            + through
+            + np.concatenate([second.ravel() for second in seconds])
+        )
         return np.asarray(force_of + (self.direct - self.through) * step)
 
     def gauss_newton_product(self, step: Array) -> Array:
@@ -174,8 +192,9 @@ class Hessian:
     def reading_weight(self) -> Array:
         """Weights W of the readings in the Gauss–Newton matrix, (frames, rows, columns).
 
-        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter are the weights of
-        iteratively reweighted least squares. They are positive even where ρ'' is negative, beyond a loss's corner.
+        W = max(∂²φ/∂y², 0) for squared losses and ρ'(x)/x·(∂x/∂y)² for all others. The latter are
+        the weights of iteratively reweighted least squares. They are positive even where ρ'' is
+        negative, beyond a loss's corner.
         """
         weight = np.maximum(self.curvature, 0.0)
         if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
@@ -187,17 +206,25 @@ class Hessian:
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:
-        """Part PᵀKP of the penalties in the Gauss–Newton matrix, sparse (frames·cells, frames·cells), semidefinite."""
+        """Part PᵀKP of the penalties in the Gauss–Newton matrix.
+
+        Sparse, shape (frames·cells, frames·cells), semidefinite.
+        """
         part = residuals(self.at.cost).penalties
         size = self.at.cell_resistance.size
         if not len(part.term):
             return sparse.csr_array((size, size))
         # P = ∂x/∂u = (∂x/∂r)·diag(r)
-        slopes = part.jacobian("cell_resistance", self.at) @ sparse.diags_array(self.at.cell_resistance.ravel())
+        slopes = part.jacobian("cell_resistance", self.at) @ sparse.diags_array(
+            self.at.cell_resistance.ravel()
+        )
         return sparse.csr_array(slopes.T @ (sparse.diags_array(self._stiffness(part)) @ slopes))
 
     def _stiffness(self, part: Part) -> Array:
-        """Return weight·ρ'(x)/x of the residuals x of a part, (rows,); absolute losses are smoothed."""
+        """Return weight·ρ'(x)/x of the residuals x of a part, (rows,).
+
+        Absolute losses are smoothed.
+        """
         cost = self.at.cost
         value = part.values(self.at)
         stiffness = np.zeros(len(value))
@@ -212,7 +239,10 @@ class Hessian:
 
     @cached_property
     def only_data(self) -> bool:
-        """Whether the second derivatives have no part at fixed readings: one frame, no penalty on its cells."""
+        """Whether the second derivatives have no part at fixed readings.
+
+        This holds for one frame with no penalty on its cells.
+        """
         cells = self.at.cell_resistance
         functions = self.at.cost.functions
         absolute = functions.nonsmooth_jacobian.pattern[1] < cells.size
@@ -248,7 +278,9 @@ class Hessian:
         entries, values = self._entries
         # N + diag(r) T_rr diag(r)
         row, column = entries.at_cells
-        matrix[..., row, column] += values[..., entries.cells] * cells[..., row] * cells[..., column]
+        matrix[..., row, column] += (
+            values[..., entries.cells] * cells[..., row] * cells[..., column]
+        )
         # + Jᵀ T_yy J
         if entries.at_model is None:
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
@@ -267,7 +299,10 @@ class Hessian:
     @cached_property
     def gauss_newton_matrix(self) -> Array:
         """The Gauss–Newton matrix JᵀWJ + PᵀKP, dense."""
-        return np.asarray(weighted_square(self.jacobian, self.reading_weight.ravel()) + self.penalty_matrix.toarray())
+        return np.asarray(
+            weighted_square(self.jacobian, self.reading_weight.ravel())
+            + self.penalty_matrix.toarray()
+        )
 
     @cached_property
     def _entries(self) -> tuple[Entries, Array]:

@@ -1,9 +1,10 @@
 """Log-barrier interior-point method with potentials eliminated.
 
-The method minimises φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) over the conductances g for decreasing μ, by
-Newton's method with the multipliers of the bounds as further unknowns. It serves twice: a start far from the optimum of
-a cost with several minima follows its central path, which ends in lower minima than steps straight down; and plain
-least squares of a large panel, where many cells end at a bound, take a tenth of the products.
+The method minimises φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) over the conductances g for
+decreasing μ, by Newton's method with the multipliers of the bounds as further unknowns. It serves
+twice: a start far from the optimum of a cost with several minima follows its central path, which
+ends in lower minima than steps straight down; and plain least squares of a large panel, where many
+cells end at a bound, take a tenth of the products.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 
@@ -30,22 +31,23 @@ class InteriorPoint:
     Attributes
     ----------
     start_margin : float
-        Distance of the first point from the bounds, as a share of the median conductance; at most a fiftieth of the
-        distance between the bounds of the cell.
+        Distance of the first point from the bounds, as a share of the median conductance; at most a
+        fiftieth of the distance between the bounds of the cell.
     barrier_reduction : float
         Factor of μ after a step of which bounds left more than half.
     step_to_boundary : float
         Share of the distance to the nearest bound that a step may cover.
     min_step : float
-        Share of a step that bounds must leave. Conjugate gradients end before a longer one, which directions of nearly
-        no curvature cause.
+        Share of a step that bounds must leave. Conjugate gradients end before a longer one, which
+        directions of nearly no curvature cause.
     max_steps, max_halvings : int
         Maximum number of steps of the method, and of halvings of one step.
     start_tolerance : float
-        Projected gradient, relative to the cost's scale, below which the method does not begin. Frames in sequence
-        begin at 0.05, frames that are solved again at their tolerance.
+        Projected gradient, relative to the cost's scale, below which the method does not begin.
+        Frames in sequence begin at 0.05, frames that are solved again at their tolerance.
     max_barrier_share : float
-        Share of the cost due to the bounds at which the method ends; the last steps are left to Newton's method.
+        Share of the cost due to the bounds at which the method ends; the last steps are left to
+        Newton's method.
     """
 
     start_margin: float = 0.05
@@ -58,22 +60,27 @@ class InteriorPoint:
     max_barrier_share: float = 1e-8
 
 
-# Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes more than 60 s in
-# place of 5 to 8 s (docs/studies/speed.md).
+# Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes
+# more than 60 s in place of 5 to 8 s (docs/studies/speed.md).
 METHOD = InteriorPoint()
-SIDES = np.array([1.0, -1.0])[:, None, None, None]  # change of the distances (g − g_low, g_high − g) with g
+# Change of the distances (g − g_low, g_high − g) with g.
+SIDES = np.array([1.0, -1.0])[:, None, None, None]
 
 
 def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evaluation, int]:
-    """Return the point at which the barrier's share of the cost has vanished, and the number of steps.
+    """Return the point at which the barrier's share of the cost has vanished.
 
-    Returns `start` if the path ends at a higher cost.
+    The number of steps is returned, too. Returns `start` if the path ends at a higher cost.
     """
     barrier = Barrier.of(start)
     steps = 0
     limit = METHOD.max_steps if max_steps is None else min(max_steps, METHOD.max_steps)
     while steps < limit and not start.data.overdue:
-        trial = barrier.advanced() if barrier.added > METHOD.max_barrier_share * barrier.at.objective else None
+        trial = (
+            barrier.advanced()
+            if barrier.added > METHOD.max_barrier_share * barrier.at.objective
+            else None
+        )
         if trial is None:
             break
         barrier = trial
@@ -89,14 +96,23 @@ def has_central_path(start: Evaluation) -> bool:
 
 
 def crowds_bounds(start: Evaluation) -> bool:
-    """Return whether the cost is plain least squares of a large frame with more cells at a bound than lines."""
+    """Return whether the cost is plain least squares of a large frame with crowded bounds.
+
+    The frame then has more cells at a bound than lines.
+    """
     hessian = Hessian(start, Smoothing.start(start))
     data = start.data
     cells = start.cell_resistance
-    if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
+    if (
+        hessian.dense
+        or not hessian.only_data
+        or not all(term.loss.squared for term in start.cost.terms)
+    ):
         return False
     # 1/(1/r) and exp(log r) of a bound differ from it in their last bits.
-    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(cells, data.upper, rtol=1e-12, atol=0)
+    at_bound = np.isclose(cells, data.lower, rtol=1e-12, atol=0) | np.isclose(
+        cells, data.upper, rtol=1e-12, atol=0
+    )
     crowded = np.sum(at_bound & (data.lower < data.upper)) > sum(cells.shape[1:])
     return bool(crowded and has_central_path(start) and hessian.residual > METHOD.start_tolerance)
 
@@ -110,7 +126,9 @@ def reach(distances: Array, change: Array) -> float:
 
 def over(force: Array | float, distances: Array) -> Array:
     """Return force/distance; zero where the distance is zero."""
-    return np.asarray(np.divide(force, distances, out=np.zeros_like(distances), where=distances > 0))
+    return np.asarray(
+        np.divide(force, distances, out=np.zeros_like(distances), where=distances > 0)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +153,19 @@ class Barrier:
 
     @classmethod
     def of(cls, start: Evaluation) -> "Barrier":
-        """Return the first iterate: a point inside the bounds with z·(g − g_low) = w·(g_high − g) = μ."""
+        """Return the first iterate, a point inside the bounds.
+
+        It has z·(g − g_low) = w·(g_high − g) = μ.
+        """
         low = 1 / start.data.upper
         high = 1 / start.data.lower
         conductance = 1 / start.cell_resistance
         margin = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + margin, high - margin))
         bare = cls(at, np.zeros((2, *low.shape)), 0.0)
-        mean = 0.1 * float(np.mean((np.abs(bare.gradient) * bare.distances.min(axis=0))[bare.moving]))
+        mean = 0.1 * float(
+            np.mean((np.abs(bare.gradient) * bare.distances.min(axis=0))[bare.moving])
+        )
         return replace(bare, multipliers=over(mean, bare.distances), mean=mean)
 
     @cached_property
@@ -173,18 +196,31 @@ class Barrier:
 
     @property
     def added(self) -> float:
-        """Complementarity Σ z·(g − g_low) + w·(g_high − g), an estimate of the cost that the barrier adds."""
+        """Complementarity Σ z·(g − g_low) + w·(g_high − g).
+
+        It is an estimate of the cost that the barrier adds.
+        """
         return float(np.sum(self.multipliers * self.distances))
 
     @property
     def stiffness(self) -> Array:
-        """Second derivative of the barrier, z/(g − g_low) + w/(g_high − g); zero for cells that cannot move."""
+        """Second derivative of the barrier, z/(g − g_low) + w/(g_high − g).
+
+        It is zero for cells that cannot move.
+        """
         return np.asarray(over(self.multipliers, self.distances).sum(axis=0))
 
     def merit(self, mean: float) -> float:
-        """Return the barrier function φ − μ Σ log(g − g_low) − μ Σ log(g_high − g); infinite outside the bounds."""
+        """Return the barrier function φ − μ Σ log(g − g_low) − μ Σ log(g_high − g).
+
+        It is infinite outside the bounds.
+        """
         distances = self.distances[:, self.moving]
-        return self.at.objective - mean * float(np.log(distances).sum()) if np.all(distances > 0) else float("inf")
+        return (
+            self.at.objective - mean * float(np.log(distances).sum())
+            if np.all(distances > 0)
+            else float("inf")
+        )
 
     def advanced(self) -> "Barrier | None":
         """Return the iterate after one step; None if no step lowers the barrier function."""
@@ -198,25 +234,40 @@ class Barrier:
         slope = SUFFICIENT_DECREASE * float(np.sum(push * step))
         for _ in range(METHOD.max_halvings):
             with suppress(np.linalg.LinAlgError):
-                trial = Barrier(self.at.elsewhere(1 / (self.conductance + length * step)), push, mean)
+                trial = Barrier(
+                    self.at.elsewhere(1 / (self.conductance + length * step)), push, mean
+                )
                 if trial.merit(mean) <= current - slope * length:
-                    # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w, as far as they stay positive
-                    change = over(mean - self.multipliers * SIDES * step, self.distances) - self.multipliers
+                    # δz = (μ − z·δg)/(g − g_low) − z, δw = (μ + w·δg)/(g_high − g) − w, as far as
+                    # they stay positive
+                    change = (
+                        over(mean - self.multipliers * SIDES * step, self.distances)
+                        - self.multipliers
+                    )
                     share = reach(self.multipliers, change)
-                    return replace(trial, multipliers=self.multipliers + share * change, length=min(share, length))
+                    return replace(
+                        trial,
+                        multipliers=self.multipliers + share * change,
+                        length=min(share, length),
+                    )
             length /= 2
         return None
 
     def newton_step(self, push: Array) -> Array:
-        """Return the step (∂²φ/∂g² + stiffness)⁻¹·push; with the Gauss–Newton matrix where that is indefinite.
+        """Return the step (∂²φ/∂g² + stiffness)⁻¹·push.
 
-        Conjugate gradients solve for relative steps δg/g, whose Hessian is ∇²φ + diag(∇φ) + stiffness·g².
+        Where that matrix is indefinite, the Gauss–Newton matrix is used. Conjugate gradients solve
+        for relative steps δg/g, whose Hessian is ∇²φ + diag(∇φ) + stiffness·g².
         """
         chosen = np.flatnonzero(self.moving)
         stiff = (self.stiffness * self.conductance**2).ravel()
         slope = -(push * self.conductance).ravel()[chosen]
         step = np.zeros(push.size)
-        step[chosen] = self._dense(chosen, stiff, slope) if self.hessian.dense else self._sparse(chosen, stiff, slope)
+        step[chosen] = (
+            self._dense(chosen, stiff, slope)
+            if self.hessian.dense
+            else self._sparse(chosen, stiff, slope)
+        )
         return step.reshape(push.shape) * self.conductance
 
     def _dense(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
@@ -234,8 +285,9 @@ class Barrier:
         hessian = self.hessian
         free = self.moving.ravel()
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
-        # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of the others. With
-        # ACCURACY throughout, besides the changes named at METHOD, a later frame takes 83 s (docs/studies/speed.md).
+        # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of
+        # the others. With ACCURACY throughout, besides the changes named at METHOD, a later frame
+        # takes 83 s (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         distances = (self.distances / self.conductance).reshape(2, -1)[:, chosen]
 
@@ -245,13 +297,18 @@ class Barrier:
         exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
         squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
         for product in (exact, squares):
-            solved = steihaug(restricted(product, chosen, free.size), precondition, slope, accuracy, admits=admits)
+            solved = steihaug(
+                restricted(product, chosen, free.size), precondition, slope, accuracy, admits=admits
+            )
             if not solved.negative:
                 break
         return solved.step
 
     def put_at_bounds(self) -> Evaluation:
-        """Return the evaluation with cells put at each bound whose barrier curvature exceeds their own."""
+        """Return the evaluation with cells put at bounds.
+
+        They are put at each bound whose barrier curvature exceeds their own.
+        """
         data = self.at.data
         # In the conductance: z/(g − g_low) > ∂²φ/∂g² of the cell's own reading and penalties
         curvature = self.hessian.diagonal.reshape(self.conductance.shape) / self.conductance**2

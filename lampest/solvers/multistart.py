@@ -1,8 +1,9 @@
-"""Starts of a frame, the same for every solver, and the lowest minimum that a solver reaches from them.
+"""Starts of a frame, and the lowest minimum that a solver reaches from them.
 
-A frame begins at the previous estimate, the first one at equal cells. Where the solver then met negative curvature, the
-cost may have several minima: it begins again at the convex start and at equal cells, cold, along the central path of a
-barrier, which ends in lower minima than steps straight down (docs/studies/speed.md).
+The starts are the same for every solver. A frame begins at the previous estimate, the first one at
+equal cells. Where the solver then met negative curvature, the cost may have several minima: it
+begins again at the convex start and at equal cells, cold, along the central path of a barrier,
+which ends in lower minima than steps straight down (docs/studies/speed.md).
 """
 
 from collections.abc import Iterable, Iterator
@@ -47,7 +48,10 @@ class Effort:
 
     @classmethod
     def of(cls, solver: Solver, data: Data) -> "Effort":
-        """Return the effort of a frame: MAX_MINIMA starts where the cost may have several minima."""
+        """Return the effort of a frame.
+
+        It is MAX_MINIMA starts where the cost may have several minima.
+        """
         if solver.settings.starts is not None:
             return cls(solver.settings.starts, requested=True)
         return cls(MAX_MINIMA if several_minima(solver.cost, data) else 1, requested=False)
@@ -55,8 +59,9 @@ class Effort:
     def is_spent(self, best: Solution, tried: int, iterations: int) -> bool:
         """Return whether no further start is tried after `tried` starts with this best solution.
 
-        The cost was convex wherever the solver looked if it met no direction of negative curvature on its way from the
-        first start; further starts then rarely find a lower minimum (docs/studies/speed.md).
+        The cost was convex wherever the solver looked if it met no direction of negative curvature
+        on its way from the first start; further starts then rarely find a lower minimum
+        (docs/studies/speed.md).
         """
         if self.requested:
             return tried >= self.starts
@@ -66,10 +71,13 @@ class Effort:
         return tried >= self.starts or convex or iterations > MAX_SPENT
 
 
-def best_solution(solver: Solver, data: Data, previous: Array | None, carried: Any = None) -> Solution:
-    """Return the lowest minimum that a solver reaches from the starts of a frame, on the branch of the first start.
+def best_solution(
+    solver: Solver, data: Data, previous: Array | None, carried: Any = None
+) -> Solution:
+    """Return the lowest minimum that a solver reaches from the starts of a frame.
 
-    A start with a numerical breakdown is skipped. If all starts break down, the status states it.
+    It is on the branch of the first start. A start with a numerical breakdown is skipped. If all
+    starts break down, the status states it.
 
     Parameters
     ----------
@@ -88,7 +96,9 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, carried: A
     tried = 0
     iterations = 0
     with np.errstate(all="ignore"), delayed_interrupt():
-        for start in evaluable(solver.cost, data, chain(starts(solver.cost, data, previous), further)):
+        for start in evaluable(
+            solver.cost, data, chain(starts(solver.cost, data, previous), further)
+        ):
             solution = solved_from(solver if tried == 0 else solver.cold(), start)
             tried += 1
             iterations += solution.iterations
@@ -101,7 +111,10 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, carried: A
 
 
 def lower_of(best: Solution | None, solution: Solution) -> Solution:
-    """Return the solution of lower cost; the earlier one where costs are equal, or nothing is solved."""
+    """Return the solution of lower cost.
+
+    It is the earlier one where costs are equal, or nothing is solved.
+    """
     if best is None or (solution.solved and not best.solved):
         return solution
     # near 0 relative differences say nothing: several panels may give the readings exactly
@@ -114,8 +127,8 @@ def lower_of(best: Solution | None, solution: Solution) -> Solution:
 def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solution:
     """Return the solution on a branch; of two on it, or off it, that of lower cost.
 
-    Where two panels read alike, costs do not say which of them is meant (`lampest.panel.readouts.branches`). The first
-    start does, which continues the frame before.
+    Where two panels read alike, costs do not say which of them is meant
+    (`lampest.panel.readouts.branches`). The first start does, which continues the frame before.
     """
     if best is None or not best.solved or not solution.solved:
         return lower_of(best, solution)
@@ -126,17 +139,24 @@ def preferred(best: Solution | None, solution: Solution, branch: Array) -> Solut
 
 
 def settles(second: Solution, first: Solution) -> bool:
-    """Return whether a second solution is a strict minimum and costs no more than the first, within rounding."""
+    """Return whether a second solution is a strict minimum and costs no more than the first.
+
+    Costs are compared within rounding.
+    """
     if not second.strict or second.at is None:
         return False
-    return not first.solved or second.objective <= first.objective + MIN_COST_SHARE * second.at.cost_scale
+    return (
+        not first.solved
+        or second.objective <= first.objective + MIN_COST_SHARE * second.at.cost_scale
+    )
 
 
 def several_minima(cost: Cost, data: Data) -> bool:
     """Return whether the cost may have several minima.
 
-    One minimum is assumed for readouts whose inverse problem is unique, with convex losses, in two cases: plain least
-    squares; and two-sided readings with terms that compare with an earlier frame, all of them convex in log r.
+    One minimum is assumed for readouts whose inverse problem is unique, with convex losses, in two
+    cases: plain least squares; and two-sided readings with terms that compare with an earlier
+    frame, all of them convex in log r.
     """
     if not (all(term.loss.convex for term in cost.terms) and data.readout.unique):
         return True
@@ -148,9 +168,10 @@ def several_minima(cost: Cost, data: Data) -> bool:
 
 
 def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Yield the starts of a frame in the order in which they are tried, (frames, rows, columns) ohm each.
+    """Yield the starts of a frame in the order in which they are tried.
 
-    The convex start of plain least squares is left out: it is the answer by another method.
+    Each has the shape (frames, rows, columns), in ohm. The convex start of plain least squares is
+    left out: it is the answer by another method.
     """
     yield data.uniform_start if previous is None else previous
     if not convex_is_the_answer(cost, data):
@@ -160,9 +181,10 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
 
 
 def scattered(data: Data) -> Iterator[Array]:
-    """Yield an endless, deterministic sequence of starts: apparent resistances times factors of 1 to START_SPREAD.
+    """Yield an endless, deterministic sequence of starts.
 
-    The exponents are the fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak & Zaharescu, Invent.
+    They are apparent resistances times factors of 1 to START_SPREAD. The exponents are the
+    fractional parts of √2·n², which are evenly distributed (Rudnick, Sarnak & Zaharescu, Invent.
     Math. 145, 2001).
     """
     size = data.measured.size

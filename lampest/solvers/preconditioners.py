@@ -1,8 +1,11 @@
-"""Preconditioners M ≈ ∇²φ of conjugate gradients, reused from frame to frame while they are accurate enough.
+"""Preconditioners M ≈ ∇²φ of conjugate gradients.
 
-Small problems use the Cholesky factor of ∇²φ, or of the Gauss–Newton matrix. Large problems use derivatives by ohm,
-A = T + diag(c) + V S Vᵀ: T contains the penalties, c the response of each cell's own reading, and V two columns for
-every line. With the coarse space Q = V (VᵀAV)⁻¹ Vᵀ, M⁻¹ = Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
+They are reused from frame to frame while they are accurate enough.
+
+Small problems use the Cholesky factor of ∇²φ, or of the Gauss–Newton matrix. Large problems use
+derivatives by ohm, A = T + diag(c) + V S Vᵀ: T contains the penalties, c the response of each
+cell's own reading, and V two columns for every line. With the coarse space Q = V (VᵀAV)⁻¹ Vᵀ, M⁻¹ =
+Q + (1 − QA) (T + diag(c))⁻¹ (1 − AQ).
 Source: Nabben & Vuik, SIAM J. Numer. Anal. 42, 2004 (balancing).
 """
 
@@ -24,8 +27,10 @@ from lampest.solvers.hessian import Hessian
 
 # Of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero.
 MIN_DIAGONAL = 1e-12
-SHIFTS = (1e-10, 1e-6, 1e-3)  # added in turn to a unit diagonal: rounding can make Gauss–Newton's matrix indefinite
-WEAK_WEIGHT = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
+# Added in turn to a unit diagonal: rounding can make Gauss–Newton's matrix indefinite.
+SHIFTS = (1e-10, 1e-6, 1e-3)
+# Of the largest weight: readings beyond a loss's corner, which still tie a line together.
+WEAK_WEIGHT = 1e-3
 Numbers = NDArray[np.intp]
 Free = NDArray[np.bool_]
 
@@ -43,14 +48,20 @@ class Preconditioner(ABC):
     cell_resistance: Array
 
     def distance(self, cell_resistance: Array) -> float:
-        """Return the largest |δ log r| between this point and the one of M; infinite for a panel of another shape."""
+        """Return the largest |δ log r| between this point and the one of M.
+
+        It is infinite for a panel of another shape.
+        """
         if cell_resistance.shape != self.cell_resistance.shape:
             return float("inf")
         return float(np.abs(np.log(cell_resistance / self.cell_resistance)).max())
 
     @abstractmethod
     def over(self, free: Free, cell_resistance: Array) -> Linear:
-        """Return the product M⁻¹·p in u = log r over the free cells, flat; symmetric and positive definite."""
+        """Return the product M⁻¹·p in u = log r over the free cells, flat.
+
+        M⁻¹ is symmetric and positive definite.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +89,9 @@ class Cholesky(Preconditioner):
     norm: float
 
     @classmethod
-    def of(cls, cell_resistance: Array, cells: Numbers, matrix: Array, least: float = 0.0) -> "Cholesky | None":
+    def of(
+        cls, cell_resistance: Array, cells: Numbers, matrix: Array, least: float = 0.0
+    ) -> "Cholesky | None":
         """Return the factor of a matrix over the chosen cells; None if it is not positive definite.
 
         `least` is added to the unit diagonal of the scaled matrix.
@@ -91,7 +104,8 @@ class Cholesky(Preconditioner):
         unit /= size[:, None]
         unit.flat[:: len(size) + 1] += least
         norm = float(np.abs(unit).sum(axis=0).max())
-        triangle, failed = lapack.dpotrf(unit.T, clean=0, overwrite_a=1)  # symmetric, and in LAPACK's order
+        # symmetric, and in LAPACK's order
+        triangle, failed = lapack.dpotrf(unit.T, clean=0, overwrite_a=1)
         if failed or not np.isfinite(norm):
             return None
         diagonal = np.full(cell_resistance.size, float(np.mean(pivots)))
@@ -113,7 +127,8 @@ class Cholesky(Preconditioner):
         chosen = np.flatnonzero(free)
         if np.array_equal(chosen, self.cells):
             return self.solve
-        # Other free cells than those of the factor: its inverse where both agree, 1/diagonal elsewhere.
+        # Other free cells than those of the factor: its inverse where both agree, 1/diagonal
+        # elsewhere.
         place = np.full(free.size, -1)
         place[self.cells] = np.arange(len(self.cells))
         known = place[chosen] >= 0
@@ -160,16 +175,22 @@ class TwoLevel(Preconditioner):
             return sparse.csr_array(inverse @ (hessian.penalty_matrix + added) @ inverse)
 
         if len(cells) == 1:
-            # JᵀWJ of a single frame ≈ diag(own) + V S Vᵀ; a floor of the weights keeps lines tied together.
+            # JᵀWJ of a single frame ≈ diag(own) + V S Vᵀ; a floor of the weights keeps lines tied
+            # together.
             weight = np.maximum(
-                hessian.reading_weight[0], WEAK_WEIGHT * (hessian.reading_weight.max(initial=0.0) or 1.0)
+                hessian.reading_weight[0],
+                WEAK_WEIGHT * (hessian.reading_weight.max(initial=0.0) or 1.0),
             )
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
             along = parts.along / cells
             lone = hessian.only_data and along.size > 0
             nothing = np.zeros((0, 0))
-            lines = CoarseLines(level, along, nothing, nothing) if lone else CoarseLines.of(level, along, parts.mixed)
+            lines = (
+                CoarseLines(level, along, nothing, nothing)
+                if lone
+                else CoarseLines.of(level, along, parts.mixed)
+            )
             if lines is not None and level.nnz <= level.shape[0]:
                 diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
                 return Woodbury(cells, diagonal, lines, parts.mixed_inverse)
@@ -219,7 +240,9 @@ class Woodbury(Preconditioner):
 
 @dataclass(frozen=True, eq=False)
 class CoarseLines:
-    """Coarse space V = [diag(v)·U for v in along] of rows and columns, U the incidence of cells and lines.
+    """Coarse space V = [diag(v)·U for v in along] of rows and columns.
+
+    U is the incidence of cells and lines.
 
     Attributes
     ----------
@@ -240,7 +263,10 @@ class CoarseLines:
 
     @classmethod
     def of(cls, local: sparse.csr_array, along: Array, blocks: LineBlocks) -> "CoarseLines | None":
-        """Return the coarse space; None if three quarters of the lines add less than T + diag(c) has along them."""
+        """Return the coarse space, or None.
+
+        None if three quarters of the lines add less than T + diag(c) has along them.
+        """
         if not len(along):
             return None
         mixed = blocks.matrix()
@@ -249,7 +275,9 @@ class CoarseLines:
         number = np.tile(np.arange(len(row)), 2)
         places = np.concatenate([row, along.shape[1] + column])
         incidence = sparse.csr_array((np.ones(len(places)), (number, places)))
-        columns = sparse.csr_array(sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along]))
+        columns = sparse.csr_array(
+            sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along])
+        )
         length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
         # VᵀAV = Vᵀ(T + diag(c))V + (VᵀV) S (VᵀV)
@@ -259,7 +287,8 @@ class CoarseLines:
         if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < 1:
             return None
         coarse = crossed + added
-        # Inverse of the matrix scaled to a unit diagonal, shifted because columns of V can coincide.
+        # Inverse of the matrix scaled to a unit diagonal, shifted because columns of V can
+        # coincide.
         size = np.sqrt(np.maximum(np.abs(coarse.diagonal()), 1e-300))
         coarse = coarse / size[:, None] / size
         coarse.flat[:: len(coarse) + 1] += SHIFTS[0]  # columns that are alike on even panels
@@ -286,12 +315,19 @@ class CoarseLines:
 
     def back(self, lines: Array) -> Array:
         """Return V·y, flat."""
-        of_rows, of_columns = np.split(lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1)
-        return np.asarray((self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)).ravel()
+        of_rows, of_columns = np.split(
+            lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1
+        )
+        return np.asarray(
+            (self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)
+        ).ravel()
 
 
 def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
-    """Return a new preconditioner at a point: over the free cells on small problems, over all cells on large ones."""
+    """Return a new preconditioner at a point.
+
+    It is over the free cells on small problems, over all cells on large ones.
+    """
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells = hessian.at.cell_resistance
@@ -300,10 +336,13 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     return factor or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
 
-def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]) -> Cholesky | None:
-    """Return the Cholesky factor of the Gauss–Newton matrix over the free cells, plus `damping` on its unit diagonal.
+def gauss_newton_factor(
+    hessian: Hessian, free: Free, damping: float = SHIFTS[0]
+) -> Cholesky | None:
+    """Return the Cholesky factor of the Gauss–Newton matrix over the free cells.
 
-    Larger shifts are tried if that is not positive definite. Returns None on large problems, or if no shift suffices.
+    It is that of the matrix plus `damping` on its unit diagonal. Larger shifts are tried if that is
+    not positive definite. Returns None on large problems, or if no shift suffices.
     """
     if not hessian.dense:
         return None
@@ -311,17 +350,26 @@ def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]
     cells = hessian.at.cell_resistance
     matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
     matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
-    tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in (damping, *SHIFTS) if shift >= damping)
+    tried = (
+        Cholesky.of(cells, chosen, matrix, shift)
+        for shift in (damping, *SHIFTS)
+        if shift >= damping
+    )
     return next((factor for factor in tried if factor is not None), None)
 
 
 def floored(diagonal: Array) -> Array:
     """Return a diagonal with entries raised to at least MIN_DIAGONAL of the largest."""
-    return np.asarray(np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0)))
+    return np.asarray(
+        np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0))
+    )
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:
-    """Return x → K⁻¹·x for a symmetric matrix K whose diagonal may span decades, by sparse LU in symmetric order."""
+    """Return x → K⁻¹·x for a symmetric matrix K whose diagonal may span decades.
+
+    It is computed by sparse LU in symmetric order.
+    """
     diagonal = floored(matrix.diagonal())
     size = np.sqrt(diagonal)
     scale = sparse.diags_array(1 / size)

@@ -1,8 +1,11 @@
-"""Projected L-BFGS for many panels over a leading axis, with inverse Hessians that are reused from frame to frame.
+"""Projected L-BFGS for many panels over a leading axis.
 
-If frames differ little, M⁻¹ ∇φ is nearly the Newton step, and every further step costs one gradient and one product
-with M⁻¹. Panels that have converged leave the batch. A panel that finds no step of lower cost, or whose ∇²φ is not
-positive definite, is returned unsolved, and the solver for single panels continues with it.
+Its inverse Hessians are reused from frame to frame.
+
+If frames differ little, M⁻¹ ∇φ is nearly the Newton step, and every further step costs one gradient
+and one product with M⁻¹. Panels that have converged leave the batch. A panel that finds no step of
+lower cost, or whose ∇²φ is not positive definite, is returned unsolved, and the solver for single
+panels continues with it.
 Source: Nocedal & Wright, Numerical Optimization, 2006, algorithm 7.4.
 """
 
@@ -28,8 +31,10 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues from there
-CERTIFIED_DISTANCE = 0.1  # of log r: ∇²φ changes by about this share; beyond, its definiteness is tested again
-LAST_STEP = 0.01 * MILLIONTH  # of log r; within CERTIFIED_DISTANCE, M⁻¹ ∇φ is within a tenth of Newton’s step
+# Of log r: ∇²φ changes by about this share; beyond, its definiteness is tested again.
+CERTIFIED_DISTANCE = 0.1
+# Of log r; within CERTIFIED_DISTANCE, M⁻¹ ∇φ is within a tenth of Newton’s step.
+LAST_STEP = 0.01 * MILLIONTH
 
 
 NAME = "L-BFGS"  # of the solver, in tables
@@ -64,15 +69,23 @@ class InverseHessians:
         """Return the state before the first frame, without any inverse."""
         blank = np.zeros((panels, cells), dtype=bool)
         none = np.zeros(panels, dtype=bool)
-        return cls(np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none)
+        return cls(
+            np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none
+        )
 
     def distance(self, panels: Numbers, position: Array) -> Array:
-        """Return the largest |δ log r| since M was made, for the chosen panels; infinite where there is no M."""
+        """Return the largest |δ log r| since M was made, for the chosen panels.
+
+        It is infinite where there is no M.
+        """
         moved = np.abs(position - self.position[panels]).max(axis=1)
         return np.where(np.isnan(moved), np.inf, moved)
 
     def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
-        """Return whether ∇²φ was positive definite within CERTIFIED_DISTANCE, over at least these free cells."""
+        """Return whether ∇²φ was positive definite within CERTIFIED_DISTANCE.
+
+        It must have been so over at least these free cells.
+        """
         near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
 
@@ -84,10 +97,11 @@ class InverseHessians:
         return step
 
     def renew(self, panels: Numbers, points: Hessian) -> None:
-        """Make M of the chosen panels anew at their points, in place: one inverse of a 10 × 10 panel takes 80 kB.
+        """Make M of the chosen panels anew at their points, in place.
 
-        M is the Hessian in relative changes s of conductances, ∇²φ + diag(∇φ). Frames that begin at the same estimate
-        share M, because their Hessians differ only by the part of their residuals.
+        One inverse of a 10 × 10 panel takes 80 kB. M is the Hessian in relative changes s of
+        conductances, ∇²φ + diag(∇φ). Frames that begin at the same estimate share M, because their
+        Hessians differ only by the part of their residuals.
         """
         if len(panels) > 1 and not np.ptp(points.position, axis=0).any():
             self.renew(panels[:1], points.some(np.array([0])))
@@ -96,13 +110,18 @@ class InverseHessians:
             return
         matrices = points.matrix.copy()
         np.einsum("...ii->...i", matrices)[...] += points.gradient
-        # M⁻¹ over the free cells; 1/diagonal elsewhere, and everywhere if M is not positive definite.
+        # M⁻¹ over the free cells; 1/diagonal elsewhere, and everywhere if M is not positive
+        # definite.
         for number, panel in enumerate(panels):
             matrix = matrices[number]
             free = np.flatnonzero(points.free[number])
             scale = np.abs(np.diag(matrix))
             inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-            factor = Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)]) if len(free) else None
+            factor = (
+                Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)])
+                if len(free)
+                else None
+            )
             positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
             if factor is not None and positive:
                 inverse[np.ix_(free, free)] = factor.inverse()
@@ -132,16 +151,26 @@ class BatchOutcome:
 def serves(cost: Cost, data: Data) -> bool:
     """Return whether a batch can minimise a cost.
 
-    All losses must be smooth, the readings two-point readings without wiring, and no second derivative may couple
-    cells with readings, or readings with each other.
+    All losses must be smooth, the readings two-point readings without wiring, and no second
+    derivative may couple cells with readings, or readings with each other.
     """
-    if any(term.loss.enters == "dual" for term in cost.terms) or cost.frames != 1 or data.wiring is not None:
+    if (
+        any(term.loss.enters == "dual" for term in cost.terms)
+        or cost.frames != 1
+        or data.wiring is not None
+    ):
         return False
     entries = cost.functions.entries
-    return isinstance(data.readout, TwoPointReadout) and entries.at_model is not None and not entries.crossed
+    return (
+        isinstance(data.readout, TwoPointReadout)
+        and entries.at_model is not None
+        and not entries.crossed
+    )
 
 
-def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settings: Settings) -> BatchOutcome:
+def solve(
+    start: Evaluation, inverses: InverseHessians, numbers: Numbers, settings: Settings
+) -> BatchOutcome:
     """Minimise the costs of many panels of one shape.
 
     Parameters
@@ -164,19 +193,25 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
     for _ in range(min(MAX_STEPS, settings.max_iterations)):
         if not len(panels):
             break
-        # Panels with a small gradient: renew M where it does not show a minimum, then accept short Newton steps.
+        # Panels with a small gradient: renew M where it does not show a minimum, then accept short
+        # Newton steps.
         near = points.residual <= settings.tolerance
         if near.any():
             doubtful = near & ~inverses.shows_minimum(numbers[panels], points)
             if doubtful.any():
                 inverses.renew(numbers[panels[doubtful]], points.some(np.flatnonzero(doubtful)))
             step = np.where(
-                points.free, inverses.newton(numbers[panels], np.where(points.free, points.gradient, 0.0)), 0.0
+                points.free,
+                inverses.newton(numbers[panels], np.where(points.free, points.gradient, 0.0)),
+                0.0,
             )
-            settled = near & inverses.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
+            settled = (
+                near & inverses.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
+            )
             solved[panels[settled]] = True
             stuck = near & ~inverses.positive[numbers[panels]]
-            # Panels that are accepted, or are no minimum, leave the batch; the accepted ones after their last step.
+            # Panels that are accepted, or are no minimum, leave the batch; the accepted ones after
+            # their last step.
             staying = ~(settled | stuck)
             if not staying.all():
                 ends[panels] = points.position - np.where(settled[:, None], step, 0.0)
@@ -204,8 +239,8 @@ class Secants:
     Attributes
     ----------
     pairs : tuple of (s, y, 1/sᵀy)
-        Steps s and changes y of the gradient, (panels, cells) each, and 1/sᵀy (panels,), the newest last. 1/sᵀy is 0
-        where a pair does not count.
+        Steps s and changes y of the gradient, (panels, cells) each, and 1/sᵀy (panels,), the newest
+        last. 1/sᵀy is 0 where a pair does not count.
     most : int
         Maximum number of pairs.
     """
@@ -215,14 +250,19 @@ class Secants:
 
     def some(self, chosen: Mask) -> "Secants":
         """Return the secants of some panels."""
-        return Secants(tuple((step[chosen], change[chosen], size[chosen]) for step, change, size in self.pairs))
+        return Secants(
+            tuple((step[chosen], change[chosen], size[chosen]) for step, change, size in self.pairs)
+        )
 
     def without(self, forgotten: Mask) -> "Secants":
         """Return the secants with those of the `forgotten` panels excluded."""
         return Secants(tuple((s, y, np.where(forgotten, 0.0, size)) for s, y, size in self.pairs))
 
     def after(self, before: Hessian, points: Hessian) -> "Secants":
-        """Return the secants with one more step; cells that are not free at both ends are excluded."""
+        """Return the secants with one more step.
+
+        Cells that are not free at both ends are excluded.
+        """
         both = before.free & points.free
         step = np.where(both, points.position - before.position, 0.0)
         change = np.where(both, points.gradient - before.gradient, 0.0)
@@ -232,7 +272,10 @@ class Secants:
         return Secants((*self.pairs, (step, change, size))[-self.most :])
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
-        """Return −H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ corrected by the secants."""
+        """Return −H ∇φ over the free cells by the two-loop recursion.
+
+        Here H = M⁻¹ corrected by the secants.
+        """
         slope = np.where(points.free, points.gradient, 0.0)
         shares = list[Array]()
         for step, change, size in reversed(self.pairs):
@@ -251,10 +294,13 @@ def _advanced(
 ) -> tuple[Hessian, Secants, Mask]:
     """Return the points after one step each, their secants, and whether the step lowered the cost.
 
-    Unknowns of a step are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
+    Unknowns of a step are relative changes of conductances, g ← g·(1 − s), in which readings are
+    closest to quadratic.
     """
     # Renew M after a failed step, and where the point has moved far from it.
-    old = inverses.worn[panels] | (inverses.distance(panels, points.position) > STEPS.max_reuse_distance)
+    old = inverses.worn[panels] | (
+        inverses.distance(panels, points.position) > STEPS.max_reuse_distance
+    )
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
@@ -265,7 +311,8 @@ def _advanced(
     most = -np.expm1(-STEPS.max_step)  # relative change of a conductance
     trial = points
     moved = np.zeros(len(panels), dtype=bool)
-    # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a step, at last to 0.
+    # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
+    # step, at last to 0.
     for attempt in range(STEPS.max_tries + 1):
         target = points.position - np.log1p(-np.minimum(length * step, most))
         trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))

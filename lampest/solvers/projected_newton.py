@@ -1,9 +1,13 @@
-"""Projected trust-region Newton method with potentials eliminated: the solver of the reduced formulation.
+"""Projected trust-region Newton method with potentials eliminated.
 
-An iteration: active set, direction by Steihaug and Toint's conjugate gradients with the exact ∇²φ, projection on the
-bounds, acceptance, radius. The unknowns are relative changes s of the conductances, g ← g·(1 − s), in which readings
-are closest to quadratic. Absolute losses are smoothed less and less.
-Source: Lin & Moré, SIAM J. Optim. 9, 1999; Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (smoothing).
+It is the solver of the reduced formulation.
+
+An iteration: active set, direction by Steihaug and Toint's conjugate gradients with the exact ∇²φ,
+projection on the bounds, acceptance, radius. The unknowns are relative changes s of the
+conductances, g ← g·(1 − s), in which readings are closest to quadratic. Absolute losses are
+smoothed less and less.
+Source: Lin & Moré, SIAM J. Optim. 9, 1999; Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999
+(smoothing).
 """
 
 from collections.abc import Sequence
@@ -15,7 +19,13 @@ import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, SubproblemStep, restricted, steihaug
+from lampest.panel.trust_region import (
+    SUFFICIENT_DECREASE,
+    Linear,
+    SubproblemStep,
+    restricted,
+    steihaug,
+)
 from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.convex import by_convex_program
@@ -35,32 +45,38 @@ class Steps:
     radius_factor : float
         Next trust radius as a share of the length of a rejected step.
     max_step : float
-        Largest change of log r of a cell in one step. Beyond it the quadratic model of a cell is wrong.
+        Largest change of log r of a cell in one step. Beyond it the quadratic model of a cell is
+        wrong.
     max_tries : int
-        Maximum number of solves of one direction, each of which may stop further cells at bounds; of tries of one step,
-        whose radius is then 4⁻¹⁵, within rounding; and of further steps at a point that is stationary but not settled.
+        Maximum number of solves of one direction, each of which may stop further cells at bounds;
+        of tries of one step, whose radius is then 4⁻¹⁵, within rounding; and of further steps at a
+        point that is stationary but not settled.
     gauss_newton : int
-        Number of steps with the Gauss–Newton matrix before a direction of negative curvature is followed.
+        Number of steps with the Gauss–Newton matrix before a direction of negative curvature is
+        followed.
     max_products : tuple of int
-        Maximum number of products in one solve, (sparse, dense). A new factor is cheaper on small problems.
+        Maximum number of products in one solve, (sparse, dense). A new factor is cheaper on small
+        problems.
     max_reuse_products : tuple of int
         Products of one step, (sparse, dense), beyond which the preconditioner is made anew.
     max_reuse_distance : float
-        Change of log r beyond which the preconditioner is made anew. Without it small panels take a third more
-        products.
+        Change of log r beyond which the preconditioner is made anew. Without it small panels take a
+        third more products.
     refactor_distance : float
-        Change of log r up to which a factor of ∇²φ still serves as certificate; second derivatives change by about the
-        same share. If the next step is expected to be shorter than its square, ∇²φ is factored before it. Without this
-        a frame with a wrong model takes 248 iterations in place of 146 (test_random_problems).
+        Change of log r up to which a factor of ∇²φ still serves as certificate; second derivatives
+        change by about the same share. If the next step is expected to be shorter than its square,
+        ∇²φ is factored before it. Without this a frame with a wrong model takes 248 iterations in
+        place of 146 (test_random_problems).
     min_smoothed_cost : float
         Cost, relative to the cost's scale, below which the smoothing need not become finer.
     min_damping, next_damping, max_damping : float
         μ of Levenberg's step: first value, least value of a second try, and largest value.
     window : int
-        Iterations after which a solve counts as stalled; well-posed frames end within 15 iterations.
+        Iterations after which a solve counts as stalled; well-posed frames end within 15
+        iterations.
     min_decrease : float
-        Relative decrease of the cost over the window. A joint pair on a plateau falls by more and still ends verified
-        (test_random_problems).
+        Relative decrease of the cost over the window. A joint pair on a plateau falls by more and
+        still ends verified (test_random_problems).
     min_reduction : float
         Share of the projected gradient at the window's begin below which the solve still converges.
     """
@@ -96,7 +112,8 @@ class ProjectedNewton(Solver):
     preconditioner : Preconditioner or None
         Preconditioner that the previous frame ended with.
     from_afar : bool
-        Whether the start is far from an optimum of a cost with several minima, and its central path is followed first.
+        Whether the start is far from an optimum of a cost with several minima, and its central path
+        is followed first.
     """
 
     preconditioner: Preconditioner | None = None
@@ -109,7 +126,9 @@ class ProjectedNewton(Solver):
 
     def continued(self, carried: object) -> "ProjectedNewton":
         """Return the solver that begins with the preconditioner of the frame before."""
-        return replace(self, preconditioner=carried if isinstance(carried, Preconditioner) else None)
+        return replace(
+            self, preconditioner=carried if isinstance(carried, Preconditioner) else None
+        )
 
     def cold(self) -> "ProjectedNewton":
         """Return the solver that follows the central path of the barrier from its start."""
@@ -120,7 +139,10 @@ class ProjectedNewton(Solver):
         _ = self.cost.functions.hessian.pattern
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
-        """Minimise from `start`. A failed solve does not raise; the outcome's status states the failure."""
+        """Minimise from `start`.
+
+        A failed solve does not raise; the outcome's status states the failure.
+        """
         start = by_convex_program(start)
         iteration = 0
         if (self.from_afar and has_central_path(start)) or crowds_bounds(start):
@@ -133,7 +155,8 @@ class ProjectedNewton(Solver):
             history.append((iterate.objective, iterate.residual))
             if data.overdue or stalled(history):
                 return iterate.outcome(Status.TIME if data.overdue else Status.STALLED, iteration)
-            # Absolute losses: narrow the smoothing once its error exceeds what is left of the gradient.
+            # Absolute losses: narrow the smoothing once its error exceeds what is left of the
+            # gradient.
             stationary = iterate.residual <= tolerance
             sharp = iterate.sharp(tolerance)
             reached = stationary or iterate.residual <= iterate.gap / 2
@@ -157,7 +180,9 @@ class ProjectedNewton(Solver):
                     trial = iterate.below_saddle
             # Without a step the solve ends unless absolute losses can still be smoothed less.
             if trial is None and sharp:
-                return iterate.outcome(Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration)
+                return iterate.outcome(
+                    Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration
+                )
             if trial is None:
                 trial = iterate.sharpened()
                 history = []
@@ -167,11 +192,15 @@ class ProjectedNewton(Solver):
 
 
 def stalled(history: Sequence[tuple[float, float]]) -> bool:
-    """Return whether neither cost nor projected gradient fell by the required amount over a full window.
+    """Return whether cost and projected gradient have stalled over a full window.
 
-    A stalled solve is one whose cost has stopped falling although its gradient has not vanished: the data and penalties
-    leave a valley whose floor is flat, or a loss has corners that second derivatives do not show.
-    Source: Nocedal & Wright, Numerical Optimization, 2006, section 3.1 (stopping by the decrease of the cost).
+    Neither of them then fell by the required amount.
+
+    A stalled solve is one whose cost has stopped falling although its gradient has not vanished:
+    the data and penalties leave a valley whose floor is flat, or a loss has corners that second
+    derivatives do not show.
+    Source: Nocedal & Wright, Numerical Optimization, 2006, section 3.1 (stopping by the decrease of
+    the cost).
 
     Parameters
     ----------
@@ -198,7 +227,8 @@ class Iterate:
     preconditioner : Preconditioner or None
         Preconditioner M of an earlier point.
     gauss_newton : int
-        Number of Gauss–Newton steps that are left before a direction of negative curvature is followed.
+        Number of Gauss–Newton steps that are left before a direction of negative curvature is
+        followed.
     convex : bool
         Whether no direction up to this point had negative curvature.
     damping : float
@@ -223,7 +253,12 @@ class Iterate:
 
     @classmethod
     def of(
-        cls, at: Evaluation, smoothing: Smoothing, preconditioner: Preconditioner | None = None, *, convex: bool = True
+        cls,
+        at: Evaluation,
+        smoothing: Smoothing,
+        preconditioner: Preconditioner | None = None,
+        *,
+        convex: bool = True,
     ) -> "Iterate":
         """Return the first iterate of a solve, or of another smoothing."""
         return cls(Hessian(at, smoothing), smoothing.objective(at), preconditioner, convex=convex)
@@ -240,23 +275,36 @@ class Iterate:
 
     @cached_property
     def gap(self) -> float:
-        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses, relative to the cost's scale."""
+        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses.
+
+        It is relative to the cost's scale.
+        """
         if not len(self.at.nonsmooth):
             return 0.0
-        return self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
+        return (
+            self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
+        )
 
     def sharp(self, tolerance: float) -> bool:
         """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
-        # The reference is the cost itself, but at least min_smoothed_cost and at most one cost scale.
-        return self.gap <= tolerance * min(1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost))
+        # The reference is the cost itself, but at least min_smoothed_cost and at most one cost
+        # scale.
+        return self.gap <= tolerance * min(
+            1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost)
+        )
 
     def sharpened(self) -> "Iterate":
         """Return the same point with a tenth of the smoothing width."""
         smoothing = self.hessian.smoothing
-        return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex)
+        return Iterate.of(
+            self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex
+        )
 
     def certified(self) -> "Iterate":
-        """Return this point with its certificate, which reuses a factor while the Hessian has hardly changed."""
+        """Return this point with its certificate.
+
+        The certificate reuses a factor while the Hessian has hardly changed.
+        """
         if self.certificate is not None:
             return self
         previous = self.nearby
@@ -269,7 +317,10 @@ class Iterate:
 
     @property
     def converges(self) -> bool:
-        """Whether the next step is expected to be so short that a certificate of this point holds after it."""
+        """Whether the next step is expected to be short enough for a certificate.
+
+        It is if a certificate of this point holds after it.
+        """
         return self.expected <= STEPS.refactor_distance**2 and not len(self.at.nonsmooth)
 
     @property
@@ -279,47 +330,75 @@ class Iterate:
 
     @property
     def settled(self) -> bool:
-        """Whether this is a certified strict minimum, or a plateau without any gradient or direction of descent."""
+        """Whether this is a certified strict minimum, or a plateau.
+
+        A plateau is without any gradient or direction of descent.
+        """
         verdict = self.certificate
-        return verdict is not None and (verdict.settled or (not self.residual and verdict.lower is None))
+        return verdict is not None and (
+            verdict.settled or (not self.residual and verdict.lower is None)
+        )
 
     @property
     def below_saddle(self) -> "Iterate | None":
-        """The certificate's point of lower cost next to a saddle; None without a certificate or such a point."""
+        """The certificate's point of lower cost next to a saddle.
+
+        None without a certificate or such a point.
+        """
         lower = None if self.certificate is None else self.certificate.lower
-        return None if lower is None else Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
+        return (
+            None
+            if lower is None
+            else Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
+        )
 
     @property
     def newest(self) -> Preconditioner | None:
-        """The factor of ∇²φ of the newest certificate; without one, the preconditioner of an earlier point."""
-        return self.preconditioner if self.known is None or self.known.factor is None else self.known.factor
+        """The factor of ∇²φ of the newest certificate.
+
+        Without one, it is the preconditioner of an earlier point.
+        """
+        return (
+            self.preconditioner
+            if self.known is None or self.known.factor is None
+            else self.known.factor
+        )
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """Return the outcome at this point.
 
-        The certificate's Newton step is taken first if it comes from a factor, is long enough to improve the estimate,
-        and short enough for the certificate to remain valid.
+        The certificate's Newton step is taken first if it comes from a factor, is long enough to
+        improve the estimate, and short enough for the certificate to remain valid.
         """
         final = self.certificate
         cells = self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.nonsmooth)
         exact = final is not None and final.factor is not None and final.settled and not len(dual)
-        if final is not None and exact and MILLIONTH / 1000 < np.abs(final.step).max() <= STEPS.refactor_distance:
+        if (
+            final is not None
+            and exact
+            and MILLIONTH / 1000 < np.abs(final.step).max() <= STEPS.refactor_distance
+        ):
             cells = np.exp(self.at.position + final.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
 
     def at_step(self, step: Array) -> "Iterate | None":
-        """Return the point after a step of u (flat), clipped to the bounds; None if its network cannot be solved."""
+        """Return the point after a step of u (flat), clipped to the bounds.
+
+        None if its network cannot be solved.
+        """
         if (at := moved_by(self.at, step)) is None:
             return None
-        return Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex)
+        return Iterate.of(
+            at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex
+        )
 
 
 def descent_step(point: Iterate) -> Iterate | None:
     """Return the next point; None if no step lowers the cost.
 
-    While directions of negative curvature persist, the trust-region step and Levenberg's step are both computed, and
-    the point of lower cost is returned.
+    While directions of negative curvature persist, the trust-region step and Levenberg's step are
+    both computed, and the point of lower cost is returned.
     """
     trial = trust_region_step(point)
     if trial is not None and trial.gauss_newton:
@@ -331,16 +410,16 @@ def descent_step(point: Iterate) -> Iterate | None:
 def trust_region_step(point: Iterate) -> Iterate | None:
     """Return the next point by a trust-region step; None if no radius gives an accepted step.
 
-    Every iteration begins with an infinite radius: one-sided readings curve the cost on one side only, so that the
-    radius of one iteration need not suit the next.
+    Every iteration begins with an infinite radius: one-sided readings curve the cost on one side
+    only, so that the radius of one iteration need not suit the next.
     """
     hessian = point.hessian
     cached = point.newest
     # Preconditioner: the cached one unless the point has moved too far from it.
     if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
         cached = preconditioner(hessian, hessian.free)
-    # Unknowns are relative changes s of conductances, δu = −log(1 − s) = s + s²/2 + …: their Hessian is ∇²φ + diag(∇φ).
-    # Where lines touch, steps are in log r itself.
+    # Unknowns are relative changes s of conductances, δu = −log(1 − s) = s + s²/2 + …: their
+    # Hessian is ∇²φ + diag(∇φ). Where lines touch, steps are in log r itself.
     radius = inf
     patience = point.gauss_newton
     convex = point.convex
@@ -350,7 +429,8 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     for _ in range(STEPS.max_tries):
         direction = newton_direction(point, cached, product, radius)
         convex = convex and not direction.negative
-        # Negative curvature: up to `gauss_newton` times, a Levenberg step or the Gauss–Newton matrix replaces ∇²φ.
+        # Negative curvature: up to `gauss_newton` times, a Levenberg step or the Gauss–Newton
+        # matrix replaces ∇²φ.
         if direction.negative and patience and product is exact:
             damped = None if len(point.at.nonsmooth) else levenberg_step(point)
             if damped is not None:
@@ -360,16 +440,30 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             cached = gauss_newton_factor(hessian, hessian.free) or cached
             direction = newton_direction(point, cached, product, radius)
         trial = point.at_step(direction.step)
-        if trial is not None and decrease_ratio(point, trial, direction.decrease) >= SUFFICIENT_DECREASE:
+        if (
+            trial is not None
+            and decrease_ratio(point, trial, direction.decrease) >= SUFFICIENT_DECREASE
+        ):
             # Accepted: keep the preconditioner unless conjugate gradients took too many products.
             worn = direction.products > STEPS.max_reuse_products[hessian.dense]
             reused, nearby = (None, None) if worn else (cached, point.known)
-            patience = patience if direction.negative or product is not exact else STEPS.gauss_newton
+            patience = (
+                patience if direction.negative or product is not exact else STEPS.gauss_newton
+            )
             # Linear convergence: the next step is shorter by the ratio of the residuals.
             moved = float(np.abs(trial.at.position - point.at.position).max())
             small = hessian.dense and not len(point.at.nonsmooth)
             expected = moved * trial.residual / (point.residual or 1.0) if small else inf
-            return Iterate(trial.hessian, trial.objective, reused, patience, convex, point.damping, expected, nearby)
+            return Iterate(
+                trial.hessian,
+                trial.objective,
+                reused,
+                patience,
+                convex,
+                point.damping,
+                expected,
+                nearby,
+            )
         # Rejected: try again within a smaller radius.
         radius = STEPS.radius_factor * direction.length
         if not radius > 0:
@@ -378,7 +472,10 @@ def trust_region_step(point: Iterate) -> Iterate | None:
 
 
 def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
-    """Return actual over predicted decrease of the cost; within rounding, 1 if the gradient halved, otherwise −1."""
+    """Return actual over predicted decrease of the cost.
+
+    Within rounding, it is 1 if the gradient halved, otherwise −1.
+    """
     decrease = point.objective - trial.objective
     rounding = MIN_DECREASE_SHARE * abs(point.objective)
     if predicted > rounding:
@@ -387,19 +484,26 @@ def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
 
 
 def shares_conductance(at: Evaluation) -> bool:
-    """Return whether lines touch and no penalty determines how parallel cells share their conductance.
+    """Return whether lines touch and no penalty determines how parallel cells share conductance.
 
     Steps in log r then keep the shares near those of the start.
     """
     wiring = at.data.wiring
-    return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
+    return (
+        wiring is not None
+        and bool(wiring.joined)
+        and all(term.reads_measurement for term in at.cost.terms)
+    )
 
 
-def newton_direction(point: Iterate, precondition: Preconditioner, product: Linear, radius: float) -> SubproblemStep:
-    """Return the minimiser δu of the quadratic model gᵀs + ½ sᵀHs within the trust radius and the bounds.
+def newton_direction(
+    point: Iterate, precondition: Preconditioner, product: Linear, radius: float
+) -> SubproblemStep:
+    """Return the minimiser δu of the quadratic model gᵀs + ½ sᵀHs.
 
-    Conjugate gradients solve the model over the moving cells. Cells that the solution takes beyond a bound are fixed at
-    it, and the model is solved again over the others.
+    It is within the trust radius and the bounds. Conjugate gradients solve the model over the
+    moving cells. Cells that the solution takes beyond a bound are fixed at it, and the model is
+    solved again over the others.
 
     Parameters
     ----------
@@ -443,18 +547,24 @@ def newton_direction(point: Iterate, precondition: Preconditioner, product: Line
         moving = moving & ~beyond
         if not moving.any():
             break
-        # Gradient of the model over the moving cells, with the others at their bounds: g + H s_fixed
+        # Gradient of the model over the moving cells, with the others at their bounds: g + H
+        # s_fixed
         slope = gradient + product(np.where(moving, 0.0, step))
-    decrease = solved.decrease if moving is free else -float(gradient @ step + 0.5 * step @ product(step))
+    decrease = (
+        solved.decrease if moving is free else -float(gradient @ step + 0.5 * step @ product(step))
+    )
     # δu = −log(1 − s)
-    return SubproblemStep(step if logarithmic else -np.log1p(-step), solved.length, decrease, negative, products)
+    return SubproblemStep(
+        step if logarithmic else -np.log1p(-step), solved.length, decrease, negative, products
+    )
 
 
 def levenberg_step(point: Iterate) -> Iterate | None:
-    """Return the point after Levenberg's step δu = −(JᵀWJ + PᵀKP + μ·diag)⁻¹ ∇φ over the free cells.
+    """Return the point after Levenberg's step over the free cells.
 
-    The damping μ of the next step is a tenth if the cost fell by at least half of the predicted decrease (Moré 1978).
-    Returns None on large problems, or if no μ lowers the cost.
+    The step is δu = −(JᵀWJ + PᵀKP + μ·diag)⁻¹ ∇φ. The damping μ of the next step is a tenth if the
+    cost fell by at least half of the predicted decrease (Moré 1978). Returns None on large
+    problems, or if no μ lowers the cost.
     """
     hessian = point.hessian
     free = point.hessian.free
@@ -470,7 +580,11 @@ def levenberg_step(point: Iterate) -> Iterate | None:
             # Predicted decrease of the damped model: −½ ∇φᵀδu
             trial = point.at_step(step)
             predicted = -0.5 * float(step[free] @ slope)
-            if trial is not None and (decrease := point.objective - trial.objective) > SUFFICIENT_DECREASE * predicted:
+            if (
+                trial is not None
+                and (decrease := point.objective - trial.objective)
+                > SUFFICIENT_DECREASE * predicted
+            ):
                 eased = damping / 10 if decrease > predicted / 2 else damping
                 return replace(trial, preconditioner=None, damping=max(eased, STEPS.min_damping))
         damping = max(10 * damping, STEPS.next_damping)

@@ -1,4 +1,6 @@
-"""Smoothing of absolute losses for a Newton method: Σ √(x² + β²) replaces Σ |x|, with the duals as further unknowns.
+"""Smoothing of absolute losses for a Newton method.
+
+Σ √(x² + β²) replaces Σ |x|, with the duals as further unknowns.
 
 Source: Chan, Golub & Mulet, SIAM J. Sci. Comput. 20, 1999 (primal-dual method for total variation).
 """
@@ -36,7 +38,10 @@ class Smoothing:
         return slope
 
     def stiffness(self, residual: Array) -> Array:
-        """Return (1 − z·x/√(x² + β²))/√(x² + β²), the second derivative of the smoothed loss with z as unknown."""
+        """Return the second derivative of the smoothed loss with z as unknown.
+
+        It is (1 − z·x/√(x² + β²))/√(x² + β²).
+        """
         size = np.sqrt(residual**2 + self.width**2)
         stiffness: Array = (1 - self.dual * residual / size) / size
         return stiffness
@@ -44,14 +49,18 @@ class Smoothing:
     def objective(self, at: Evaluation) -> float:
         """Return φ with √(x² + β²) − β in place of |x|.
 
-        The constant β is subtracted so that rows of large weight whose residual is zero cost no digits.
+        The constant β is subtracted so that rows of large weight whose residual is zero cost no
+        digits.
         """
         if not len(at.nonsmooth):
             return at.objective
         squares = at.nonsmooth**2
         # √(x² + β²) − β = x²/(√(x² + β²) + β), without cancellation
         smoothed = squares / (np.sqrt(squares + self.width**2) + self.width)
-        return float(np.delete(at.costs, np.unique(at.cost.functions.nonsmooth_terms)).sum() + at.cost.slope @ smoothed)
+        return float(
+            np.delete(at.costs, np.unique(at.cost.functions.nonsmooth_terms)).sum()
+            + at.cost.slope @ smoothed
+        )
 
     def jacobian(self, at: Evaluation) -> sparse.csc_array:
         """Return ∂x/∂(r; y), sparse (rows, 2·cells)."""
@@ -60,12 +69,18 @@ class Smoothing:
 
     @classmethod
     def start(cls, at: Evaluation) -> "Smoothing":
-        """Return the smoothing of a first point: β a tenth of the largest residual, z = x/√(x² + β²)."""
+        """Return the smoothing of a first point.
+
+        β is a tenth of the largest residual, and z = x/√(x² + β²).
+        """
         width = 0.1 * float(np.abs(at.nonsmooth).max(initial=0)) or 1.0
         return cls(width, at.nonsmooth / np.sqrt(at.nonsmooth**2 + width**2))
 
     def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
-        """Return the smoothing after a step, with duals from their linearised equation, clipped to |z| ≤ 1."""
+        """Return the smoothing after a step.
+
+        The duals are from their linearised equation, clipped to |z| ≤ 1.
+        """
         if not len(self.dual):
             return self
         moves = [

@@ -25,7 +25,8 @@ VERIFIED = MILLIONTH
 # A cell within 1 % of a bound counts as being at it.
 OPEN_FRACTION = 0.99
 MAX_STARTS = 1000
-SMOOTHING_WIDTH = 1e-8  # of the largest residual with an absolute loss: width of the smoothing in a certificate
+# Of the largest residual with an absolute loss: width of the smoothing in a certificate.
+SMOOTHING_WIDTH = 1e-8
 
 
 class Status(Enum):
@@ -37,7 +38,8 @@ class Status(Enum):
 
     OPTIMUM = "optimum verified"
     HELD = (
-        "an optimum, but only within the bounds: cells that these hold leave readings off by more than their noise"
+        "an optimum, but only within the bounds: cells that these hold leave readings off by more "
+        "than their noise"
         " (by a millionth where that is unknown)"
     )
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
@@ -47,10 +49,18 @@ class Status(Enum):
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"
     UNREAD = "too few of the frame's readings are values: the others are missing, or bounds"
-    UNRESTED = "too few of the unloaded panel's readings are values, and the method compares with them"
+    UNRESTED = (
+        "too few of the unloaded panel's readings are values, and the method compares with them"
+    )
     BROKEN_OFF = "the run was broken off before this frame"
-    ROUNDED = "not converged: one term outweighs the others by more than the sixteen digits of double precision"
-    STALLED = "not converged: the cost has stopped falling; the data and penalties determine some cells too weakly"
+    ROUNDED = (
+        "not converged: one term outweighs the others by more than the sixteen digits of "
+        "double precision"
+    )
+    STALLED = (
+        "not converged: the cost has stopped falling; the data and penalties determine some "
+        "cells too weakly"
+    )
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
@@ -61,9 +71,12 @@ class Status(Enum):
 UNSETTLED = {Definiteness.POSITIVE: Status.FAINT, Definiteness.UNDETERMINED: Status.FLAT}
 ADVICE = {
     Status.OPTIMUM: "Nothing to do.",
-    Status.HELD: "Look at the cells at their bounds: a reading may be wrong, or `bounds` too narrow.",
-    Status.FLAT: "Add a penalty, or a weight to the one there is; do not interpret the undetermined cells.",
-    Status.FAINT: "Add a penalty, lower `solver: tolerance`, or read the error bars before these cells.",
+    Status.HELD: "Look at the cells at their bounds: a reading may be wrong, or `bounds` too "
+    "narrow.",
+    Status.FLAT: "Add a penalty, or a weight to the one there is; do not interpret the "
+    "undetermined cells.",
+    Status.FAINT: "Add a penalty, lower `solver: tolerance`, or read the error bars before these "
+    "cells.",
     Status.APPROXIMATE: "Take a formulation that ends at an optimum where a frame matters.",
     Status.SADDLE: "Begin at more places: `solver: {starts: 10}`.",
     Status.UNVERIFIED: "Take `formulation: reduced`; if that ends so too, report the frame.",
@@ -72,7 +85,8 @@ ADVICE = {
     Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
     Status.BROKEN_OFF: "Run the same command again: it solves unfinished cases anew.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
-    Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; check that the readout fits the data.",
+    Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; check that the "
+    "readout fits the data.",
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
     Status.TIME: "Raise `solver: time_limit_s`.",
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
@@ -94,11 +108,12 @@ class Settings(Validated):
     max_iterations : int
         Maximum number of iterations of one solve.
     time_limit_s : float or None
-        Time limit of one frame in s, over all starts together. A frame that is not solved by then holds NaN, and its
-        status states the cause. None for no limit: then no result depends on the speed of the computer.
+        Time limit of one frame in s, over all starts together. A frame that is not solved by then
+        holds NaN, and its status states the cause. None for no limit: then no result depends on the
+        speed of the computer.
     starts : int or None
-        Number of starts of every frame, of which the lowest minimum is taken. None for three starts of a first frame
-        and one of each frame that follows another.
+        Number of starts of every frame, of which the lowest minimum is taken. None for three starts
+        of a first frame and one of each frame that follows another.
 
     >>> lampest.Settings(max_iterations=50).max_iterations
     50
@@ -161,7 +176,9 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Checked estimate of one solve; NaN unless it is an optimum, or an approximation that was requested.
+    """Checked estimate of one solve.
+
+    NaN unless it is an optimum, or an approximation that was requested.
 
     Attributes
     ----------
@@ -257,13 +274,17 @@ class Solver(ABC):
         _ = self.cost.functions
 
     def continued(self, carried: object) -> "Solver":
-        """Return the solver that begins with what the solve of the frame before carries; unchanged if of no use."""
+        """Return the solver that begins with what the solve of the frame before carries.
+
+        It is unchanged if that is of no use.
+        """
         return self
 
     def cold(self) -> "Solver":
         """Return the solver for a start far from any optimum; by default the same.
 
-        Lower minima are found along the central path of the bounds' barrier than by steps straight down.
+        Lower minima are found along the central path of the bounds' barrier than by steps straight
+        down.
         """
         return self
 
@@ -273,9 +294,10 @@ class Solver(ABC):
 
 
 def check(start: Evaluation, outcome: Outcome) -> Solution:
-    """Return the solution of an outcome, after cost and KKT residual are recomputed outside the solver.
+    """Return the solution of an outcome.
 
-    An estimate is kept only if its KKT residual is at most VERIFIED, or its certificate converged, and its cost is not
+    This is after cost and KKT residual are recomputed outside the solver. An estimate is kept only
+    if its KKT residual is at most VERIFIED, or its certificate converged, and its cost is not
     higher than at the start.
 
     Parameters
@@ -316,21 +338,28 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
         return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    return solution_at(at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM)
+    return solution_at(
+        at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM
+    )
 
 
 def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
-    """Return the Hessian with absolute losses smoothed by SMOOTHING_WIDTH of the largest residual."""
-    return Hessian(at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), dual))
+    """Return the Hessian with absolute losses smoothed.
+
+    They are smoothed by SMOOTHING_WIDTH of the largest residual.
+    """
+    return Hessian(
+        at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), dual)
+    )
 
 
 def _balanced(hessian: Hessian) -> bool:
     """Return whether subgradients |z| ≤ 1 of the absolute losses balance the gradient.
 
-    The smoothed loss is stiff at a corner, so that a Newton step is short there even where the cost falls steeply
-    beyond. The subgradients z of residuals x near their corner minimise |g + Aᵀ diag(w) z|², A = ∂x/∂u over the free
-    cells; g has the other residuals. Source: Stark & Parker, Comput. Stat. 10, 1995 (bounded least squares). Panels too
-    large for a matrix are not examined.
+    The smoothed loss is stiff at a corner, so that a Newton step is short there even where the cost
+    falls steeply beyond. The subgradients z of residuals x near their corner minimise |g + Aᵀ
+    diag(w) z|², A = ∂x/∂u over the free cells; g has the other residuals. Source: Stark & Parker,
+    Comput. Stat. 10, 1995 (bounded least squares). Panels too large for a matrix are not examined.
     """
     from scipy.optimize import lsq_linear
 
@@ -361,9 +390,12 @@ def _balanced(hessian: Hessian) -> bool:
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
     """Return the fault; ROUNDED where the second derivatives are within rounding."""
-    if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.STALLED, Status.UNVERIFIED) or not np.all(
-        np.isfinite(gradient)
-    ):
+    if fault not in (
+        Status.BREAKDOWN,
+        Status.ITERATIONS,
+        Status.STALLED,
+        Status.UNVERIFIED,
+    ) or not np.all(np.isfinite(gradient)):
         return fault
     rounded = certificate(sharp_hessian(at, outcome.dual)).definiteness is Definiteness.UNDETERMINED
     return Status.ROUNDED if rounded else fault
@@ -371,7 +403,9 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
 
 @typed
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """Return the solution of a method that does not end at an optimum, with its cost and its KKT residual.
+    """Return the solution of a method that does not end at an optimum.
+
+    It has its cost and its KKT residual.
 
     >>> import inspect
     >>> list(inspect.signature(lampest.approximation).parameters)
@@ -388,18 +422,37 @@ def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Statu
     cells = at.cell_resistance
     data = at.data
     ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-    fields = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)
-    return Solution(*fields, at=at, dual=outcome.dual, carried=outcome.carried, convex=outcome.convex)
+    fields = (
+        cells,
+        at.reading,
+        at.costs,
+        at.objective,
+        residual,
+        *ends,
+        status,
+        outcome.iterations,
+    )
+    return Solution(
+        *fields, at=at, dual=outcome.dual, carried=outcome.carried, convex=outcome.convex
+    )
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
-    """Return a solution of NaN with a status, the KKT residual and the iterations of the outcome."""
+    """Return a solution of NaN with a status.
+
+    It has the KKT residual and the iterations of the outcome.
+    """
     no_solution = blank(data.measured.shape, len(cost.terms), status)
     return replace(no_solution, kkt_residual=residual, iterations=outcome.iterations)
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
-    """Return a solution of NaN with a status where nothing was solved; shape (frames, rows, columns)."""
+    """Return a solution of NaN with a status where nothing was solved.
+
+    Shape (frames, rows, columns).
+    """
     empty = np.full(shape, np.nan)
     flags = np.zeros(shape, dtype=bool)
-    return Solution(empty, empty, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)
+    return Solution(
+        empty, empty, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0
+    )

@@ -34,8 +34,8 @@ from lampest.studies.study import OnStep, column
 def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
     """Return loads and time course of recording `number`, periodic in 3.
 
-    0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three standing rods. 2: a mouth
-    of 35 mm that presses, then sucks, beside a rod.
+    0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three
+    standing rods. 2: a mouth of 35 mm that presses, then sucks, beside a rod.
     """
     pitch = Panel(*shape).pitch_mm
     height, width = (pitch * (side - 1) for side in shape)
@@ -45,7 +45,9 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
     )
     breathing = common.shipped_lamprey().course
     if number % 3 == 0:
-        return (common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape)),), breathing
+        return (
+            common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape)),
+        ), breathing
     if number % 3 == 1:
         return rods, Course()
     mouth = common.lamprey_mouth((0.6 * width, 0.55 * height))
@@ -135,7 +137,10 @@ class BenchFile(Configuration):
         return tuple(name for name in known if max(shape) <= getattr(self.limits, name))
 
     def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
-        """Return a method with a solver for a panel; the baseline of a large one is solved separately."""
+        """Return a method with a solver for a panel.
+
+        The baseline of a large one is solved separately.
+        """
         formulation = self.formulation(solver, joint=max(shape) <= self.limits.joint)
         return self.estimators[method].estimator(formulation, self.solver, error_bars=False)
 
@@ -148,17 +153,22 @@ class BenchFile(Configuration):
         scene = common.simple_scene(shape, self.readout, self.lines)
         touching, course = loads(number, shape)
         known: dict[str, Any] = {"loads": touching, "course": course, "unmodelled": self.unmodelled}
-        return simulate(Simulation(1, self.seed + number, scene, frames=self.frames + 1, **known), str(number))
+        return simulate(
+            Simulation(1, self.seed + number, scene, frames=self.frames + 1, **known), str(number)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchFrame(TimedFrame):
     """A frame of the benchmark.
 
-    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²); the last part is the cost of missing every reading by 0.003 %.
+    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²); the last part is the cost of missing every reading by
+        0.003 %.
     """
 
-    kind: str = column("1", "first: a cold start; pair: together with the baseline; later: from the frame before")
+    kind: str = column(
+        "1", "first: a cold start; pair: together with the baseline; later: from the frame before"
+    )
     inverse_s: float = column("s", "a dense inverse of size rows + columns - 1 at that time")
 
 
@@ -173,8 +183,12 @@ class BenchPart(NamedTuple):
         """Predict the time from the largest panel up to this size, growing as (M + N)³."""
         solvers = bench.solvers(self.shape)
         lines = sum(self.shape)
-        similar = [frame for frame in done if frame.method == self.method and frame.solver in solvers]
-        nearest = max((size for frame in similar if (size := sum(frame.shape)) <= lines), default=lines)
+        similar = [
+            frame for frame in done if frame.method == self.method and frame.solver in solvers
+        ]
+        nearest = max(
+            (size for frame in similar if (size := sum(frame.shape)) <= lines), default=lines
+        )
         similar = [frame for frame in similar if sum(frame.shape) == nearest]
         recordings = len({(frame.shape, frame.recording) for frame in similar}) or 1
         return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
@@ -192,14 +206,19 @@ class Bench(NamedTuple):
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
-    """Measure as much as the budget allows: the first recordings of all panels first, small panels before large ones.
+    """Measure as much as the budget allows.
+
+    The first recordings of all panels come first, and small panels before large ones.
 
     on_step : receives the numbers of finished and of all parts, and the name of the next one.
     """
     end = perf_counter() + bench.budget_s
     frames = list[BenchFrame]()
     missed = list[LeftOut]()
-    parts = [BenchPart(*part) for part in product(range(bench.recordings), bench.shapes, bench.estimators)]
+    parts = [
+        BenchPart(*part)
+        for part in product(range(bench.recordings), bench.shapes, bench.estimators)
+    ]
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
         shape = part.shape
@@ -215,30 +234,52 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
         with_memory = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
         for solver in bench.solvers(shape) if with_memory else ():
             # A fresh process takes some 3 s to begin.
-            if 3.0 + sum(frame.seconds for frame in part_frames if frame.solver == solver) > end - perf_counter():
+            if (
+                3.0 + sum(frame.seconds for frame in part_frames if frame.solver == solver)
+                > end - perf_counter()
+            ):
                 missed.append((shape, method, f"memory of {solver}"))
                 continue
-            peak = peak_memory(simulated(shape, part.recording), bench.estimator(method, solver, shape))
-            part_frames = [replace(frame, memory_mb=peak) if frame.solver == solver else frame for frame in part_frames]
+            peak = peak_memory(
+                simulated(shape, part.recording), bench.estimator(method, solver, shape)
+            )
+            part_frames = [
+                replace(frame, memory_mb=peak) if frame.solver == solver else frame
+                for frame in part_frames
+            ]
         frames += part_frames
     return Bench(bench, tuple(frames), tuple(missed))
 
 
-def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float) -> Iterator[BenchFrame]:
+def _frames(
+    bench: BenchFile, recording: Recording, part: BenchPart, end: float
+) -> Iterator[BenchFrame]:
     """Solve every frame by all solvers, until less time is left than the last frame took."""
-    estimators = {name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)}
+    estimators = {
+        name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)
+    }
     readings = recording.readings()
     matrix = laplacian(np.ones(part.shape))[1:, 1:]
     stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
-    start = stream.previous if stream.estimator.relative else None  # without it, the first frame is a cold start
-    streams = {name: replace(stream, estimator=estimator, previous=start) for name, estimator in estimators.items()}
+    # Without it, the first frame is a cold start.
+    start = stream.previous if stream.estimator.relative else None
+    streams = {
+        name: replace(stream, estimator=estimator, previous=start)
+        for name, estimator in estimators.items()
+    }
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
         begin = perf_counter()
         turns = []
         for _ in range(bench.repeats if number else 1):
-            turns.append({name: pushed(method_stream, readings[frame]) for name, method_stream in streams.items()})
-            if sum(turn.seconds for turn in turns[-1].values()) > 1.0:  # disturbances are small against 1 s
+            turns.append(
+                {
+                    name: pushed(method_stream, readings[frame])
+                    for name, method_stream in streams.items()
+                }
+            )
+            # Disturbances are small against 1 s.
+            if sum(turn.seconds for turn in turns[-1].values()) > 1.0:
                 break
         reached = {name: turn.objective for name, turn in turns[0].items()}
         best = min(reached, key=lambda name: reached[name])
@@ -257,7 +298,8 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
                 kind="later" if number else kind,
                 inverse_s=inverse_time(matrix),
             )
-        leader = turns[0][best].stream  # all continue from the best estimate, each with its own caches
+        # All continue from the best estimate, each with its own caches.
+        leader = turns[0][best].stream
         streams = {
             name: replace(leader, estimator=estimator, prepared=turns[0][name].stream.prepared)
             for name, estimator in estimators.items()
@@ -283,7 +325,9 @@ def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
             for several in grouped(chosen, lambda frame: frame.solver).values():
                 kinds = grouped(several, lambda frame: frame.frame > 0).values()
                 rows += [
-                    _row(name, timed) for timed in kinds if name != ALL or {frame.method for frame in timed} == methods
+                    _row(name, timed)
+                    for timed in kinds
+                    if name != ALL or {frame.method for frame in timed} == methods
                 ]
     reduced = {PROBLEM(row): row.ms for row in rows if row.solver == "reduced"}
     for row in rows:
@@ -292,8 +336,13 @@ def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
 
 
 def _row(method: str, measured: Sequence[BenchFrame]) -> study.Row:
-    """Summarise frames of one kind by one solver; ms : median, gap : the largest, infinite of a failed frame."""
-    low, middle, high = np.quantile([1e3 * frame.seconds for frame in measured], (0.25, 0.5, 0.75)).tolist()
+    """Summarise frames of one kind by one solver.
+
+    ms is the median, gap the largest, infinite of a failed frame.
+    """
+    low, middle, high = np.quantile(
+        [1e3 * frame.seconds for frame in measured], (0.25, 0.5, 0.75)
+    ).tolist()
     kinds = {frame.kind for frame in measured}
     return study.Row(
         **study.named_values(measured[0], "rows", "columns"),
@@ -310,14 +359,17 @@ def _row(method: str, measured: Sequence[BenchFrame]) -> study.Row:
         count=len(measured),
         verified=sum(frame.verified for frame in measured),
         solved=sum(frame.solved for frame in measured),
-        memory_mb=max((frame.memory_mb for frame in measured if frame.memory_mb is not None), default=None),
+        memory_mb=max(
+            (frame.memory_mb for frame in measured if frame.memory_mb is not None), default=None
+        ),
     )
 
 
 def growth(rows: Sequence[study.Row]) -> list[study.Row]:
     """Fit time ∝ side^exponent, side = (rows + columns)/2, by solver, method and kind of frames.
 
-    A least-squares line through the logarithms of `ms` of two or more panels with sides of at least 32.
+    A least-squares line through the logarithms of `ms` of two or more panels with sides of at least
+    32.
     standard_error : of the exponent; None with two panels. largest : the largest side.
     """
     large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
@@ -348,11 +400,15 @@ SCREEN: Columns = {
     "ms": "{ms:digits}",
     "ratio": lambda row: "" if row.solver == "reduced" else text_of(row.ratio),
     "quartiles": lambda row: (
-        f"{text_of(row.ms_quartile_1)}–{text_of(row.ms_quartile_3)}" if row.ms_quartile_1 < row.ms_quartile_3 else ""
+        f"{text_of(row.ms_quartile_1)}–{text_of(row.ms_quartile_3)}"
+        if row.ms_quartile_1 < row.ms_quartile_3
+        else ""
     ),
     "inverses": "{inverses:digits}",
     "steps": "{iterations:g}",
-    "gap": lambda row: text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}",
+    "gap": lambda row: (
+        text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}"
+    ),
     "verified": "{verified}/{count}",
     "MB": "{memory_mb:.0f}",
 }
@@ -366,7 +422,11 @@ def sheets(bench: Bench) -> list[study.Sheet]:
     shared = {title: of for title, of in SCREEN.items() if title not in ("method", "quartiles")}
     titled: list[study.Sheet] = [
         ("solvers: all methods together", totals, shared),
-        ("methods: the reduced solver", ours, {title: of for title, of in SCREEN.items() if title != "solver"}),
+        (
+            "methods: the reduced solver",
+            ours,
+            {title: of for title, of in SCREEN.items() if title != "solver"},
+        ),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
     ]
     return [sheet for sheet in titled if sheet[1]]
@@ -376,15 +436,22 @@ def bench_remarks(bench: Bench) -> list[str]:
     """Return sentences on limits and on parts that were left out."""
     settings = bench.settings
     largest = max(max(shape) for shape in settings.shapes)
-    limited = [f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest]
+    limited = [
+        f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest
+    ]
     lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
     panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
-    for (shape, part), omissions in grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
+    for (shape, part), omissions in grouped(
+        bench.left_out, lambda left_out: (left_out[0], left_out[2])
+    ).items():
         methods = [method for _, method, _ in omissions]
         named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
         panels.setdefault((part, named), []).append(f"{shape[0]} × {shape[1]}")
     reason = f"left out, would not end within {settings.budget_s:g} s"
-    return lines + [f"{reason}: {part}: {named} at {', '.join(several)}" for (part, named), several in panels.items()]
+    return lines + [
+        f"{reason}: {part}: {named} at {', '.join(several)}"
+        for (part, named), several in panels.items()
+    ]
 
 
 STUDY: study.Study[BenchFile, Bench] = study.Study(

@@ -1,4 +1,7 @@
-"""Certified values: 50-digit arithmetic, and a second test of optimality, which share no code with the solvers."""
+"""Certified values: 50-digit arithmetic, and a second test of optimality.
+
+They share no code with the solvers.
+"""
 
 from typing import Any
 
@@ -14,9 +17,10 @@ from lampest.panel.readouts.floating import exact_two_point_resistance
 
 
 def correct_digits(values: Array, certified: Array) -> float:
-    """Return LRE = −log10(|values − certified|/|certified|), the least of all entries, from 0 to 15.
+    """Return LRE = −log10(|values − certified|/|certified|).
 
-    Entries that are infinite or zero in both are right; NaN if anything is NaN. Source: NIST StRD.
+    It is the least of all entries, from 0 to 15. Entries that are infinite or zero in both are
+    right; NaN if anything is NaN. Source: NIST StRD.
     """
     if np.any(np.isnan(values)) or np.any(np.isnan(certified)):
         return float("nan")
@@ -34,9 +38,10 @@ def fifty_digit_library() -> Any:
 
 
 def fifty_digits(cells: Array) -> Array:
-    """Return R = f(r), (rows, columns) ohm, with 50 digits; infinite cells are open, zeros are shorts.
+    """Return R = f(r), (rows, columns) ohm, with 50 digits.
 
-    Unconnected lines have R = inf. Raises InputError if mpmath is not installed.
+    Infinite cells are open, zeros are shorts. Unconnected lines have R = inf. Raises InputError if
+    mpmath is not installed.
     """
     mpmath = fifty_digit_library()
     rows, columns = cells.shape
@@ -46,8 +51,11 @@ def fifty_digits(cells: Array) -> Array:
     part = connected_components(graph, directed=False)[1]
     resistance = np.where(cells == 0, 0.0, np.inf)
     with mpmath.workdps(50):
-        # A tie of each part's first line to ground carries no current; a short stands for 10⁻²⁵ ohm.
-        matrix = mpmath.diag([int(line == np.argmax(part == part[line])) for line in range(rows + columns)])
+        # A tie of each part's first line to ground carries no current; a short stands for 10⁻²⁵
+        # ohm.
+        matrix = mpmath.diag(
+            [int(line == np.argmax(part == part[line])) for line in range(rows + columns)]
+        )
         for first, second in zip(*lines, strict=True):
             ohm = float(cells[first, second - rows])
             conductance = 1 / mpmath.mpf(ohm) if ohm else mpmath.mpf(10) ** 25
@@ -57,12 +65,17 @@ def fifty_digits(cells: Array) -> Array:
         inverse = mpmath.inverse(matrix)
         for first, second in np.argwhere((part[:rows, None] == part[rows:]) & (cells > 0)):
             k = rows + second
-            resistance[first, second] = float(inverse[first, first] + inverse[k, k] - 2 * inverse[first, k])
+            resistance[first, second] = float(
+                inverse[first, first] + inverse[k, k] - 2 * inverse[first, k]
+            )
     return resistance
 
 
 def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:
-    """Return φ(r) with f(r) by elimination without subtractions; cells (frames, rows, columns) ohm."""
+    """Return φ(r) with f(r) by elimination without subtractions.
+
+    Cells have the shape (frames, rows, columns), in ohm.
+    """
     two_point = exact_two_point_resistance(cells) if two_point is None else two_point
     at = Evaluation(cost, data, cells, two_point, ())
     return at.objective
@@ -75,10 +88,11 @@ def exact_scale(cost: Cost, data: Data, cells: Array) -> float:
 
 
 def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
-    """Return max |u − Π(u − ∇φ/s)| as `Evaluation.kkt_residual`, with ∂R/∂u by central differences in u = log r.
+    """Return max |u − Π(u − ∇φ/s)| as `Evaluation.kkt_residual`.
 
-    Of the package's derivatives only those of the terms are used. Not for absolute losses. The rounding error of u in
-    the terms' part is subtracted: under a penalty of 10¹² no u in double precision is closer to an optimum.
+    ∂R/∂u is by central differences in u = log r. Of the package's derivatives only those of the
+    terms are used. Not for absolute losses. The rounding error of u in the terms' part is
+    subtracted: under a penalty of 10¹² no u in double precision is closer to an optimum.
     """
     step = 1e-4
     readings = exact_two_point_resistance(cells)
@@ -86,7 +100,9 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     slope = direct * cells
     odd = np.indices(cells.shape).sum(axis=0) % 2 == 1
     neighbours = cells * np.exp(np.where(odd, 1, -1) * np.spacing(np.abs(np.log(cells))))
-    blur = np.abs(Evaluation(cost, data, neighbours, readings, ()).partials(NO_DUAL)[0] * neighbours - slope)
+    blur = np.abs(
+        Evaluation(cost, data, neighbours, readings, ()).partials(NO_DUAL)[0] * neighbours - slope
+    )
     for place in np.ndindex(cells.shape):
         sides = []
         for factor in (np.exp(step), np.exp(-step)):
@@ -98,5 +114,10 @@ def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
     slope = np.sign(slope) * np.maximum(np.abs(slope) - blur, 0.0)
     position = np.log(cells)
     return float(
-        np.max(np.abs(position - np.clip(position - slope / exact_scale(cost, data, cells), *data.log_bounds)))
+        np.max(
+            np.abs(
+                position
+                - np.clip(position - slope / exact_scale(cost, data, cells), *data.log_bounds)
+            )
+        )
     )

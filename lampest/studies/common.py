@@ -1,4 +1,7 @@
-"""Common parts of studies: methods, panels, a lamprey's mouth, timed frames, clocks, peak memory."""
+"""Common parts of studies.
+
+They are methods, panels, a lamprey's mouth, timed frames, clocks, peak memory.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -57,13 +60,18 @@ class StudyMethod(Configuration):
         """Terms in order."""
         return terms_of(self.terms)
 
-    def estimator(self, formulation: MethodName | Method, solver: Settings, **options: Any) -> Estimator:
+    def estimator(
+        self, formulation: MethodName | Method, solver: Settings, **options: Any
+    ) -> Estimator:
         """Return the method in a formulation, with further options of an estimator."""
         return Estimator(self.parts, formulation, solver, self.bounds, **options)
 
 
 def paper_methods() -> dict[str, StudyMethod]:
-    """Return the five methods of the paper with its weights, as the shipped run of its Table I has them."""
+    """Return the five methods of the paper with its weights.
+
+    They are as the shipped run of its Table I has them.
+    """
     run = read_document(CONFIGS / "table1.yaml")
     content = run.content["estimators"].items()
     return {name: validated(replace(run, content=entry), StudyMethod) for name, entry in content}
@@ -84,7 +92,10 @@ def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:
 
 @cache
 def shipped_lamprey() -> Simulation:
-    """Return the shipped simulation of a lamprey that breathes; circuit, mouth and course of studies are its own."""
+    """Return the shipped simulation of a lamprey that breathes.
+
+    Circuit, mouth and course of studies are its own.
+    """
     [(_, simulation)] = read_simulations(CONFIGS / "lamprey_35mm.yaml")
     return simulation
 
@@ -98,7 +109,10 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
 
 
 def simple_scene(shape: Shape, readout: TwoPointReadout, lines: Lines | None = None) -> Scene:
-    """Return a scene with the series resistance of the shipped lamprey and nothing beside the circuit."""
+    """Return a scene with the series resistance of the shipped lamprey.
+
+    It has nothing beside the circuit.
+    """
     return Scene(Panel(*shape), readout, shipped_lamprey().scene.series_resistance_ohm, lines=lines)
 
 
@@ -119,11 +133,15 @@ class TimedFrame:
     frame: int = column("1", "frame in sequence, 0: the first")
     seconds: float = column("s", "time of the solve, wall or processor's, the least of all turns")
     objective: float = column("1", "cost, the same function for all solvers of a frame")
-    gap: float = column("1", "objective above the best of all solvers, relative; NaN: there was no other")
+    gap: float = column(
+        "1", "objective above the best of all solvers, relative; NaN: there was no other"
+    )
     iterations: int = column("1", "iterations of the solver")
     solved: bool = column("1", "1: solved, 0: failed")
     status: str = column("1", "how the solve ended")
-    memory_mb: float | None = column("10^6 byte", "peak of a fresh process, NaN: not measured", None)
+    memory_mb: float | None = column(
+        "10^6 byte", "peak of a fresh process, NaN: not measured", None
+    )
 
     @property
     def shape(self) -> Shape:
@@ -173,13 +191,19 @@ def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
 
 
 def inverse_time(matrix: Array) -> float:
-    """Return the processor's seconds of one dense inverse, the least of three measurements of 1 ms or more."""
+    """Return the processor's seconds of one dense inverse.
+
+    It is the least of three measurements of 1 ms or more.
+    """
     count = max(1, 50_000 // matrix.size)
     return min(Timer(lambda: np.linalg.inv(matrix), timer=process_time).repeat(3, count)) / count
 
 
 def first_frames(recording: Recording, count: int) -> Recording:
-    """Return the unloaded and the first measured frames. Raises InputError with fewer than two measured ones."""
+    """Return the unloaded and the first measured frames.
+
+    Raises InputError with fewer than two measured ones.
+    """
     measured = recording.measured_frames()[:count]
     if len(measured) < 2:
         raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
@@ -189,9 +213,10 @@ def first_frames(recording: Recording, count: int) -> Recording:
 
 
 def peak_memory(recording: Recording, estimator: Estimator) -> float:
-    """Return the peak resident size, 10⁶ bytes, of a fresh process that solves two frames in sequence; NaN if it died.
+    """Return the peak resident size, 10⁶ bytes, of a fresh process; NaN if it died.
 
-    Unlike tracemalloc, this includes compiled costs and IPOPT's factors.
+    The process solves two frames in sequence. Unlike tracemalloc, this includes compiled costs and
+    IPOPT's factors.
     """
     ((_, megabytes),) = Processes(1).results(_peak_of, [(first_frames(recording, 2), estimator)])
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)

@@ -1,6 +1,8 @@
-"""Atlas of extreme scenes: panels at the limits of sensors, faults and files, and how each solve ended.
+"""Atlas of extreme scenes.
 
-Solves are verified by 50-digit arithmetic and a second test of optimality, which share no code with the solvers.
+They are panels at the limits of sensors, faults and files, and how each solve ended. Solves are
+verified by 50-digit arithmetic and a second test of optimality, which share no code with the
+solvers.
 """
 
 from collections import Counter
@@ -89,7 +91,9 @@ class Extreme(NamedTuple):
         Weight of all penalties, instead of their own.
     """
 
-    factor: Callable[[Any, Any, AtlasSample, np.random.Generator], Any] = lambda row, column, sample, rng: 1.0
+    factor: Callable[[Any, Any, AtlasSample, np.random.Generator], Any] = (
+        lambda row, column, sample, rng: 1.0
+    )
     single_fault: bool = False
     contrasted: bool = False
     shapes: tuple[Shape, ...] = ()
@@ -101,18 +105,25 @@ class Extreme(NamedTuple):
 
     def faults(self, cell: Shape) -> Faults | None:
         """Return the faults that the scene states."""
-        places: dict[str, Any] = {"dead_rows": cell[:1], "dead_columns": cell[1:], "open": (cell,), "shorted": (cell,)}
+        places: dict[str, Any] = {
+            "dead_rows": cell[:1],
+            "dead_columns": cell[1:],
+            "open": (cell,),
+            "shorted": (cell,),
+        }
         return Faults(**{self.stated: places[self.stated]}) if self.stated else None
 
 
 def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
     """Return a recording of a scene, and its cells (2, rows, columns) ohm, unloaded and loaded.
 
-    Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is a converter.
+    Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is
+    a converter.
     """
     case = CASES[sample.case]
     rng = np.random.default_rng([sample.seed, *sample.shape, 1])
-    # cells within a factor of 2 of each other; a fifth of them have half their resistance under load
+    # cells within a factor of 2 of each other; a fifth of them have half their resistance under
+    # load
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
     cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
     if case.still:
@@ -127,38 +138,60 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
         noise[1] = noise[0]
     total = exact * np.maximum(noise, 0.01) + case.series_ohm
     if case.series_ohm:
-        total = np.maximum(total + sample.noise * case.series_ohm * rng.standard_normal(exact.shape), 1e-3)
+        total = np.maximum(
+            total + sample.noise * case.series_ohm * rng.standard_normal(exact.shape), 1e-3
+        )
     sigma: Array | None = max(sample.noise, 1e-9) * total
     if readout is not None:
-        volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(total.shape)
+        volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(
+            total.shape
+        )
         codes = readout.code_from_volt(volt).astype(float)
         total = readout.recorded_from_volt(readout.volt_from_code(codes))
         sigma = None
     usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number
     sigma = None if sigma is None else np.where(usable, sigma, USUAL_OHM)
     scene = Scene(Panel(*sample.shape), readout, case.series_ohm, case.faults(sample.cell))
-    about = np.where(usable, total, USUAL_OHM), np.arange(2.0), np.array([0, 1], dtype=np.uint8), sigma
+    about = (
+        np.where(usable, total, USUAL_OHM),
+        np.arange(2.0),
+        np.array([0, 1], dtype=np.uint8),
+        sigma,
+    )
     return Recording(scene, *about, name=sample.case), cells
 
 
 def _broken(part: Literal["cell", "row", "column"], factor: float, stated: str = "") -> Extreme:
-    """Return a case with a cell, row or column times a factor, which the scene states under a key."""
+    """Return a case with a cell, row or column times a factor.
+
+    The scene states it under a key.
+    """
 
     def times(row: Array, column: Array, sample: AtlasSample, rng: np.random.Generator) -> Array:
         in_row = row == sample.cell[0]
         in_column = column == sample.cell[1]
-        return np.where({"cell": in_row & in_column, "row": in_row, "column": in_column}[part], factor, 1.0)
+        return np.where(
+            {"cell": in_row & in_column, "row": in_row, "column": in_column}[part], factor, 1.0
+        )
 
     return Extreme(times, single_fault=True, stated=stated)
 
 
 CASES: dict[str, Extreme] = {
-    GRID: Extreme(lambda _, __, at, rng: 10 ** rng.uniform(-at.decades / 2, at.decades / 2, at.shape), contrasted=True),
+    GRID: Extreme(
+        lambda _, __, at, rng: 10 ** rng.uniform(-at.decades / 2, at.decades / 2, at.shape),
+        contrasted=True,
+    ),
     # One block of good conductors beside three of bad ones.
     "two clusters": Extreme(
-        lambda j, k, at, _: 10 ** (at.decades * (((j < at.rows // 2) | (k < at.columns // 2)) - 0.5)), contrasted=True
+        lambda j, k, at, _: (
+            10 ** (at.decades * (((j < at.rows // 2) | (k < at.columns // 2)) - 0.5))
+        ),
+        contrasted=True,
     ),
-    "checkerboard": Extreme(lambda j, k, at, _: 10 ** (at.decades * ((j + k) % 2 - 0.5)), contrasted=True),
+    "checkerboard": Extreme(
+        lambda j, k, at, _: 10 ** (at.decades * ((j + k) % 2 - 0.5)), contrasted=True
+    ),
     "open cell": _broken("cell", OPEN),
     "open row": _broken("row", OPEN),
     "open column": _broken("column", OPEN),
@@ -169,7 +202,9 @@ CASES: dict[str, Extreme] = {
     "dead column, known": _broken("column", np.inf, "dead_columns"),
     "shorted cell, known": _broken("cell", 0.0, "shorted"),
     "1 mOhm to 1 GOhm": Extreme(
-        lambda j, _, at, rng: rng.permutation(np.logspace(-3, 9, j.size)).reshape(at.shape) / USUAL_OHM
+        lambda j, _, at, rng: (
+            rng.permutation(np.logspace(-3, 9, j.size)).reshape(at.shape) / USUAL_OHM
+        )
     ),
     "1 x 1": Extreme(shapes=((1, 1),)),
     "1 x N": Extreme(shapes=((1, 9),)),
@@ -265,7 +300,9 @@ class AtlasFile(Configuration):
     def __post_init__(self) -> None:
         if not self.estimators:
             raise ValueError("estimators must hold at least one")
-        if not all(term.loss.squared for method in self.estimators.values() for term in method.parts):
+        if not all(
+            term.loss.squared for method in self.estimators.values() for term in method.parts
+        ):
             raise ValueError("only squared losses can be tested by differences of the cost")
         if not self.samples:
             raise ValueError("grid and structured hold no scene")
@@ -273,7 +310,9 @@ class AtlasFile(Configuration):
     @property
     def samples(self) -> list[AtlasSample]:
         """Every scene in the order of the atlas."""
-        structured = chain.from_iterable(self.structured.samples(name) for name in CASES if name != GRID)
+        structured = chain.from_iterable(
+            self.structured.samples(name) for name in CASES if name != GRID
+        )
         return [*self.grid.samples(GRID), *structured]
 
     def formulations(self, sample: AtlasSample) -> tuple[Literal["reduced", "nodal"], ...]:
@@ -281,7 +320,9 @@ class AtlasFile(Configuration):
         part = self.nodal
         small_special = bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
         known = 100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0)
-        chosen = known and sample.seed < part.seeds and (small_special or sample.shape in part.shapes)
+        chosen = (
+            known and sample.seed < part.seeds and (small_special or sample.shape in part.shapes)
+        )
         return ("reduced", "nodal") if chosen else ("reduced",)
 
 
@@ -300,8 +341,12 @@ class Solve(AtlasSample):
     status: str = column("1", "how the solve ended")
     iterations: int = column("1", "iterations of the solver", 0)
     residual: float = column("1", "KKT residual of the accepted estimate", nan)
-    audited: float = column("1", "the same by differences of the exact forward map; NaN on large panels", nan)
-    excess: float = column("1", "cost of the estimate over that of the truth within the bounds, scaled", nan)
+    audited: float = column(
+        "1", "the same by differences of the exact forward map; NaN on large panels", nan
+    )
+    excess: float = column(
+        "1", "cost of the estimate over that of the truth within the bounds, scaled", nan
+    )
     forward_digits: float = column("1", "LRE of the forward map, 50 digits", nan)
     model_digits: float = column("1", "LRE of the estimate's two-point resistance", nan)
 
@@ -322,7 +367,9 @@ class Solve(AtlasSample):
 
 
 def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:
-    """Solve all scenes in the order of the atlas. on_step : receives the numbers of finished and of all scenes.
+    """Solve all scenes in the order of the atlas.
+
+    on_step : receives the numbers of finished and of all scenes.
 
     Raises InputError if mpmath is not installed.
     """
@@ -331,27 +378,49 @@ def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> t
     def lost(sample: AtlasSample, error: BaseException) -> tuple[Solve]:
         return (_failed(sample, "", "", "", error),)
 
-    solves = each_of(partial(solves_of, atlas), atlas.samples, on_step, atlas.executor or Processes(), lost)
+    solves = each_of(
+        partial(solves_of, atlas), atlas.samples, on_step, atlas.executor or Processes(), lost
+    )
     return tuple(chain.from_iterable(solves))
 
 
-def _failed(sample: AtlasSample, method: str, formulation: str, part: str, error: BaseException) -> Solve:
+def _failed(
+    sample: AtlasSample, method: str, formulation: str, part: str, error: BaseException
+) -> Solve:
     """Return a solve that ended with an exception."""
-    status = f"{REFUSED}{error}" if isinstance(error, InputError) else f"{CRASHED}{type(error).__name__}: {error}"
-    return Solve(**vars(sample), method=method, formulation=formulation, part=part, solved=False, status=status)
+    status = (
+        f"{REFUSED}{error}"
+        if isinstance(error, InputError)
+        else f"{CRASHED}{type(error).__name__}: {error}"
+    )
+    return Solve(
+        **vars(sample),
+        method=method,
+        formulation=formulation,
+        part=part,
+        solved=False,
+        status=status,
+    )
 
 
 def solves_of(atlas: AtlasFile, sample: AtlasSample) -> tuple[Solve, ...]:
     """Return all solves of a scene."""
     recording, cells = recording_of(sample)
-    forward = min(correct_digits(two_point_resistance(frame), fifty_digits(frame)) for frame in cells)
+    forward = min(
+        correct_digits(two_point_resistance(frame), fifty_digits(frame)) for frame in cells
+    )
     weight = CASES[sample.case].weight
     solves = list[Solve]()
-    for formulation, (name, method) in product(atlas.formulations(sample), atlas.estimators.items()):
+    for formulation, (name, method) in product(
+        atlas.formulations(sample), atlas.estimators.items()
+    ):
         try:
             estimator = method.estimator(formulation, atlas.solver)
             if weight is not None:
-                weights = [float(term.weight) if term.reads_measurement else weight for term in estimator.terms]
+                weights = [
+                    float(term.weight) if term.reads_measurement else weight
+                    for term in estimator.terms
+                ]
                 estimator = estimator.with_weights(weights)
             solves += judged(sample, name, estimator, recording, cells, atlas.audit_cells)
         except Exception as error:  # whatever it is, the atlas shows it
@@ -360,7 +429,12 @@ def solves_of(atlas: AtlasFile, sample: AtlasSample) -> tuple[Solve, ...]:
 
 
 def judged(
-    sample: AtlasSample, name: str, estimator: Estimator, recording: Recording, truth: Array, audit_cells: int
+    sample: AtlasSample,
+    name: str,
+    estimator: Estimator,
+    recording: Recording,
+    truth: Array,
+    audit_cells: int,
 ) -> list[Solve]:
     """Return the solves of baseline and frame, or of the pair, judged by the cells of the scene.
 
@@ -377,24 +451,46 @@ def judged(
     stream = first_stream(recording, readings, estimator)
     data, _ = stream.given(readings[1])
     joint = len(data.measured) == 2
-    parts = [("pair" if joint else "frame", truth[0 if joint else 1 :], estimator, data, stream.push(readings[1])[1])]
+    parts = [
+        (
+            "pair" if joint else "frame",
+            truth[0 if joint else 1 :],
+            estimator,
+            data,
+            stream.push(readings[1])[1],
+        )
+    ]
     if stream.baseline is not None:
         absolute = replace(estimator, terms=estimator.absolute_terms)
         blank = Stream(absolute, recording.scene, frame_period(recording), readings[0])
-        parts.insert(0, ("baseline", truth[:1], absolute, blank.given(blank.resting)[0], stream.baseline))
+        parts.insert(
+            0, ("baseline", truth[:1], absolute, blank.given(blank.resting)[0], stream.baseline)
+        )
     solves = []
     for part, cells, fit, data, step in parts:
         solution = step.solution
         cost = fit.cost(recording.scene, len(data.measured), partial=data.partial)
-        about: dict[str, Any] = {**vars(sample), "method": name, "formulation": fit.method.kind, "part": part}
+        about: dict[str, Any] = {
+            **vars(sample),
+            "method": name,
+            "formulation": fit.method.kind,
+            "part": part,
+        }
         about |= study.named_values(solution, "solved", "iterations")
         about |= {"status": solution.status.value, "residual": solution.kkt_residual}
         if solution.solved:
             estimate = solution.cell_resistance
-            costs = [exact_cost(cost, data, point) for point in (estimate, np.clip(cells, data.lower, data.upper))]
-            about["audited"] = exact_residual(cost, data, estimate) if estimate[0].size <= audit_cells else nan
+            costs = [
+                exact_cost(cost, data, point)
+                for point in (estimate, np.clip(cells, data.lower, data.upper))
+            ]
+            about["audited"] = (
+                exact_residual(cost, data, estimate) if estimate[0].size <= audit_cells else nan
+            )
             about["excess"] = (costs[0] - costs[1]) / exact_scale(cost, data, estimate)
-            about["model_digits"] = correct_digits(solution.reading, exact_two_point_resistance(estimate))
+            about["model_digits"] = correct_digits(
+                solution.reading, exact_two_point_resistance(estimate)
+            )
         solves.append(Solve(**about))
     return solves
 
@@ -402,21 +498,26 @@ def judged(
 def _row(group: Sequence[Solve]) -> study.Row:
     """Summarise solves; digits are the least, residuals the largest.
 
-    verified : confirmed estimates; named : failures with a reason; doubtful : estimates that the audit does not
-    confirm; crashed : failures without a reason; worse : estimates that cost more than the truth.
+    verified : confirmed estimates; named : failures with a reason; doubtful : estimates that the
+    audit does not confirm; crashed : failures without a reason; worse : estimates that cost more
+    than the truth.
     """
     solved = [solve for solve in group if solve.solved]
     statuses = Counter(solve.status for solve in group).most_common()
     iterations = [solve.iterations for solve in group]
     return study.Row(
-        **study.named_values(group[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"),
+        **study.named_values(
+            group[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"
+        ),
         solves=len(group),
         verified=sum(solve.verified for solve in group),
         named=sum(not solve.solved and not solve.crashed for solve in group),
         doubtful=sum(solve.doubtful for solve in group),
         crashed=sum(solve.crashed for solve in group),
         worse=sum(solve.excess > VERIFIED for solve in solved),
-        forward_digits=float(np.fmin.reduce([solve.forward_digits for solve in group], initial=nan)),
+        forward_digits=float(
+            np.fmin.reduce([solve.forward_digits for solve in group], initial=nan)
+        ),
         model_digits=float(np.fmin.reduce([solve.model_digits for solve in solved], initial=nan)),
         residual=float(np.fmax.reduce([solve.residual for solve in solved], initial=nan)),
         audited=float(np.fmax.reduce([solve.audited for solve in solved], initial=nan)),
@@ -427,9 +528,18 @@ def _row(group: Sequence[Solve]) -> study.Row:
 
 
 atlas_rows = study.rows_by(  # for each cell of the atlas
-    lambda solve: (solve.case, solve.decades, solve.shape, solve.noise, solve.method, solve.formulation), _row
+    lambda solve: (
+        solve.case,
+        solve.decades,
+        solve.shape,
+        solve.noise,
+        solve.method,
+        solve.formulation,
+    ),
+    _row,
 )
-case_rows = study.rows_by(lambda solve: (solve.case, solve.decades), _row)  # all methods, sizes and noises together
+# All methods, sizes and noises together.
+case_rows = study.rows_by(lambda solve: (solve.case, solve.decades), _row)
 SCREEN: Columns = {
     "case": "{case}",
     "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",
@@ -447,7 +557,10 @@ SCREEN: Columns = {
 
 
 def mild(solve: Solve) -> bool:
-    """Return whether a verified optimum is promised: noise up to 1 %, and a contrast up to 10⁶ or a single fault."""
+    """Return whether a verified optimum is promised.
+
+    It is for noise up to 1 %, and a contrast up to 10⁶ or a single fault.
+    """
     case = CASES[solve.case]
     return ((case.contrasted and solve.decades <= 6) or case.single_fault) and solve.noise <= 0.01
 
@@ -462,9 +575,14 @@ def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
         ("contrast up to 10⁶ or a single fault, noise up to 1 %", tame),
         *((f"  {case}", own) for case, own in grouped(tame, lambda solve: solve.case).items()),
     ):
-        lines.append(f"{title}: {_share(sum(solve.verified for solve in chosen), len(chosen), 'verified')}")
+        lines.append(
+            f"{title}: {_share(sum(solve.verified for solve in chosen), len(chosen), 'verified')}"
+        )
     # A refusal without the numbers of its scene.
-    kinds = (solve.status.split(":")[0] if solve.status.startswith(REFUSED) else solve.status for solve in solves)
+    kinds = (
+        solve.status.split(":")[0] if solve.status.startswith(REFUSED) else solve.status
+        for solve in solves
+    )
     ended = Counter(kind for kind, solve in zip(kinds, solves, strict=True) if not solve.solved)
     return lines + [f"{count} × {status}" for status, count in ended.most_common()]
 
@@ -482,6 +600,8 @@ STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
     rows=atlas_rows,
     sheets=lambda solves: [("", case_rows(solves), SCREEN)],
     form="extremes/2",
-    records=lambda solves: [study.RecordGroup("solves", solves, "solved", attributes={"verified_below": VERIFIED})],
+    records=lambda solves: [
+        study.RecordGroup("solves", solves, "solved", attributes={"verified_below": VERIFIED})
+    ],
     remarks=atlas_remarks,
 )

@@ -1,4 +1,7 @@
-"""Framework of studies: settings from YAML, records of experiments, HDF5, CSV, Markdown, figures, tables."""
+"""Framework of studies.
+
+It has settings from YAML, records of experiments, HDF5, CSV, Markdown, figures, tables.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
@@ -37,7 +40,9 @@ def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True)
 class RecordGroup:
-    """Records of a dataclass as a group of an HDF5 file, with a dataset for every field that is a `column`.
+    """Records of a dataclass as a group of an HDF5 file.
+
+    The group has a dataset for every field that is a `column`.
 
     Attributes
     ----------
@@ -63,11 +68,14 @@ class RecordGroup:
         """Write the records; truth values become 0 and 1, None becomes NaN."""
         group = entry.create_group(self.path)
         axis = self.axis or "record"
-        hdf5.set_attributes(group, NX_class="NXdata", signal=self.signal, axes=[axis], **self.attributes)
+        hdf5.set_attributes(
+            group, NX_class="NXdata", signal=self.signal, axes=[axis], **self.attributes
+        )
         if not self.axis:
             hdf5.write_scale(group, axis, np.arange(len(self.records)), "1", "number of the record")
         columns = [column for column in fields(self.records[0]) if column.metadata]
-        for column in sorted(columns, key=lambda column: column.name != axis):  # the scale comes first
+        # The scale comes first.
+        for column in sorted(columns, key=lambda column: column.name != axis):
             values = np.array([getattr(record, column.name) for record in self.records])
             values = values.astype({"b": np.uint8, "O": float}.get(values.dtype.kind, values.dtype))
             data = hdf5.ascii_array(values) if values.dtype.kind == "U" else values
@@ -129,7 +137,9 @@ class Study(Generic[Settings, Measured]):
     remarks: Callable[[Measured], Sequence[str]] = lambda measured: ()
     left_out: Callable[[Measured], Sequence[str]] = lambda measured: ()
 
-    def run(self, config: Path | None, out: Path | None, assigned: tuple[str, ...], on_step: OnStep) -> Reported:
+    def run(
+        self, config: Path | None, out: Path | None, assigned: tuple[str, ...], on_step: OnStep
+    ) -> Reported:
         """Read, measure and write into a folder, results/<config> by default.
 
         Raises InputError for a faulty file and a folder that cannot be written.
@@ -138,10 +148,14 @@ class Study(Generic[Settings, Measured]):
         measured = self.measure(self.read(file, assigned), on_step)
         remarks = self.remarks(measured)
         folder = out or Path("results") / file.stem
-        tables = [(title, screen_table(rows, columns)) for title, rows, columns in self.sheets(measured)]
+        tables = [
+            (title, screen_table(rows, columns)) for title, rows, columns in self.sheets(measured)
+        ]
         texts = {f"{self.name}.csv": csv_of(self.rows(measured)), **self.texts(measured)}
         texts |= {f"{self.name}.md": page(self.name, tables, remarks)} if tables else {}
-        figures = {folder / f"{name}.png": figure for name, figure in self.figures(measured).items()}
+        figures = {
+            folder / f"{name}.png": figure for name, figure in self.figures(measured).items()
+        }
         data = [folder / f"{self.name}.h5"] if self.form else []
         files = [*(folder / name for name in texts), *data, *figures]
         refuse_inputs(files)
@@ -157,7 +171,9 @@ class Study(Generic[Settings, Measured]):
         with hdf5.new_file(path) as file:
             hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
             entry = file.create_group("entry")
-            versions = {f"{library}_version": text for library, text in library_versions("scipy").items()}
+            versions = {
+                f"{library}_version": text for library, text in library_versions("scipy").items()
+            }
             hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path, **versions)
             for group in groups:
                 group.write(entry)
@@ -189,18 +205,26 @@ class Cases(NamedTuple, Generic[Measured]):
 
 
 def of_cases(
-    function: Callable[[Case], Sequence[Measured] | str], run: Run, on_step: OnStep, purpose: str = "measure"
+    function: Callable[[Case], Sequence[Measured] | str],
+    run: Run,
+    on_step: OnStep,
+    purpose: str = "measure",
 ) -> Cases[Measured]:
-    """Return the measurements of a function for all cases of a run in order; a text is the reason of an omission.
+    """Return the measurements of a function for all cases of a run in order.
 
-    on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are omitted.
+    A text is the reason of an omission.
+
+    on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are
+        omitted.
     """
     results = each_of(function, run.cases, on_step, Serial())
     names = [f"{case.recording}/{case.name}" for case in run.cases]
     measured = [record for result in results if not isinstance(result, str) for record in result]
     left_out = {name: why for name, why in zip(names, results, strict=True) if isinstance(why, str)}
     if not measured:
-        raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
+        raise InputError(
+            f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}"
+        )
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
@@ -209,13 +233,20 @@ def named_values(record: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(record, name) for name in names}
 
 
-def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
+def rows_by(
+    key: Callable[[Any], Any], row: Callable[[Any], Row]
+) -> Callable[[Iterable[Any]], list[Row]]:
     """Return a function that makes a row of each group of records."""
     return lambda records: [row(group) for group in grouped(records, key).values()]
 
 
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:
-    """Return rows as CSV with a column for each name, by default those of the first row; empty for NaN."""
+    """Return rows as CSV with a column for each name; empty for NaN.
+
+    By default the names are those of the first row.
+    """
     names = list(names or vars(rows[0]))
     table = (named_values(row, *names).values() for row in rows)
-    return comma_separated([names, *([None if value != value else value for value in line] for line in table)])
+    return comma_separated(
+        [names, *([None if value != value else value for value in line] for line in table)]
+    )

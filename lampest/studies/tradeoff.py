@@ -1,9 +1,10 @@
-"""Trade-off between accuracy and speed: all formulations solve every recording in turn, A B C A B C.
+"""Trade-off between accuracy and speed.
 
-Time and cell error are those of the formulation's own sequence. Objectives of relative methods depend on the previous
-estimate. Therefore each estimate is evaluated with the same cost, given the previous frame of the reference, `reduced`,
-and compared with the lowest value of all formulations. A joint first pair is evaluated by its second frame, given the
-reference's baseline.
+All formulations solve every recording in turn, A B C A B C. Time and cell error are those of the
+formulation's own sequence. Objectives of relative methods depend on the previous estimate.
+Therefore each estimate is evaluated with the same cost, given the previous frame of the reference,
+`reduced`, and compared with the lowest value of all formulations. A joint first pair is evaluated
+by its second frame, given the reference's baseline.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,12 @@ from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.files.errors import InputError
-from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
+from lampest.files.typed import (
+    Configuration,
+    check_not_negative,
+    check_positive_fields,
+    check_ranges,
+)
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.recording import UNLOADED, Recording
@@ -47,14 +53,17 @@ REFERENCE = "reduced"
 
 @dataclass(frozen=True)
 class TradeoffLimits(Configuration):
-    """Largest side, max(rows, columns), of panels for each formulation; 0: none. `reduced` is always measured.
+    """Largest side, max(rows, columns), of panels for each formulation; 0: none.
+
+    `reduced` is always measured.
 
     Attributes
     ----------
     naive, scaled, linearised, truncated, nodal, per_pixel : int
         Largest side for the formulation of this name.
     joint : int
-        Largest side for methods that compare frames, whose joint first pair takes minutes on larger panels.
+        Largest side for methods that compare frames, whose joint first pair takes minutes on larger
+        panels.
     """
 
     naive: int = common.MAX_SIDE
@@ -100,12 +109,19 @@ class Simulated(Configuration):
         check_ranges(self, 0, 2**64 - 1, "seed")
 
     def simulations(self, frames: int) -> Iterator[tuple[str, Simulation]]:
-        """Yield name, <panel>_<scene>_<noise>, and simulation in order of size, with 3 unloaded frames and `frames`."""
+        """Yield name, <panel>_<scene>_<noise>, and simulation in order of size.
+
+        Simulations have 3 unloaded frames and `frames`.
+        """
         course = common.shipped_lamprey().course
         for rows, columns in common.shapes_of(self.sizes):
-            mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
+            mouth = common.lamprey_mouth(
+                (10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm
+            )
             known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": course}
-            for (noise, readout), (effect, unmodelled) in product(self.noise.items(), self.scenes.items()):
+            for (noise, readout), (effect, unmodelled) in product(
+                self.noise.items(), self.scenes.items()
+            ):
                 scene = common.simple_scene((rows, columns), readout)
                 simulation = Simulation(1, self.seed, scene, unmodelled=unmodelled, **known)
                 yield f"{rows}x{columns}_{effect}_{noise}", simulation
@@ -165,7 +181,9 @@ class TradeoffFile(Configuration):
         for name in self.estimators:
             check_name(name, "estimator")
         if REFERENCE not in self.ladder:
-            raise ValueError(f"formulations must hold {REFERENCE}, which the others are compared with")
+            raise ValueError(
+                f"formulations must hold {REFERENCE}, which the others are compared with"
+            )
         if len(self.ladder) < len(self.formulations):
             raise ValueError("formulations names a rung twice")
         check_ranges(self, 2, 1000, "frames")
@@ -176,20 +194,30 @@ class TradeoffFile(Configuration):
 
     @property
     def ladder(self) -> dict[str, Method]:
-        """Formulations by their names in tables and figures: the kind, with its number of steps if it has one."""
+        """Formulations by their names in tables and figures.
+
+        A name is the kind, with its number of steps if it has one.
+        """
         rungs = [named_method(formulation) for formulation in self.formulations]
         return {f"{rung.kind} {getattr(rung, 'steps', '')}".strip(): rung for rung in rungs}
 
     def rungs(self, shape: common.Shape) -> dict[str, Method]:
         """Return the formulations that are measured on a panel, by name."""
-        limits = {name: getattr(self.limits, rung.kind, common.MAX_SIDE) for name, rung in self.ladder.items()}
+        limits = {
+            name: getattr(self.limits, rung.kind, common.MAX_SIDE)
+            for name, rung in self.ladder.items()
+        }
         return {name: rung for name, rung in self.ladder.items() if max(shape) <= limits[name]}
 
     def methods(self, shape: common.Shape) -> list[str]:
         """Return the methods that are measured on a panel."""
         small = max(shape) <= self.limits.joint
         methods = self.estimators.items()
-        return [name for name, method in methods if small or not any(term.needs_previous for term in method.parts)]
+        return [
+            name
+            for name, method in methods
+            if small or not any(term.needs_previous for term in method.parts)
+        ]
 
 
 class Plan(NamedTuple):
@@ -200,7 +228,10 @@ class Plan(NamedTuple):
 
 
 def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
-    """Read the settings of a trade-off and its recordings. Raises InputError with line and column."""
+    """Read the settings of a trade-off and its recordings.
+
+    Raises InputError with line and column.
+    """
     settings = read_settings(TradeoffFile)(path, assigned)
     files = recording_paths(path, list(settings.recordings))
     recordings = [common.first_frames(Recording.load(file), settings.frames) for file in files]
@@ -208,7 +239,9 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
         try:
             for name, simulation in settings.simulated.simulations(settings.frames):
                 panel = simulation.scene.panel
-                recordings.append(replace(simulate(simulation, f"{panel.rows}x{panel.columns}"), name=name))
+                recordings.append(
+                    replace(simulate(simulation, f"{panel.rows}x{panel.columns}"), name=name)
+                )
         except ValueError as error:
             raise InputError(f"{path}: simulated: {error}") from error
     names = [recording.name for recording in recordings]
@@ -222,29 +255,42 @@ class TradeoffFrame(TimedFrame):
     """A frame of a method and a formulation.
 
     The objective is the cost that the module describes, NaN of a failed frame. The gap is
-    (φ − φ_best)/(φ_best + φ_noise), where φ_noise is the cost of residuals of one standard deviation; a gap far below
-    1 is invisible in the readings.
+    (φ − φ_best)/(φ_best + φ_noise), where φ_noise is the cost of residuals of one standard
+    deviation; a gap far below 1 is invisible in the readings.
     """
 
-    baseline_s: float = column("s", "time of the unloaded baseline; 0 where it is solved with the first frame")
+    baseline_s: float = column(
+        "s", "time of the unloaded baseline; 0 where it is solved with the first frame"
+    )
     cell_error: float = column("percent", "median error of the cells against the truth")
-    changed_error: float = column("percent", "the same of cells that the load has changed by more than 5 percent")
+    changed_error: float = column(
+        "percent", "the same of cells that the load has changed by more than 5 percent"
+    )
 
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
-    """Measure all methods and formulations; `on_step` receives the numbers of finished and of all parts."""
+    """Measure all methods and formulations.
+
+    `on_step` receives the numbers of finished and of all parts.
+    """
     settings = plan.settings
     done = count(1)
     measured = list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
-    pairs = [(data, method) for data in plan.recordings for method in settings.methods(data.scene.panel.shape)]
+    pairs = [
+        (data, method)
+        for data in plan.recordings
+        for method in settings.methods(data.scene.panel.shape)
+    ]
     fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
     for recording, method in pairs:
         measured += _measure(settings, recording, method)
         on_step(next(done), len(pairs) + len(fresh))
     memory = {}
     for shape, name in fresh:
-        estimator = settings.estimators[str(settings.memory)].estimator(settings.ladder[name], settings.solver)
+        estimator = settings.estimators[str(settings.memory)].estimator(
+            settings.ladder[name], settings.solver
+        )
         memory[shape, name] = peak_memory(first[shape], estimator)
         on_step(next(done), len(pairs) + len(fresh))
     return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
@@ -263,14 +309,22 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
             runs[name].append(reconstruct(recording, estimator))
     costs = list(_costs(runs[REFERENCE][0]))
     pairs = [zip(costs, run[0].cell_resistance, strict=True) for run in runs.values()]
-    objective = np.array([[Evaluation.at(*cost, cells[None]).objective for cost, cells in pair] for pair in pairs])
+    objective = np.array(
+        [[Evaluation.at(*cost, cells[None]).objective for cost, cells in pair] for pair in pairs]
+    )
     # (φ − φ_best)/(φ_best + φ_noise)
     least = np.nanmin(objective, axis=0)
     gaps = (objective - least) / (least + [_noise_cost(*cost) for cost in costs])
-    for (name, run), values, gap in zip(runs.items(), objective.tolist(), gaps.tolist(), strict=True):
+    for (name, run), values, gap in zip(
+        runs.items(), objective.tolist(), gaps.tolist(), strict=True
+    ):
         first = run[0]
-        seconds = np.min([[step.seconds for step in estimates.steps] for estimates in run], axis=0).tolist()
-        for number, (step, cell, changed) in enumerate(zip(first.steps, *errors(first), strict=True)):
+        seconds = np.min(
+            [[step.seconds for step in estimates.steps] for estimates in run], axis=0
+        ).tolist()
+        for number, (step, cell, changed) in enumerate(
+            zip(first.steps, *errors(first), strict=True)
+        ):
             yield TradeoffFrame(
                 **outcome(recording, step),
                 method=method,
@@ -279,14 +333,19 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
                 seconds=seconds[number],
                 objective=values[number],
                 gap=gap[number],
-                baseline_s=0.0 if first.joint_start else min(estimates.baseline.seconds for estimates in run),
+                baseline_s=0.0
+                if first.joint_start
+                else min(estimates.baseline.seconds for estimates in run),
                 cell_error=float(cell),
                 changed_error=float(changed),
             )
 
 
 def errors(estimates: Estimates) -> tuple[Array, Array]:
-    """Return median errors of all cells and of changed ones in percent, shape (frames,); NaN if unknown."""
+    """Return median errors of all cells and of changed ones in percent, shape (frames,).
+
+    NaN if unknown.
+    """
     recording = estimates.recording
     frames = len(estimates.frame)
     truth = recording.truth_cell_resistance
@@ -295,9 +354,17 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
     # changed cells: by more than 5 % from the median of the true unloaded cells
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
-    error = np.where(recording.scene.broken, np.nan, relative_error(estimates.cell_resistance, truth[estimates.frame]))
-    changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05  # as `TradeoffFrame.changed_error` says
-    inside = [np.nanmedian(part[cells]) if cells.any() else np.nan for part, cells in zip(error, changed, strict=True)]
+    error = np.where(
+        recording.scene.broken,
+        np.nan,
+        relative_error(estimates.cell_resistance, truth[estimates.frame]),
+    )
+    # As `TradeoffFrame.changed_error` says.
+    changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05
+    inside = [
+        np.nanmedian(part[cells]) if cells.any() else np.nan
+        for part, cells in zip(error, changed, strict=True)
+    ]
     return np.nanmedian(error, axis=(1, 2)), np.array(inside)
 
 
@@ -307,7 +374,9 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
     estimator = reference.estimator
     readings = recording.readings()
     stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
-    estimates = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
+    estimates = np.concatenate(
+        [reference.baseline_resistance[None], reference.cell_resistance[:-1]]
+    )
     for frame, previous in zip(reference.frame, estimates, strict=True):
         data, _ = replace(stream, previous=previous).given(readings[frame])
         yield estimator.cost(recording.scene, len(data.measured), partial=data.partial), data
@@ -316,10 +385,13 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
 def _noise_cost(cost: Cost, data: Data) -> float:
     """Return the misfit terms for residuals of one standard deviation."""
     costs = Evaluation(cost, data, data.apparent_resistance, data.measured + data.sigma, ()).costs
-    return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
+    return float(
+        sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement)
+    )
 
 
-FIGURES = {"changed_error": "median error of changed cells [%]", "gap": "objective gap"}  # column → label
+# Column → label.
+FIGURES = {"changed_error": "median error of changed cells [%]", "gap": "objective gap"}
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 SCREEN: Columns = {
     "panel": "{rows} × {columns}",
@@ -343,16 +415,27 @@ def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]
 
 
 def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
-    """Return medians over frames; `first_ms` includes the baseline, `reached` is the share of gaps up to 1e-6."""
+    """Return medians over frames.
+
+    `first_ms` includes the baseline, `reached` is the share of gaps up to 1e-6.
+    """
     names = {name: {getattr(frame, name) for frame in measured} for name in ("recording", "method")}
-    errors = {name: [getattr(frame, name) for frame in measured] for name in ("cell_error", "changed_error")}
-    known = {name: [value for value in values if np.isfinite(value)] for name, values in errors.items()}
+    errors = {
+        name: [getattr(frame, name) for frame in measured]
+        for name in ("cell_error", "changed_error")
+    }
+    known = {
+        name: [value for value in values if np.isfinite(value)] for name, values in errors.items()
+    }
     gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in measured]
     return study.Row(
         **study.named_values(measured[0], "rows", "columns"),
         **{name: values.pop() if len(values) == 1 else "all" for name, values in names.items()},
         formulation=measured[0].solver,
-        first_ms=1e3 * float(np.median([frame.baseline_s + frame.seconds for frame in measured if not frame.frame])),
+        first_ms=1e3
+        * float(
+            np.median([frame.baseline_s + frame.seconds for frame in measured if not frame.frame])
+        ),
         frame_ms=1e3 * float(np.median([frame.seconds for frame in measured if frame.frame])),
         **{name: float(np.median(values)) if values else None for name, values in known.items()},
         gap=float(np.median(gaps)),
@@ -365,17 +448,27 @@ def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the indices of the Pareto front, smaller being better, ordered by the first coordinate."""
+    """Return the indices of the Pareto front, ordered by the first coordinate.
+
+    Smaller is better.
+    """
     order = sorted(range(len(points)), key=lambda index: points[index])
-    least = np.minimum.accumulate([np.inf, *(points[index][1] for index in order)])  # of all points before
+    # Of all points before.
+    least = np.minimum.accumulate([np.inf, *(points[index][1] for index in order)])
     return [index for index, before in zip(order, least, strict=False) if points[index][1] < before]
 
 
 def table_rows(frames: Sequence[TradeoffFrame]) -> list[study.Row]:
-    """Return the rows of the first method; `front` marks those on the front of time and cell error, or time and gap."""
+    """Return the rows of the first method.
+
+    `front` marks those on the front of time and cell error, or time and gap.
+    """
     rows = ladder_rows([frame for frame in frames if frame.method == frames[0].method])
     for panel_rows in grouped(rows, attrgetter("rows", "columns")).values():
-        errors = [(row.frame_ms, np.inf if row.changed_error is None else row.changed_error) for row in panel_rows]
+        errors = [
+            (row.frame_ms, np.inf if row.changed_error is None else row.changed_error)
+            for row in panel_rows
+        ]
         best = {*front(errors), *front([(row.frame_ms, row.gap) for row in panel_rows])}
         for number, row in enumerate(panel_rows):
             row.front = "*" * (number in best)
@@ -385,11 +478,15 @@ def table_rows(frames: Sequence[TradeoffFrame]) -> list[study.Row]:
 def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
     """Draw the error of changed cells and the gap over time, for every panel size.
 
-    Numbers are the formulations of the first method, the line is their Pareto front, small dots are further methods.
-    Gaps below MIN_GAP are drawn at MIN_GAP. `rows` are those of all methods, with the recordings of a size together.
+    Numbers are the formulations of the first method, the line is their Pareto front, small dots are
+    further methods. Gaps below MIN_GAP are drawn at MIN_GAP. `rows` are those of all methods, with
+    the recordings of a size together.
     """
     sizes = grouped(rows, attrgetter("rows", "columns"))
-    methods, rungs = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("method", "formulation"))
+    methods, rungs = (
+        list(dict.fromkeys(getattr(row, name) for row in rows))
+        for name in ("method", "formulation")
+    )
     figure = new_figure(2.2 * len(sizes) + 0.8)
     grid = figure.subplots(len(sizes), 2, squeeze=False, sharex="row")
     panels = product(sizes, FIGURES.items())
@@ -398,12 +495,21 @@ def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
         axes.set_title(f"({letter}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("time per frame [ms]", fontsize=TEXT_POINT)
-    named = "    ".join(f"{number} {name.replace('_', ' ')}" for number, name in enumerate(rungs, 1))
+    named = "    ".join(
+        f"{number} {name.replace('_', ' ')}" for number, name in enumerate(rungs, 1)
+    )
     shared_legend(figure, grid[:1, 1:], "lower center", title=named, title_fontsize=SMALL_POINT)
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[study.Row], methods: list[str], rungs: list[str], name: str, label: str) -> None:
+def _draw(
+    axes: Axes,
+    rows: Sequence[study.Row],
+    methods: list[str],
+    rungs: list[str],
+    name: str,
+    label: str,
+) -> None:
     """Draw a figure of the rows of a panel size over time."""
     dressed(axes, "", label)
     axes.set(xscale="log", yscale="log")
@@ -416,17 +522,31 @@ def _draw(axes: Axes, rows: Sequence[study.Row], methods: list[str], rungs: list
     points = list(places[first].values())
     for method, colour in zip(further, COLOURS, strict=False):
         if places[method]:
-            look: dict[str, Any] = {"label": method, "color": colour, "ms": 2.8, "mew": 0, "alpha": 0.75}
+            look: dict[str, Any] = {
+                "label": method,
+                "color": colour,
+                "ms": 2.8,
+                "mew": 0,
+                "alpha": 0.75,
+            }
             axes.plot(*zip(*places[method].values(), strict=True), "o", **look)
     if not points:
         axes.text(0.5, 0.5, "no truth", transform=axes.transAxes, ha="center", fontsize=TEXT_POINT)
         return
     best = [points[index] for index in front(points)]
-    axes.step(*zip(*best, strict=True), where="post", color="0.3", lw=0.9, label=f"{first}: Pareto front")
+    axes.step(
+        *zip(*best, strict=True), where="post", color="0.3", lw=0.9, label=f"{first}: Pareto front"
+    )
     for rung, point in places[first].items():
         fill, ink = ("black", "white") if point in best else ("white", "black")
         axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
-        look = {"color": ink, "ha": "center", "va": "center_baseline", "zorder": 4, "fontsize": SMALL_POINT - 1}
+        look = {
+            "color": ink,
+            "ha": "center",
+            "va": "center_baseline",
+            "zorder": 4,
+            "fontsize": SMALL_POINT - 1,
+        }
         axes.annotate(str(rungs.index(rung) + 1), point, **look)
     if min(value for _, value in points) <= MIN_GAP:
         axes.axhline(MIN_GAP, color="0.5", lw=0.6, ls=":")
@@ -441,7 +561,9 @@ STUDY: study.Study[Plan, list[TradeoffFrame]] = study.Study(
     read_plan,
     run_tradeoff,
     rows=lambda frames: [
-        row for names in ((), ("method",), ("method", "recording")) for row in ladder_rows(frames, *names)
+        row
+        for names in ((), ("method",), ("method", "recording"))
+        for row in ladder_rows(frames, *names)
     ],
     sheets=lambda frames: [("", table_rows(frames), SCREEN)],
     form="tradeoff/2",

@@ -1,7 +1,9 @@
-"""Selection of weights: true curves over the weight of a penalty, the choice of every rule, table and figure.
+"""Selection of weights.
 
-Sources: Morozov, Soviet Math. Dokl. 7, 1966 (discrepancy principle); Hansen & O'Leary, SIAM J. Sci. Comput. 14, 1993
-(L-curve).
+It has true curves over the weight of a penalty, the choice of every rule, table and figure.
+
+Sources: Morozov, Soviet Math. Dokl. 7, 1966 (discrepancy principle); Hansen & O'Leary, SIAM J. Sci.
+Comput. 14, 1993 (L-curve).
 """
 
 import re
@@ -64,7 +66,10 @@ class WeightSubject:
 
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
-        """Return the deciding frame of a recording, with the baseline if terms need it; None without usable frames."""
+        """Return the deciding frame of a recording, with the baseline if terms need it.
+
+        None without usable frames.
+        """
         readings = recording.readings()
         scene = recording.scene
         estimator = case.estimator
@@ -72,7 +77,9 @@ class WeightSubject:
         frames = deciding_frames(recording, readings, resting)
         if not len(frames):
             return None
-        solves = tuple(deciding_data(estimator, scene, resting, readings[number]) for number in frames)
+        solves = tuple(
+            deciding_data(estimator, scene, resting, readings[number]) for number in frames
+        )
         cost = estimator.cost(scene, len(solves[0].measured), partial=solves[0].partial)
         return cls(case, recording, int(frames[0]), WeightSearch(cost, solves, estimator.solver))
 
@@ -84,7 +91,11 @@ class WeightSubject:
     @cached_property
     def penalty(self) -> int:
         """Index of the penalty among the terms."""
-        return next(number for number, term in enumerate(self.search.cost.terms) if not term.reads_measurement)
+        return next(
+            number
+            for number, term in enumerate(self.search.cost.terms)
+            if not term.reads_measurement
+        )
 
     @cached_property
     def spectra(self) -> list[Spectrum]:
@@ -96,7 +107,9 @@ class WeightSubject:
     def with_weight(self, weight: float) -> Cost:
         """Return the cost with a weight of the penalty."""
         terms = self.search.cost.terms
-        return self.search.weighted([float(term.weight) if term.reads_measurement else weight for term in terms])
+        return self.search.weighted(
+            [float(term.weight) if term.reads_measurement else weight for term in terms]
+        )
 
     @property
     def count(self) -> int:
@@ -109,10 +122,19 @@ class WeightSubject:
         terms = self.search.cost.terms
         data_term = terms[1 - self.penalty]
         term = terms[self.penalty]
-        units = "1" if getattr(data_term, "weighting", "plain") == "noise" else data_term.unit, term.unit
-        misfit, penalty = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
+        units = (
+            "1" if getattr(data_term, "weighting", "plain") == "noise" else data_term.unit,
+            term.unit,
+        )
+        misfit, penalty = (
+            "1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units
+        )
         ratio = "1" if misfit == penalty else f"{misfit}/{penalty}"
-        return {"misfit": "1" if self.data.noise_known else misfit, "penalty": penalty, "weight": ratio}
+        return {
+            "misfit": "1" if self.data.noise_known else misfit,
+            "penalty": penalty,
+            "weight": ratio,
+        }
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
@@ -121,7 +143,11 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
     misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
         penalties = len(terms) - misfits
-        return f"it has {penalties} penalty terms, not one" if penalties else "it has no penalty to weigh"
+        return (
+            f"it has {penalties} penalty terms, not one"
+            if penalties
+            else "it has no penalty to weigh"
+        )
     if readings > MAX_DENSE:
         return f"one solve has {readings} readings, more than {MAX_DENSE}"
     return None
@@ -136,18 +162,25 @@ class CurvePoint:
     Attributes
     ----------
     misfit : float
-        ρ/s², equal to the number of data for residuals of one standard deviation; ρ if σ is unknown.
+        ρ/s², equal to the number of data for residuals of one standard deviation; ρ if σ is
+        unknown.
     cells : array, shape (frames, rows, columns) or None
         Ohm.
     """
 
     weight: float = column("1", "weight of the penalty")
     solved: int = column("1", "1: solved, 0: failed", 0)
-    misfit: float = column("1", "sum of squared misfits, over the noise's mean square where that is known", np.nan)
+    misfit: float = column(
+        "1", "sum of squared misfits, over the noise's mean square where that is known", np.nan
+    )
     penalty: float = column("1", "sum of squared penalties", np.nan)
     evidence: float = column("1", "-2 log of the Laplace evidence, up to a constant", np.nan)
-    risk: float = column("1", "expected sum of squared errors of log resistance, the reference as the truth", np.nan)
-    error: float = column("1", "true root-mean-square error of log resistance over the frame", np.nan)
+    risk: float = column(
+        "1", "expected sum of squared errors of log resistance, the reference as the truth", np.nan
+    )
+    error: float = column(
+        "1", "true root-mean-square error of log resistance over the frame", np.nan
+    )
     open_cells: float = column("1", "cells of the frame at their upper bound", np.nan)
     bound_cells: float = column("1", "cells at a bound, of all frames of the solve", np.nan)
     cells: Array | None = None
@@ -203,14 +236,19 @@ def free_evidence(model: LinearModel, weight: float) -> float:
     fit = (float(model.data_curvature @ model.residual**2) + weight * spectrum.penalty) / scale
     # log det((A + λ ZᵀZ)/s²) = log det(A/s²) + Σ log(1 + λ κ)
     volume = spectrum.volume + float(np.sum(np.log1p(weight * spectrum.stiffness)))
-    return fit + volume - min(rank(model.at.cost.unweighted), len(model.free)) * float(np.log(weight / scale))
+    return (
+        fit
+        + volume
+        - min(rank(model.at.cost.unweighted), len(model.free)) * float(np.log(weight / scale))
+    )
 
 
 def bound_evidence(model: LinearModel) -> float:
-    """Return the part of −2 ln evidence by cells at a bound, Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt).
+    """Return the part of −2 ln evidence by cells at a bound.
 
-    t is the distance of a cell from its bound, and g and a are slope and curvature of cost/s². The free cells are
-    integrated over a Gaussian. With both parts, evidences with different active sets are comparable.
+    It is Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt). t is the distance of a cell from its bound,
+    and g and a are slope and curvature of cost/s². The free cells are integrated over a Gaussian.
+    With both parts, evidences with different active sets are comparable.
     """
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
@@ -237,7 +275,10 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Curves of a subject over the weight, in the order of the weights, and the choice of every rule."""
+    """Curves of a subject over the weight, and the choice of every rule.
+
+    The curves are in the order of the weights.
+    """
 
     subject: WeightSubject
     points: tuple[CurvePoint, ...]
@@ -252,13 +293,18 @@ class Curves:
         return next(point for point in self.points if point.weight == weight)
 
     def extended(self, weights: Iterable[float]) -> "Curves":
-        """Return the curves with further weights, solved in this order, each from its nearest neighbour."""
+        """Return the curves with further weights, solved in this order.
+
+        Each is solved from its nearest neighbour.
+        """
         points = {point.weight: point for point in self.points}
         for weight in weights:
             solved = [point for point in points.values() if point.solved]
             near = min(solved, key=lambda point: abs(np.log(point.weight / weight)), default=None)
             if weight not in points:
-                points[weight] = solve_at(self.subject, weight, None if near is None else near.cells)
+                points[weight] = solve_at(
+                    self.subject, weight, None if near is None else near.cells
+                )
         return replace(self, points=tuple(points[weight] for weight in sorted(points)))
 
     def best(self) -> CurvePoint | None:
@@ -289,12 +335,16 @@ def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     low = min(marks) / 1e4
     high = max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
-        first = evaluated(subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None))
+        first = evaluated(
+            subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None)
+        )
         least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
         low = max(least, low)
         high = min(largest, high)
     weights = np.geomspace(min(low, *marks), max(high, *marks), 33).tolist()
-    return Curves(subject, ()).extended(sorted(weights, key=lambda weight: abs(np.log(weight / marks[0]))))
+    return Curves(subject, ()).extended(
+        sorted(weights, key=lambda weight: abs(np.log(weight / marks[0])))
+    )
 
 
 @np.errstate(all="ignore")
@@ -306,15 +356,25 @@ def tune(subject: WeightSubject) -> Curves:
     rule = subject.case.estimator.auto_weight.rule or "risk"
     noisy = subject.data.noise_known
     if rule == "evidence" and not noisy:
-        raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
+        raise InputError(
+            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
+            "recording"
+        )
     initial = subject.search.cost.terms[subject.penalty].weight
     given = {} if initial == "auto" else {"given": float(initial)}
-    chosen = {name: _weight_of(subject, name) for name in get_args(Rule) if noisy or name != "evidence"}
+    chosen = {
+        name: _weight_of(subject, name) for name in get_args(Rule) if noisy or name != "evidence"
+    }
     curves = trace(subject, [*chosen.values(), *given.values()])
     solved = [point for point in curves.points if point.solved]
-    weights: dict[str, float | None] = {**chosen, "Morozov": morozov(solved, subject.count) if noisy else None}
+    weights: dict[str, float | None] = {
+        **chosen,
+        "Morozov": morozov(solved, subject.count) if noisy else None,
+    }
     weights |= {"L-curve": l_curve(solved), **given}
-    curves = curves.extended(weight for weight in weights.values() if weight is not None).finer().finer()
+    curves = (
+        curves.extended(weight for weight in weights.values() if weight is not None).finer().finer()
+    )
     best = curves.best()
     weights |= {} if best is None else {"best": best.weight}
     choices = []
@@ -328,17 +388,21 @@ def tune(subject: WeightSubject) -> Curves:
 def _weight_of(subject: WeightSubject, rule: Rule) -> float:
     """Return the weight of the penalty by a rule."""
     estimator = subject.case.estimator
-    terms = tuple(term if term.reads_measurement else replace(term, weight="auto") for term in estimator.terms)
-    estimator = replace(estimator, terms=terms, auto_weight=replace(estimator.auto_weight, rule=rule))
+    terms = tuple(
+        term if term.reads_measurement else replace(term, weight="auto") for term in estimator.terms
+    )
+    estimator = replace(
+        estimator, terms=terms, auto_weight=replace(estimator.auto_weight, rule=rule)
+    )
     further = subject.search.solves[1:]
     estimator = with_chosen_weights(estimator, subject.recording.scene, subject.data, None, further)
     return float(estimator.terms[subject.penalty].weight)
 
 
 def morozov(points: Sequence[CurvePoint], data: int) -> float | None:
-    """Return the λ at which the residuals equal the noise, ρ/s² = number of data, or None (discrepancy principle).
+    """Return the λ at which the residuals equal the noise, or None (discrepancy principle).
 
-    log ρ is interpolated linearly over log λ between the points.
+    There ρ/s² = number of data. log ρ is interpolated linearly over log λ between the points.
     """
     for before, after in zip(points[-2::-1], points[:0:-1], strict=True):
         if before.misfit <= data < after.misfit:
@@ -348,14 +412,18 @@ def morozov(points: Sequence[CurvePoint], data: int) -> float | None:
 
 
 def l_curve(points: Sequence[CurvePoint]) -> float | None:
-    """Return λ at the greatest curvature κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2) of log η over log ρ; None if κ ≤ 0."""
+    """Return λ at the greatest curvature κ of log η over log ρ; None if κ ≤ 0.
+
+    Here κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2).
+    """
     if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
         return None
     weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T
     right = np.gradient(across, weight)
     rise = np.gradient(up, weight)
     speed = np.hypot(right, rise)
-    moving = speed > 0.05 * speed.max()  # where the curve hardly moves, its curvature is meaningless
+    # Where the curve hardly moves, its curvature is meaningless.
+    moving = speed > 0.05 * speed.max()
     curvature = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
     curvature = np.where(moving, curvature / np.maximum(speed, 1e-300) ** 3, 0.0)[1:-1]
     return float(points[1 + int(np.argmax(curvature))].weight) if curvature.max() > 0 else None
@@ -373,9 +441,9 @@ PENALTY = "#56738C"  # the colour of its axis
 
 
 def weights_figure(curves: Curves) -> Figure:
-    """Draw evidence, risk, misfit, penalty and error over λ, and the L-curve, with the choice of every rule.
+    """Draw evidence, risk, misfit, penalty and error over λ, and the L-curve.
 
-    Evidence and risk are drawn above their least values.
+    The choice of every rule is drawn, too. Evidence and risk are drawn above their least values.
     """
     subject = curves.subject
     count = curves.subject.count
@@ -384,17 +452,29 @@ def weights_figure(curves: Curves) -> Figure:
     penalty = f"penalty η [{units['penalty']}]"
     free = subject.data.measured.size - curves.values("bound_cells")
     expected = np.sqrt(np.maximum(curves.values("risk"), 0) / np.maximum(free, 1))
-    noise = {"number of readings": np.full(len(free), float(count))} if subject.data.noise_known else {}
+    noise = (
+        {"number of readings": np.full(len(free), float(count))} if subject.data.noise_known else {}
+    )
     panels: list[tuple[str, str, dict[str, Array]]] = [
         ("evidence", "−2 log evidence − least [1]", {"": _above_least(curves.values("evidence"))}),
-        ("expected error, Σ(log r̂ − log r)²", "risk − least [1]", {"": _above_least(curves.values("risk"))}),
+        (
+            "expected error, Σ(log r̂ − log r)²",
+            "risk − least [1]",
+            {"": _above_least(curves.values("risk"))},
+        ),
         ("misfit and penalty", misfit, {"misfit": curves.values("misfit"), **noise}),
-        ("error of the estimate", "rms error of log r", {"true": curves.values("error"), "√(risk/cells)": expected}),
+        (
+            "error of the estimate",
+            "rms error of log r",
+            {"true": curves.values("error"), "√(risk/cells)": expected},
+        ),
     ]
     figure = new_figure(7.4)
     grid = figure.subplots(3, 2)
     grid[2, 1].remove()
-    weight = f"weight λ of {term_kind(subject.search.cost.terms[subject.penalty])} [{units['weight']}]"
+    weight = (
+        f"weight λ of {term_kind(subject.search.cost.terms[subject.penalty])} [{units['weight']}]"
+    )
     for axes, (_, label, lines) in zip(grid.flat, panels, strict=False):
         dressed(axes, weight, label)
         _over_weight(axes, curves, lines)
@@ -431,19 +511,31 @@ def _over_weight(axes: Axes, curves: Curves, lines: dict[str, Array]) -> None:
     axes.set(xscale="log", yscale="log", xlim=(weights[0] / 1.6, weights[-1] * 1.6))
     axes.xaxis.set_major_locator(LogLocator(numticks=9))
     axes.xaxis.set_minor_locator(NullLocator())
-    known = {name: values for name, values in lines.items() if np.any(np.isfinite(values) & (values > 0))}
+    known = {
+        name: values for name, values in lines.items() if np.any(np.isfinite(values) & (values > 0))
+    }
     for (name, values), colour in zip(known.items(), ("black", "0.5"), strict=False):
-        axes.plot(weights, np.where(values > 0, values, np.nan), color=colour, lw=1.2, label=name or None)
+        axes.plot(
+            weights, np.where(values > 0, values, np.nan), color=colour, lw=1.2, label=name or None
+        )
     if not known:
-        look: dict[str, Any] = {"ha": "center", "transform": axes.transAxes, "backgroundcolor": "white"}
-        axes.text(0.5, 0.5, "needs the truth, or the noise of the readings", fontsize=TEXT_POINT, **look)
+        look: dict[str, Any] = {
+            "ha": "center",
+            "transform": axes.transAxes,
+            "backgroundcolor": "white",
+        }
+        axes.text(
+            0.5, 0.5, "needs the truth, or the noise of the readings", fontsize=TEXT_POINT, **look
+        )
     if any(known):
         axes.legend(fontsize=SMALL_POINT, edgecolor="none", framealpha=0.9, loc="best")
     for choice in curves.choices:
         if choice.weight is not None:
             wide = 1.6 if choice.in_use else 0.9
             style = LOOKS[choice.rule]
-            axes.axvline(choice.weight, color=style["color"], ls=style["ls"], lw=wide, alpha=0.9, zorder=1.5)
+            axes.axvline(
+                choice.weight, color=style["color"], ls=style["ls"], lw=wide, alpha=0.9, zorder=1.5
+            )
 
 
 def _l_curve(axes: Axes, curves: Curves) -> None:
@@ -453,8 +545,15 @@ def _l_curve(axes: Axes, curves: Curves) -> None:
     for choice in curves.choices:
         point = None if choice.weight is None else curves.at(choice.weight)
         place = ([], []) if point is None else ([point.misfit], [point.penalty])
-        look = LOOKS[choice.rule] | {"lw": 1.6 if choice.in_use else 0.9, "ms": 5 if choice.rule != "best" else 8}
-        excess = "" if choice.excess is None or choice.rule == "best" else f", error × {choice.excess:.3g}"
+        look = LOOKS[choice.rule] | {
+            "lw": 1.6 if choice.in_use else 0.9,
+            "ms": 5 if choice.rule != "best" else 8,
+        }
+        excess = (
+            ""
+            if choice.excess is None or choice.rule == "best"
+            else f", error × {choice.excess:.3g}"
+        )
         text = "none" if choice.weight is None else f"{choice.weight:.2g}{excess}"
         name = f"{look.pop('name', choice.rule)}{' (in use)' if choice.in_use else ''}: {text}"
         axes.plot(*place, mec="white", mew=0.6, zorder=3, label=name, **look)
@@ -509,11 +608,18 @@ SCREEN: Columns = {
 
 
 def _groups(cases: study.Cases[Curves]) -> Iterator[study.RecordGroup]:
-    """Yield the groups /entry/<recording>/<estimator>, with the curves, and their subgroups `choices`."""
+    """Yield the groups /entry/<recording>/<estimator>, with the curves.
+
+    Their subgroups `choices` are yielded, too.
+    """
     for curves in cases.measured:
         subject = curves.subject
         path = f"{curves.subject.case.recording}/{curves.subject.case.name}"
-        about = {"frame": subject.frame, "readings": subject.count, "noise_known": int(subject.data.noise_known)}
+        about = {
+            "frame": subject.frame,
+            "readings": subject.count,
+            "noise_known": int(subject.data.noise_known),
+        }
         yield study.RecordGroup(path, curves.points, "risk", "weight", subject.units, about)
         yield study.RecordGroup(f"{path}/choices", curves.choices, "weight", units=subject.units)
 
@@ -529,9 +635,9 @@ STUDY: study.Study[Run, study.Cases[Curves]] = study.Study(
     form="tune/3",
     records=_groups,
     figures=lambda cases: {
-        re.sub(r"[^\w.@=,+-]", "_", f"tune_{curves.subject.case.recording}_{curves.subject.case.name}"): weights_figure(
-            curves
-        )
+        re.sub(
+            r"[^\w.@=,+-]", "_", f"tune_{curves.subject.case.recording}_{curves.subject.case.name}"
+        ): weights_figure(curves)
         for curves in cases.measured
     },
     left_out=lambda cases: cases.left_out,

@@ -1,1 +1,3 @@
-"""Attacks on lampest: hostile files, names, values and places. The mark `soak` tries them by the thousand."""
+"""Attacks on lampest: hostile files, names, values and places. The mark `soak` tries them by the
+thousand.
+"""

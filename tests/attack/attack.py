@@ -32,16 +32,24 @@ Tries = Callable[[Rng, Path, int], Outcomes]
 
 
 def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., None]]:
-    """Make a test of tries (generator, empty folder, count), each PASSED or a sentence on the failure.
+    """Make a test of tries (generator, empty folder, count), each PASSED or a sentence on the
+    failure.
 
     quick : count in `make test`; 0: none. full : count under the mark `soak`.
     """
-    counts = [pytest.param(quick, marks=[] if quick else pytest.mark.soak), pytest.param(full, marks=pytest.mark.soak)]
+    counts = [
+        pytest.param(quick, marks=[] if quick else pytest.mark.soak),
+        pytest.param(full, marks=pytest.mark.soak),
+    ]
 
     def made(tries: Tries) -> Callable[..., None]:
-        @pytest.mark.parametrize("count", counts[: 2 if full > quick else 1] if quick else counts[1:])
+        @pytest.mark.parametrize(
+            "count", counts[: 2 if full > quick else 1] if quick else counts[1:]
+        )
         def test(tmp_path: Path, count: int) -> None:
-            outcomes = list(tries(np.random.default_rng([SEED, *tries.__name__.encode()]), tmp_path, count))
+            outcomes = list(
+                tries(np.random.default_rng([SEED, *tries.__name__.encode()]), tmp_path, count)
+            )
             fallen = [outcome for outcome in outcomes if outcome != PASSED]
             assert outcomes and not fallen, f"{len(fallen)} of {len(outcomes)} fell: {fallen[:5]}"
 
@@ -53,7 +61,9 @@ def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., Non
 
 @dataclass(frozen=True)
 class CompletedCommand:
-    """An ended command: code (negative: a signal that killed it), output, errors, seconds, most bytes."""
+    """An ended command: code (negative: a signal that killed it), output, errors, seconds, most
+    bytes.
+    """
 
     code: int
     out: str
@@ -63,8 +73,18 @@ class CompletedCommand:
 
     def refused(self, *words: str) -> str:
         """Return PASSED where it was refused: code 2, one line that holds the words."""
-        sentence = self.err.startswith("lampest: ") and self.err.count("\n") == 1 and self.err.endswith("\n")
-        if self.code != 2 or not sentence or self.out or len(self.err) > MAX_SENTENCE or not printable(self.err):
+        sentence = (
+            self.err.startswith("lampest: ")
+            and self.err.count("\n") == 1
+            and self.err.endswith("\n")
+        )
+        if (
+            self.code != 2
+            or not sentence
+            or self.out
+            or len(self.err) > MAX_SENTENCE
+            or not printable(self.err)
+        ):
             return self.described("was not refused in one sentence")
         missing = [word for word in words if word not in self.err]
         return self.described(f"does not say {missing}") if missing else PASSED
@@ -131,7 +151,8 @@ def environment(**changes: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(HOUSE), "OMP_NUM_THREADS": "1"} | changes
 
 
-# Writes the peak of resident memory in kB at the end: the system's figure includes memory from before exec.
+# Writes the peak of resident memory in kB at the end: the system's figure includes memory from
+# before exec.
 PEAK = """import atexit, pathlib, re, resource
 def peak():
     own = int(re.search("VmHWM: *\\t* *([0-9]+)", pathlib.Path("/proc/self/status").read_text())[1])
@@ -150,13 +171,22 @@ def command(
 ) -> CompletedCommand:
     """Run the command in a process of its own, killed after some seconds.
 
-    without : libraries, apart by commas, that are as if not installed. memory : the variable LAMPEST_MEMORY.
+    without : libraries, apart by commas, that are as if not installed. memory : the variable
+        LAMPEST_MEMORY.
     """
-    script = PEAK + f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
+    script = (
+        PEAK
+        + f"import sys; sys.modules.update(dict.fromkeys({[*filter(None, without.split(','))]}))\n"
+    )
     script += "from lampest.cli import main; main()"
 
     variables = environment(**({} if memory is None else {"LAMPEST_MEMORY": memory}))
-    options = {"stdin": subprocess.DEVNULL, "cwd": folder, "env": variables, "start_new_session": True}
+    options = {
+        "stdin": subprocess.DEVNULL,
+        "cwd": folder,
+        "env": variables,
+        "start_new_session": True,
+    }
     begin = time.monotonic()
     peak = 0
     with (folder / ".out").open("w+b") as out, (folder / ".err").open("w+b") as err:
@@ -170,7 +200,8 @@ def command(
             elif time.monotonic() > begin + seconds:
                 os.killpg(process.pid, signal.SIGKILL)
             time.sleep(0.01)
-    if (folder / ".peak").exists():  # else the process was killed, and the peak includes that of this process
+    # Else the process was killed, and the peak includes that of this process.
+    if (folder / ".peak").exists():
         peak = 1024 * int((folder / ".peak").read_text())
         (folder / ".peak").unlink()
     texts = [(folder / name).read_bytes().decode("utf-8", "replace") for name in (".out", ".err")]
@@ -179,10 +210,14 @@ def command(
     return CompletedCommand(process.returncode, *texts, time.monotonic() - begin, peak)
 
 
-RUN = "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: reduced}}\n"
+RUN = (
+    "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: "
+    "reduced}}\n"
+)
 SIMULATION = (
     "schema: 1\nseed: 1\nframes: 2\nbaseline_frames: 1\nscene:\n"
-    "  panel: {rows: 3, columns: 4}\n  readout: {kind: two_point, noise_lsb: 0.7}\n  series_resistance_ohm: 140\n"
+    "  panel: {rows: 3, columns: 4}\n  readout: {kind: two_point, noise_lsb: 0.7}\n  "
+    "series_resistance_ohm: 140\n"
 )
 
 
@@ -192,7 +227,11 @@ def small_folder(folder: Path) -> Path:
     write_recording(folder / "small.h5", 2, 1)
     (folder / "run.yaml").write_text(RUN)
     (folder / "simulation.yaml").write_text(SIMULATION)
-    np.savetxt(folder / "table.csv", np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2), delimiter=",")
+    np.savetxt(
+        folder / "table.csv",
+        np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2),
+        delimiter=",",
+    )
     write_results(folder / "results.h5", [invented_case("LSM", "small", (2, 5, 6))])
     return folder
 

@@ -64,7 +64,9 @@ def _script(rng: Rng) -> Script:
 
 
 @attack(3, 100)
-def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     """Recording ends in time, with a sentence or with frames whose losses are counted."""
     for number in range(count):
         out = folder / f"{number}.h5"
@@ -74,48 +76,68 @@ def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(rng: Rng, fol
         with mock.patch.object(stream, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
             try:
                 summary = record(board.port, out, period=0.01, **limits)
-                # A frame whose number and clock lie alike may be believed as far as ten seconds ahead.
+                # A frame whose number and clock lie alike may be believed as far as ten seconds
+                # ahead.
                 lost = summary.lost > 1200 * (summary.restarts + summary.frames)
             except InputError:
                 pass
         late = time.monotonic() - begin > LIMIT_S + SLACK_S
         empty = out.exists() and not len(Recording.load(out).time)
-        yield f"{limits}: late {late}, lost {lost}, empty {empty}" if late or lost or empty else PASSED
+        yield (
+            f"{limits}: late {late}, lost {lost}, empty {empty}"
+            if late or lost or empty
+            else PASSED
+        )
 
 
 @attack(1, 100)
-def test_a_killed_recorder_leaves_every_counted_frame(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_killed_recorder_leaves_every_counted_frame(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     """Every frame that it counted is read, in order, before and after repair."""
     for number in range(count):
         out = folder / f"{number}.h5"
         with wild_board(hundred_a_second) as board:
             words = [sys.executable, "-c", RECORDER, board.port, str(out)]
-            with subprocess.Popen(words, env=environment(), stdout=subprocess.PIPE, text=True) as process:
+            with subprocess.Popen(
+                words, env=environment(), stdout=subprocess.PIPE, text=True
+            ) as process:
                 counted = int(process.stdout.readline())
                 time.sleep(float(rng.uniform(0, 1)))
                 process.kill()
-                counted = max([counted, *(int(line) for line in process.stdout.read().splitlines()[:-1])])
+                counted = max(
+                    [counted, *(int(line) for line in process.stdout.read().splitlines()[:-1])]
+                )
         killed = Recording.load(out)
         frames = len(killed.time)
         repaired = [repair(out), repair(out)] == [(frames, 0)] * 2
         recording = Recording.load(out)
-        unchanged = recording.recorded.tobytes() == killed.recorded.tobytes() and np.all(np.diff(recording.time) > 0)
-        closed = recording.role[:4].tolist() == [0, 0, 0, 1][:frames] and (frames < 4 or recording.sigma is not None)
+        unchanged = recording.recorded.tobytes() == killed.recorded.tobytes() and np.all(
+            np.diff(recording.time) > 0
+        )
+        closed = recording.role[:4].tolist() == [0, 0, 0, 1][:frames] and (
+            frames < 4 or recording.sigma is not None
+        )
         right = frames >= counted and repaired and unchanged and closed
         yield (
             PASSED
             if right
-            else f"{counted} counted, {frames} read, repaired {repaired}, same {unchanged}, closed {closed}"
+            else f"{counted} counted, {frames} read, repaired {repaired}, same {unchanged}, closed "
+            f"{closed}"
         )
 
 
 @attack(1, 10)
 def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A broker pauses for one to three seconds: messages of that time are lost, but for the first 0.2 s."""
+    """A broker pauses for one to three seconds: messages of that time are lost, but for the first
+    0.2 s.
+    """
     port = free_port()
     ages = list[float]()
     ear = Client(CallbackAPIVersion.VERSION2)
-    ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])
+    ear.on_message = lambda _, __, heard: ages.append(
+        time.time() - json.loads(heard.payload)["health"]["sent"]
+    )
     if MOSQUITTO is None:
         return
     with broker(folder, port) as running:
@@ -134,6 +156,10 @@ def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count
                     send(frame(1, 2))
                     time.sleep(0.03)
                 late = sum(age > 0.5 for age in ages)
-                yield PASSED if late < 15 and len(ages) > 15 else f"{late} of {len(ages)} messages came late"
+                yield (
+                    PASSED
+                    if late < 15 and len(ages) > 15
+                    else f"{late} of {len(ages)} messages came late"
+                )
         ear.disconnect()
         ear.loop_stop()

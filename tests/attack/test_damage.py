@@ -12,7 +12,15 @@ from fuzz.mutants import good_recordings, good_results
 from support import invented_case
 from unclosed import unclosed_recording
 
-from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_results, write_results
+from lampest import (
+    InputError,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    read_results,
+    write_results,
+)
 from lampest.files import hdf5
 from lampest.files.checksums import BLOCKS, DATASETS, nodes_below
 from lampest.files.document import plain_content
@@ -59,7 +67,11 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
     try:
         read = _content(reader(path))
     except InputError as error:
-        return PASSED if str(error).startswith(str(path)) else f"the sentence does not name the file: {error}"
+        return (
+            PASSED
+            if str(error).startswith(str(path))
+            else f"the sentence does not name the file: {error}"
+        )
     differing = [name for name in meant | read if not _same(meant.get(name), read.get(name))]
     return f"read with another {', '.join(differing)}" if differing else PASSED
 
@@ -75,13 +87,17 @@ def _content(source: Any) -> dict[str, Any]:
     content: dict[str, Any] = {"published": repr(plain_content(dict(source.published)))}
     for case in source.cases:
         for name, value in vars(case).items():
-            content[f"{case.recording}/{case.estimator}/{name}"] = repr(value) if name == "scene" else value
+            content[f"{case.recording}/{case.estimator}/{name}"] = (
+                repr(value) if name == "scene" else value
+            )
     return content
 
 
 def _same(first: Any, second: Any) -> bool:
     if isinstance(first, dict) and isinstance(second, dict):
-        return first.keys() == second.keys() and all(_same(first[key], second[key]) for key in first)
+        return first.keys() == second.keys() and all(
+            _same(first[key], second[key]) for key in first
+        )
     if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
         pair = [(array.dtype, array.shape, array.tobytes()) for array in (first, second)]
         return pair[0] == pair[1]
@@ -100,7 +116,9 @@ def test_check_names_the_dataset_with_a_flipped_bit(rng: Rng, folder: Path, coun
     places = dict[str, int]()
     with h5py.File(work_folder / "small.h5") as file:
         file.visititems(
-            lambda name, node: places.update({name: _place(node)}) if isinstance(node, h5py.Dataset) else None
+            lambda name, node: (
+                places.update({name: _place(node)}) if isinstance(node, h5py.Dataset) else None
+            )
         )
     content = (work_folder / "small.h5").read_bytes()
     meant = called("info", "small.h5", folder=work_folder)
@@ -129,7 +147,9 @@ def _long_recording(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
     role = np.ones(shape[0], dtype=np.uint8)
     role[:3] = 0
     values = rng.uniform(500, 5000, shape).round(9 * (shape[1] % 2))
-    Recording(Scene(Panel(*shape[1:]), TwoPointReadout()), values, np.arange(float(shape[0])), role).save(path)
+    Recording(
+        Scene(Panel(*shape[1:]), TwoPointReadout()), values, np.arange(float(shape[0])), role
+    ).save(path)
     return path
 
 
@@ -139,7 +159,9 @@ def _results(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
 
 
 @attack(8, 100)
-def test_check_names_zeroed_exchanged_and_foreign_chunks(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_names_zeroed_exchanged_and_foreign_chunks(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     """HDF5's own checksums pass them: a Fletcher sum of zeros is zero, and it knows no position."""
     for number in range(count):
         make, load = ((_long_recording, Recording.load), (_results, read_results))[number % 2]
@@ -154,22 +176,34 @@ def test_check_names_zeroed_exchanged_and_foreign_chunks(rng: Rng, folder: Path,
 
 
 def _harmed_chunk(rng: Rng, file: h5py.File, foreign: h5py.File) -> str:
-    """Zero, exchange or replace a chunk with a right Fletcher sum, and return the path of its dataset."""
+    """Zero, exchange or replace a chunk with a right Fletcher sum, and return the path of its
+    dataset.
+    """
     nodes = dict(nodes_below(file, "/"))
-    long = [name for name, node in nodes.items() if getattr(node, "chunks", None) and np.any(node[-1])]
+    long = [
+        name for name, node in nodes.items() if getattr(node, "chunks", None) and np.any(node[-1])
+    ]
     harms = [(name, harm) for name in long for harm in ("zeroed", "exchanged", "foreign")]
     while True:
         name, harm = harms[rng.integers(len(harms))]
         node = nodes[name]
         original = nodes[name][()]
-        places = [node.id.get_chunk_info(index).chunk_offset for index in range(node.id.get_num_chunks())]
+        places = [
+            node.id.get_chunk_info(index).chunk_offset for index in range(node.id.get_num_chunks())
+        ]
         first = places[int(rng.integers(len(places)))]
         last = places[-1]
         if harm == "zeroed":  # with the sum alone, because zeros cannot be unpacked
             packing = node.id.get_create_plist()
             filters = [packing.get_filter(index)[0] for index in range(packing.get_nfilters())]
-            mask = sum(1 << index for index, kind in enumerate(filters) if kind != h5py.h5z.FILTER_FLETCHER32)
-            node.id.write_direct_chunk(last, bytes(int(np.prod(node.chunks)) * node.dtype.itemsize + 4), mask)
+            mask = sum(
+                1 << index
+                for index, kind in enumerate(filters)
+                if kind != h5py.h5z.FILTER_FLETCHER32
+            )
+            node.id.write_direct_chunk(
+                last, bytes(int(np.prod(node.chunks)) * node.dtype.itemsize + 4), mask
+            )
         elif harm == "exchanged":
             held = [node.id.read_direct_chunk(place) for place in (first, last)]
             for place, (mask, values) in zip((last, first), held, strict=True):
@@ -186,10 +220,14 @@ def _harmed_chunk(rng: Rng, file: h5py.File, foreign: h5py.File) -> str:
 
 
 @attack(4, 40)
-def test_check_notices_exchanged_and_foreign_datasets(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_check_notices_exchanged_and_foreign_datasets(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     """Each is as it was written, but not all of them together."""
     for _ in range(count):
-        path, foreign_path = (_long_recording(folder / name, rng, (20, 3, 4)) for name in ("a.h5", "b.h5"))
+        path, foreign_path = (
+            _long_recording(folder / name, rng, (20, 3, 4)) for name in ("a.h5", "b.h5")
+        )
         with h5py.File(path, "r+") as file, h5py.File(foreign_path) as foreign:
             group = file["entry/two_point"]
             if rng.random() < 0.5:
@@ -216,13 +254,23 @@ def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> No
     with h5py.File(path, "r+") as file:
         file["entry/mine"] = 1.0
     completed = called("check", path)
-    assert completed.code == 0 and "readable, but without checksums" in completed.out and "/entry/mine" in completed.out
+    assert (
+        completed.code == 0
+        and "readable, but without checksums" in completed.out
+        and "/entry/mine" in completed.out
+    )
 
 
 @attack(20, 400)
-def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was written."""
-    path = unclosed_recording(folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3)
+def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
+    """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was
+    written.
+    """
+    path = unclosed_recording(
+        folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3
+    )
     content = path.read_bytes()
     meant = Recording.load(path)
     for _ in range(count):
@@ -232,8 +280,12 @@ def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(rng: Rng, fol
 
 
 @attack(6, 200)
-def test_repair_takes_no_frames_of_another_recording(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """The end of a journal is that of another one of the same scene, as old blocks of a disk may be."""
+def test_repair_takes_no_frames_of_another_recording(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
+    """The end of a journal is that of another one of the same scene, as old blocks of a disk may
+    be.
+    """
     scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
     for number in range(count):
         frames = int(rng.integers(20, 60))
@@ -264,6 +316,7 @@ def _repaired(path: Path, meant: Recording) -> str:
     if frames + dropped != len(meant.time) or len(sequence) != frames:
         return f"repair kept {frames} and dropped {dropped} of {len(meant.time)} frames"
     unchanged = all(
-        _same(getattr(recording, name), getattr(meant, name)[sequence]) for name in ("recorded", "raw_sums", "time")
+        _same(getattr(recording, name), getattr(meant, name)[sequence])
+        for name in ("recorded", "raw_sums", "time")
     )
     return PASSED if unchanged else "repair changed what it kept"

@@ -32,7 +32,9 @@ pytestmark = pytest.mark.slow
 
 
 @attack(2, len(NEEDING_COMMANDS))
-def test_commands_name_a_missing_library_and_work_without_unneeded_ones(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_commands_name_a_missing_library_and_work_without_unneeded_ones(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     work_folder = small_folder(folder / "work")
     book = Workbook()
     for values in np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2).tolist():
@@ -44,4 +46,8 @@ def test_commands_name_a_missing_library_and_work_without_unneeded_ones(rng: Rng
     missing = ",".join(library for library, _ in NEEDING_COMMANDS)
     for arguments in INDEPENDENT_COMMANDS[: count - 1]:
         completed = command(*arguments, folder=work_folder, without=missing)
-        yield PASSED if completed.code == 0 else completed.described(f"{' '.join(arguments)} without {missing}")
+        yield (
+            PASSED
+            if completed.code == 0
+            else completed.described(f"{' '.join(arguments)} without {missing}")
+        )

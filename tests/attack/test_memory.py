@@ -1,4 +1,6 @@
-"""Small files that unfold, and scenes that ask for more than a machine has: one sentence, and little memory."""
+"""Small files that unfold, and scenes that ask for more than a machine has: one sentence, and
+little memory.
+"""
 
 import struct
 import subprocess
@@ -9,7 +11,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import PASSED, CompletedCommand, Outcomes, Rng, attack, command, environment, small_folder
+from attack.attack import (
+    PASSED,
+    CompletedCommand,
+    Outcomes,
+    Rng,
+    attack,
+    command,
+    environment,
+    small_folder,
+)
 from fuzz.mutants import good_recordings
 
 from lampest.files import process
@@ -55,18 +66,25 @@ def _place(content: bytearray, length: int) -> int:
 def _matrix(path: Path) -> None:
     """A compressed .mat file of 390 MB."""
     values = 390_000_000 // 12 * 12
-    head = struct.pack("<IIIIIIiiiiIIII", 6, 8, 9, 0, 5, 12, values // 12, 3, 4, 0, 1, 1, ord("a"), 0)
+    head = struct.pack(
+        "<IIIIIIiiiiIIII", 6, 8, 9, 0, 5, 12, values // 12, 3, 4, 0, 1, 1, ord("a"), 0
+    )
     head += struct.pack("<II", 2, values)
     packer = zlib.compressobj(9)
     packed = packer.compress(struct.pack("<II", 14, len(head) + values) + head)
-    packed += b"".join(packer.compress(bytes(1_000_000)) for _ in range(values // 1_000_000 + 1)) + packer.flush()
+    packed += (
+        b"".join(packer.compress(bytes(1_000_000)) for _ in range(values // 1_000_000 + 1))
+        + packer.flush()
+    )
     start = b"MATLAB 5.0".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
     path.write_bytes(start + struct.pack("<II", 15, len(packed)) + packed)
 
 
 IMPORTED = {
     "bomb.mat": _matrix,
-    "bomb.npz": lambda path: np.savez_compressed(path, a=np.zeros((40_000_000, 3, 4), dtype=np.uint8)),
+    "bomb.npz": lambda path: np.savez_compressed(
+        path, a=np.zeros((40_000_000, 3, 4), dtype=np.uint8)
+    ),
     "lines.csv": lambda path: path.write_bytes(b"\n" * 200_000_000),
 }
 
@@ -79,10 +97,14 @@ def test_small_files_that_expand_are_not_imported(rng: Rng, folder: Path, count:
 
 
 @attack()
-def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     work_folder = small_folder(folder / "work")
     scene = "\n".join(f"  {line}" for line in WIDE_SCENE.splitlines())
-    (work_folder / "wide.yaml").write_text(f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n")
+    (work_folder / "wide.yaml").write_text(
+        f"schema: 1\nseed: 1\nframes: 1\nbaseline_frames: 1\nscene:\n{scene}\n"
+    )
     with h5py.File(work_folder / "wide.h5", "w") as file:
         file["entry/scene"] = np.bytes_(WIDE_SCENE)
         file["entry/two_point/resistance"] = np.full((2, 1, 60001), 1500.0)
@@ -93,12 +115,27 @@ def test_panels_of_1_by_60001_cells_are_refused_for_lack_of_memory(rng: Rng, fol
         completed = command(*arguments, folder=work_folder, seconds=SECONDS, memory="4GB")
         yield _bounded(completed, "60001", "GiB of memory are needed", "there are 4.0 GiB")
     looked = command("info", "wide.h5", folder=work_folder, seconds=SECONDS, memory="4GB")
-    yield looked.within(SECONDS, MEGABYTES) if looked.code == 0 else looked.described("a look at a wide panel")
-    completed = command(
-        *("run", "run.yaml", "--out", "out", "--jobs", "1"), folder=work_folder, seconds=SECONDS, memory="4GB"
+    yield (
+        looked.within(SECONDS, MEGABYTES)
+        if looked.code == 0
+        else looked.described("a look at a wide panel")
     )
-    sentence = completed.code == 3 and "there are 4.0 GiB" in completed.err and "Traceback" not in completed.err
-    yield completed.within(SECONDS, MEGABYTES) if sentence else completed.described("a run of a wide panel")
+    completed = command(
+        *("run", "run.yaml", "--out", "out", "--jobs", "1"),
+        folder=work_folder,
+        seconds=SECONDS,
+        memory="4GB",
+    )
+    sentence = (
+        completed.code == 3
+        and "there are 4.0 GiB" in completed.err
+        and "Traceback" not in completed.err
+    )
+    yield (
+        completed.within(SECONDS, MEGABYTES)
+        if sentence
+        else completed.described("a run of a wide panel")
+    )
 
 
 def _bounded(completed: CompletedCommand, *words: str) -> str:
@@ -106,8 +143,12 @@ def _bounded(completed: CompletedCommand, *words: str) -> str:
 
 
 @attack(2, 40)
-def test_a_tight_address_limit_gives_one_sentence_without_waiting(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they are not loaded."""
+def test_a_tight_address_limit_gives_one_sentence_without_waiting(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
+    """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they
+    are not loaded.
+    """
     work_folder = small_folder(folder / "work")
     commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))
     for number in range(count):
@@ -121,16 +162,21 @@ def test_a_tight_address_limit_gives_one_sentence_without_waiting(rng: Rng, fold
 def test_a_run_under_an_address_limit_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
     work_folder = small_folder(folder / "work")
     with (work_folder / "run.yaml").open("a") as run:
-        run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")  # two cases, so that there are two processes
+        # Two cases, so that there are two processes.
+        run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")
     for kibibytes in ULIMITS:
-        yield _within_addresses(kibibytes * 1024, *JOBS, folder=work_folder).refused(*TOO_FEW_ADDRESSES)
+        yield _within_addresses(kibibytes * 1024, *JOBS, folder=work_folder).refused(
+            *TOO_FEW_ADDRESSES
+        )
 
 
 def _within_addresses(limit: int, *arguments: str, folder: Path) -> CompletedCommand:
     """Run the command under a limit of addresses in bytes."""
     script = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))\n"
     words = [sys.executable, "-c", f"{script}from lampest.cli import main; main()", *arguments]
-    completed = subprocess.run(words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS)
+    completed = subprocess.run(
+        words, cwd=folder, env=environment(), capture_output=True, text=True, timeout=SECONDS
+    )
     return CompletedCommand(completed.returncode, completed.stdout, completed.stderr, 0.0, 0)
 
 
@@ -145,7 +191,8 @@ resource.setrlimit(resource.RLIMIT_AS, (2**33, 2**33))
 check_address_space()
 cells = np.random.default_rng(1).uniform(900, 2000, (2, 6, 7))
 recording = Recording.from_array(two_point_resistance(cells), baseline=1)
-reconstruct(Recording.from_array(recording.resistance[:, :1, :2], baseline=1), [Misfit()], formulation="reduced")
+corner = Recording.from_array(recording.resistance[:, :1, :2], baseline=1)
+reconstruct(corner, [Misfit()], formulation="reduced")
 taken = 1024 * int(re.search(r"VmSize:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 resource.setrlimit(resource.RLIMIT_AS, (taken + 50 * 2**20,) * 2)
 print(reconstruct(recording, [Misfit()], formulation="nodal").status[0])
@@ -155,6 +202,14 @@ print(reconstruct(recording, [Misfit()], formulation="nodal").status[0])
 def test_ipopt_needs_no_further_buffer_when_data_filled_the_addresses() -> None:
     """OpenBLAS asks for ever for the 128 MiB that it is refused."""
     completed = subprocess.run(
-        [sys.executable, "-c", FILLED], env=environment(), capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", FILLED],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
-    assert (completed.returncode, completed.stdout, completed.stderr) == (0, "optimum verified\n", "")
+    assert (completed.returncode, completed.stdout, completed.stderr) == (
+        0,
+        "optimum verified\n",
+        "",
+    )

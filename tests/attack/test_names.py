@@ -1,4 +1,6 @@
-"""Names that would move the cursor, paint, or pretend to be another line: what reaches a terminal is plain."""
+"""Names that would move the cursor, paint, or pretend to be another line: what reaches a terminal
+is plain.
+"""
 
 import shutil
 from pathlib import Path
@@ -9,7 +11,19 @@ import pytest
 from attack.attack import PASSED, Outcomes, Rng, attack, called, drawn, small_folder
 
 pytestmark = pytest.mark.slow
-SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028", "\x7f", "\b\b\b", "[bold]", "\udc80")
+SIGNS = (
+    "\x1b[2J",
+    "\x1b]0;mine\x07",
+    "\r",
+    "\n",
+    "\x9b31m",
+    "\u202e",
+    "\u2028",
+    "\x7f",
+    "\b\b\b",
+    "[bold]",
+    "\udc80",
+)
 
 
 @attack(2, len(SIGNS))
@@ -55,4 +69,8 @@ def test_control_characters_in_names_and_contents_of_files_are_never_printed(
                 (completed.out + completed.err).count(f"\n{line_start}")
                 for line_start in ("b.h5", "b.csv", "s.h5", ".h5", ".csv")
             )
-            yield PASSED if completed.plain and not lines else completed.described(f"{arguments[0]} with {sign!r}")
+            yield (
+                PASSED
+                if completed.plain and not lines
+                else completed.described(f"{arguments[0]} with {sign!r}")
+            )

@@ -13,11 +13,39 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import PASSED, CompletedCommand, Outcomes, Rng, attack, called, environment, small_folder
+from attack.attack import (
+    PASSED,
+    CompletedCommand,
+    Outcomes,
+    Rng,
+    attack,
+    called,
+    environment,
+    small_folder,
+)
 
-from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct, write_results
+from lampest import (
+    LogGradient,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    reconstruct,
+    write_results,
+)
 
-LIVE = ("live", "--recording", "small.h5", "--speed", "1000", "--count", "1", "--http", "127.0.0.1:0")
+LIVE = (
+    "live",
+    "--recording",
+    "small.h5",
+    "--speed",
+    "1000",
+    "--count",
+    "1",
+    "--http",
+    "127.0.0.1:0",
+)
 RUN = ("run", "run.yaml", "--out", "out", "--jobs")
 EXPORT = ("export", "results.h5", "--to", "c", "--estimator")
 STRANGER = 54321  # a user without processes
@@ -58,7 +86,11 @@ def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) 
         words = commands[number % 3]
         completed = _as_stranger(int(rng.integers(1, 6)), *words, folder=work_folder)
         sentence = completed.code == 0 or (completed.code == 2 and completed.err.count("\n") == 1)
-        yield PASSED if sentence and completed.plain and completed.seconds < 60 else completed.described(words[0])
+        yield (
+            PASSED
+            if sentence and completed.plain and completed.seconds < 60
+            else completed.described(words[0])
+        )
 
 
 def _as_stranger(limit: int, *words: str, folder: Path) -> CompletedCommand:
@@ -75,7 +107,9 @@ def _as_stranger(limit: int, *words: str, folder: Path) -> CompletedCommand:
         text=True,
         timeout=120,
     )
-    return CompletedCommand(completed.returncode, completed.stdout, completed.stderr, time.monotonic() - begin, 0)
+    return CompletedCommand(
+        completed.returncode, completed.stdout, completed.stderr, time.monotonic() - begin, 0
+    )
 
 
 # Kills itself once so many files have got their names.
@@ -94,16 +128,22 @@ main()
 
 
 def _solved(folder: Path) -> None:
-    """Write results of two estimators, without error bars, of which a sketch is made in two seconds."""
+    """Write results of two estimators, without error bars, of which a sketch is made in two
+    seconds.
+    """
     scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7, readings=20))
     rng = np.random.default_rng(1)
     cells = rng.uniform(900, 2000, (5, 3, 4))
     recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
-    recording = Recording(scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8))
+    recording = Recording(
+        scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8)
+    )
     terms = {"LSM": (), "smooth": (LogGradient(weight=1.0),)}
     cases = []
     for name, further in terms.items():
-        estimate = reconstruct(recording, [Misfit(weighting="noise"), *further], formulation="reduced")
+        estimate = reconstruct(
+            recording, [Misfit(weighting="noise"), *further], formulation="reduced"
+        )
         cases.append(dataclasses.replace(estimate.result(name), sigma_own=None))
     folder.mkdir()
     write_results(folder / "results.h5", cases)
@@ -115,7 +155,9 @@ def _content(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 @attack(3, 20)
-def test_a_killed_export_leaves_a_whole_sketch_folder(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_killed_export_leaves_a_whole_sketch_folder(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     """The sketch goes first and comes last, so that none is built of files of two estimators."""
     work_folder = folder / "work"
     _solved(work_folder)
@@ -126,8 +168,18 @@ def test_a_killed_export_leaves_a_whole_sketch_folder(rng: Rng, folder: Path, co
     names = len(sketches[1])
     for number in range(count):
         script = KILLED.format(count=int(rng.integers(0, names)))
-        words = [sys.executable, "-c", script, *EXPORT, ("LSM", "smooth")[number % 2], "--out", "sketch"]
-        completed = subprocess.run(words, cwd=work_folder, env=environment(), capture_output=True, timeout=60)
+        words = [
+            sys.executable,
+            "-c",
+            script,
+            *EXPORT,
+            ("LSM", "smooth")[number % 2],
+            "--out",
+            "sketch",
+        ]
+        completed = subprocess.run(
+            words, cwd=work_folder, env=environment(), capture_output=True, timeout=60
+        )
         content = _content(work_folder / "sketch")
         mixed = "sketch.ino" in content and content not in sketches
         yield (
@@ -157,7 +209,9 @@ estimators:
 
 @pytest.mark.slow
 @attack(1, 20)
-def test_a_run_killed_during_verification_resumes_to_the_same_results(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_a_run_killed_during_verification_resumes_to_the_same_results(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     work_folder = small_folder(folder / "work")
     (work_folder / "run.yaml").write_text(VERIFIED)
     begin = time.monotonic()
@@ -170,14 +224,18 @@ def test_a_run_killed_during_verification_resumes_to_the_same_results(rng: Rng, 
         words = ("run", "run.yaml", "--out", out, "--jobs", "1")
         script = [sys.executable, "-c", "from lampest.cli import main; main()", *words]
         for _ in range(2):
-            with subprocess.Popen(script, cwd=work_folder, env=environment(), stderr=subprocess.PIPE) as process:
+            with subprocess.Popen(
+                script, cwd=work_folder, env=environment(), stderr=subprocess.PIPE
+            ) as process:
                 try:
                     process.wait(draw.uniform(0.8, 1.0) * seconds)
                 except subprocess.TimeoutExpired:
                     process.kill()
             results = work_folder / out / "results.h5"
             if results.exists():
-                yield PASSED if called("check", results).code == 0 else "what a kill left is damaged"
+                yield (
+                    PASSED if called("check", results).code == 0 else "what a kill left is damaged"
+                )
         completed = called(*words, folder=work_folder)
         equal = completed.code == 0 and _verified(work_folder / out / "results.h5") == expected
         yield PASSED if equal else completed.described("the run that was killed has other results")

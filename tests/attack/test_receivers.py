@@ -1,4 +1,6 @@
-"""Receivers of OSC that are absent, slow, refuse or do not exist, prefixes that mean others, and frames too large."""
+"""Receivers of OSC that are absent, slow, refuse or do not exist, prefixes that mean others, and
+frames too large.
+"""
 
 import dataclasses
 import socket
@@ -27,7 +29,19 @@ def frame(shape: tuple[int, int], number: int = 1) -> Message:
     values = np.full(shape, 1e7)
     is_open = np.zeros(shape, dtype=bool)
     picture = Picture(
-        number, 0.1, 0.0, values, values, is_open, UNKNOWN, "", 0.1, 0, values, values, verdict="pressing"
+        number,
+        0.1,
+        0.0,
+        values,
+        values,
+        is_open,
+        UNKNOWN,
+        "",
+        0.1,
+        0,
+        values,
+        values,
+        verdict="pressing",
     )
     message = Message.of(View("", "", "", Panel(*shape), picture=picture))
     assert message is not None
@@ -54,7 +68,15 @@ def addresses_of(place: socket.socket, count: int) -> list[list[str]]:
 
 @pytest.mark.parametrize(
     "where",
-    ["osc://a..b", f"osc://{'x' * 300}", "osc://127.0.0.1:0", "osc:///a*b", "osc:///ä", "osc:///a b", "osc:///#"],
+    [
+        "osc://a..b",
+        f"osc://{'x' * 300}",
+        "osc://127.0.0.1:0",
+        "osc:///a*b",
+        "osc:///ä",
+        "osc:///a b",
+        "osc:///#",
+    ],
 )
 def test_an_impossible_receiver_gives_one_sentence(where: str) -> None:
     osc = OscPublish.at(urlsplit(where.partition(":")[2], allow_fragments=False), None)
@@ -77,7 +99,10 @@ def test_an_absent_or_refusing_receiver_stops_nothing(host: str) -> None:
 def test_an_unreading_receiver_stops_nothing() -> None:
     sentences = list[str]()
     shown = Newest(frame(LARGE_PANEL).view)
-    with receiver() as place, publishing([OscPublish(port=place.getsockname()[1])], shown, sentences.append):
+    with (
+        receiver() as place,
+        publishing([OscPublish(port=place.getsockname()[1])], shown, sentences.append),
+    ):
         for number in range(100):
             shown.put(frame(LARGE_PANEL, number).view)
             time.sleep(0.002)
@@ -87,7 +112,10 @@ def test_an_unreading_receiver_stops_nothing() -> None:
 @pytest.mark.parametrize(("shape", "count"), [(SMALL_PANEL, 1), (LARGE_PANEL, 2)])
 def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], count: int) -> None:
     sentences = list[str]()
-    with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
+    with (
+        receiver() as place,
+        OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send),
+    ):
         send(frame(shape))
         addresses = [address for bundle in addresses_of(place, count) for address in bundle]
     expected = [
@@ -108,16 +136,23 @@ def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], coun
 
 
 def test_a_value_too_large_for_a_datagram_is_omitted_and_named_once() -> None:
-    """Maps of a panel, and the list of all that sucked during a long day: the numbers of a frame come."""
+    """Maps of a panel, and the list of all that sucked during a long day: the numbers of a frame
+    come.
+    """
     sentences = list[str]()
     detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)
     view = dataclasses.replace(frame(ENORMOUS_PANEL).view, detected=detected)
     message = Message.of(view)
     assert message is not None
-    with receiver() as place, OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send):
+    with (
+        receiver() as place,
+        OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send),
+    ):
         for _ in range(2):
             send(message)
         for bundle in addresses_of(place, 2):
             assert "/lampest/force" in bundle and "/lampest/cells" not in bundle
     named = [sentence.split(" ")[1] for sentence in sentences]
-    assert named == [f"/lampest/{name}" for name in ("change", "pressure", "cells", "sentence", "detection")]
+    assert named == [
+        f"/lampest/{name}" for name in ("change", "pressure", "cells", "sentence", "detection")
+    ]

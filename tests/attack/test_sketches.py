@@ -1,4 +1,6 @@
-"""Hostile results for the C export: numbers that are none or of no panel, and configurations of no estimator."""
+"""Hostile results for the C export: numbers that are none or of no panel, and configurations of no
+estimator.
+"""
 
 import contextlib
 import dataclasses
@@ -27,7 +29,14 @@ from lampest.report.export.microcontroller.constants import Constants
 from lampest.report.export.microcontroller.header import header
 
 NUMBERS = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e39, 1e-40, 1e300, -1e300)
-VALUES = ("baseline_resistance", "cell_resistance", "sigma", "sigma_own", "measured", "measured_baseline")
+VALUES = (
+    "baseline_resistance",
+    "cell_resistance",
+    "sigma",
+    "sigma_own",
+    "measured",
+    "measured_baseline",
+)
 MISFIT = "terms:\n- {{kind: misfit, weighting: noise{}}}\n"
 PENALTY = "terms:\n- {{kind: misfit, weighting: noise}}\n- {{kind: log_gradient, weight: 1.0{}}}\n"
 LOSSES = "squared", "{}", "{kind: huber, corner: x}", "{kind: [1]}"
@@ -50,7 +59,9 @@ def case_of(readout: Readout) -> CaseResult:
     scene = Scene(Panel(3, 4), readout)
     cells = np.random.default_rng(1).uniform(900, 2000, (5, 3, 4))
     recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
-    recording = Recording(scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8))
+    recording = Recording(
+        scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8)
+    )
     terms = [Misfit(weighting="noise"), LogGradient(weight=1.0)]
     return reconstruct(recording, terms, formulation="reduced").result("smooth")
 
@@ -63,7 +74,10 @@ def replaced(case: CaseResult, **changes: object) -> Iterator[CaseResult]:
 
 def hostile() -> Iterator[CaseResult]:
     """Cases with one value, or all, or the configuration replaced."""
-    cases = [case_of(TwoPointReadout(noise_lsb=0.7, readings=20)), case_of(DrivenReadout(noise_lsb=0.7))]
+    cases = [
+        case_of(TwoPointReadout(noise_lsb=0.7, readings=20)),
+        case_of(DrivenReadout(noise_lsb=0.7)),
+    ]
     for case in cases:
         for number in NUMBERS:
             text = {"nan": ".nan", "inf": ".inf", "-inf": "-.inf"}.get(str(number), f"{number:e}")
@@ -73,8 +87,14 @@ def hostile() -> Iterator[CaseResult]:
                     values.reshape(-1)[chosen] = number
                     yield from replaced(case, **{name: values})
             yield from replaced(case, weights={name: np.full(3, number) for name in case.weights})
-            configured = [pattern.format(f", loss: {{kind: huber, corner: {text}}}") for pattern in (MISFIT, PENALTY)]
-            configured += [MISFIT.format(f", weight: {text}"), PENALTY.format("") + f"bounds: {{lower: {text}}}\n"]
+            configured = [
+                pattern.format(f", loss: {{kind: huber, corner: {text}}}")
+                for pattern in (MISFIT, PENALTY)
+            ]
+            configured += [
+                MISFIT.format(f", weight: {text}"),
+                PENALTY.format("") + f"bounds: {{lower: {text}}}\n",
+            ]
             configured.append(PENALTY.format("") + f"bounds: {{upper: {text}}}\n")
             configured += CONFIGURATIONS
             for content in configured:
@@ -86,7 +106,9 @@ def hostile() -> Iterator[CaseResult]:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @attack(60, 1000)
-def test_hostile_results_give_a_sound_header_or_are_refused(rng: Rng, _: object, count: int) -> Outcomes:
+def test_hostile_results_give_a_sound_header_or_are_refused(
+    rng: Rng, _: object, count: int
+) -> Outcomes:
     """A compiler refused NaN, and without one it was written."""
     for number, case in drawn(rng, [*hostile()], count):
         try:
@@ -94,21 +116,35 @@ def test_hostile_results_give_a_sound_header_or_are_refused(rng: Rng, _: object,
         except InputError as error:
             yield PASSED if str(error).count("\n") == 0 else f"{number}: {error}"
             continue
-        numbers = [float(word[:-1]) for word in FLOAT.findall(text.partition("lampest_estimate.h")[2])]
+        numbers = [
+            float(word[:-1]) for word in FLOAT.findall(text.partition("lampest_estimate.h")[2])
+        ]
         sound = all(value == 0 or 1e-37 <= abs(value) <= 3e38 for value in numbers)
-        yield PASSED if sound and numbers else f"{number}: {sorted(numbers)[:2]}, {sorted(numbers)[-2:]}"
+        yield (
+            PASSED
+            if sound and numbers
+            else f"{number}: {sorted(numbers)[:2]}, {sorted(numbers)[-2:]}"
+        )
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
         ({"weights": {"log_gradient": np.full(3, -1.0)}}, "takes weights from 0 to 1e+30, not -1"),
-        ({"baseline_resistance": np.full((3, 4), 1e-4)}, "takes cells at rest, ohm, from 0.001 to 1e+09, not 0.0001"),
+        (
+            {"baseline_resistance": np.full((3, 4), 1e-4)},
+            "takes cells at rest, ohm, from 0.001 to 1e+09, not 0.0001",
+        ),
         ({"case_yaml": "terms: 3"}, "its stored configuration is none that lampest writes"),
-        ({"case_yaml": PENALTY.format("") + "bounds: {lower: 5e3, upper: 1e3}\n"}, "the lower one, 5000 ohm, exceeds"),
+        (
+            {"case_yaml": PENALTY.format("") + "bounds: {lower: 5e3, upper: 1e3}\n"},
+            "the lower one, 5000 ohm, exceeds",
+        ),
     ],
 )
-def test_constants_of_unsupported_results_are_refused(changes: dict[str, object], sentence: str) -> None:
+def test_constants_of_unsupported_results_are_refused(
+    changes: dict[str, object], sentence: str
+) -> None:
     case = dataclasses.replace(case_of(TwoPointReadout(noise_lsb=0.7, readings=20)), **changes)
     with pytest.raises(InputError, match=re.escape(sentence)):
         Constants.of(case)

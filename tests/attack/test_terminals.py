@@ -26,7 +26,9 @@ def test_a_recording_continues_while_its_terminal_is_blocked(tmp_path: Path) -> 
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), terminal)
     with (
         wild_board(hundred_a_second) as board,
-        subprocess.Popen([*script, board.port], env=environment(), start_new_session=True, **pipes) as process,
+        subprocess.Popen(
+            [*script, board.port], env=environment(), start_new_session=True, **pipes
+        ) as process,
     ):
         try:
             until(out.exists, 60)

@@ -1,4 +1,6 @@
-"""Values of other types at every public name: each is refused in one sentence, or taken for what it says."""
+"""Values of other types at every public name: each is refused in one sentence, or taken for what it
+says.
+"""
 
 import dataclasses
 import datetime
@@ -16,10 +18,35 @@ import lampest
 from lampest.files.typed import Validated
 
 WRONG_VALUES: tuple[Any, ...] = (
-    None, "x", "", b"x", True, -1, 0, 10.5, 1e300, float("nan"), float("inf"), 10**400, 2 + 3j, [], {}, set(), object(),
-    type, lambda: 0, ["a", None], np.array(["a"]), np.ma.masked_array([1.0, 2.0], [True, False]), np.array([1 + 2j]),
-    [[1, 2], [3]], Path("x"), datetime.date(2026, 5, 4), {"kind": "x"}, lampest.Panel(2, 2),
-)  # fmt: skip
+    None,
+    "x",
+    "",
+    b"x",
+    True,
+    -1,
+    0,
+    10.5,
+    1e300,
+    float("nan"),
+    float("inf"),
+    10**400,
+    2 + 3j,
+    [],
+    {},
+    set(),
+    object(),
+    type,
+    lambda: 0,
+    ["a", None],
+    np.array(["a"]),
+    np.ma.masked_array([1.0, 2.0], [True, False]),
+    np.array([1 + 2j]),
+    [[1, 2], [3]],
+    Path("x"),
+    datetime.date(2026, 5, 4),
+    {"kind": "x"},
+    lampest.Panel(2, 2),
+)
 MADE_BY_LAMPEST = {
     *("Data", "Estimates", "ModelCheck", "Outcome", "Readings", "Reconstruction", "Results"),
     *("OwnProgram", "OwnSolution", "Solution", "State", "Step", "Stream"),
@@ -27,23 +54,37 @@ MADE_BY_LAMPEST = {
 
 
 @attack(3, len(WRONG_VALUES))
-def test_every_field_of_every_public_class_refuses_wrong_values(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_every_field_of_every_public_class_refuses_wrong_values(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     recording = lampest.datasets.load("rod")
     good: dict[str, dict[str, Any]] = {
         "Panel": {"rows": 3, "columns": 4},
         "Scene": {"panel": lampest.Panel(3, 4)},
         "Huber": {"corner": 3.0},
         "Estimator": {"terms": (lampest.Misfit(),)},
-        "Recording": {name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")},
+        "Recording": {
+            name: getattr(recording, name) for name in ("scene", "recorded", "time", "role")
+        },
     }
     for name in sorted(set(lampest.__all__) - MADE_BY_LAMPEST):
         kind = getattr(lampest, name)
-        if not inspect.isclass(kind) or not dataclasses.is_dataclass(kind) or inspect.isabstract(kind):
+        if (
+            not inspect.isclass(kind)
+            or not dataclasses.is_dataclass(kind)
+            or inspect.isabstract(kind)
+        ):
             continue
-        yield PASSED if issubclass(kind, Validated) or kind is lampest.Estimator else f"{name} is not checked"
+        yield (
+            PASSED
+            if issubclass(kind, Validated) or kind is lampest.Estimator
+            else f"{name} is not checked"
+        )
         for word in inspect.signature(kind).parameters:
             for index in rng.permutation(len(WRONG_VALUES))[:count]:
-                yield _refused(kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG_VALUES[index]})
+                yield _refused(
+                    kind, f"{name}: {word}", good.get(name, {}) | {word: WRONG_VALUES[index]}
+                )
 
 
 @attack(3, len(WRONG_VALUES))
@@ -53,7 +94,9 @@ def test_public_functions_refuse_wrong_values(rng: Rng, folder: Path, count: int
         if not inspect.isfunction(function) or not inspect.signature(function).parameters:
             continue
         _, *parameters = inspect.signature(function).parameters.values()
-        given = {parameter.name: None for parameter in parameters if parameter.default is parameter.empty}
+        given = {
+            parameter.name: None for parameter in parameters if parameter.default is parameter.empty
+        }
         for index in rng.permutation(len(WRONG_VALUES))[:count]:
             if not isinstance(WRONG_VALUES[index], str | Path | np.ndarray):
                 yield _refused(partial(function, WRONG_VALUES[index]), name, given)
@@ -76,7 +119,9 @@ def test_inconsistent_values_are_refused_together(rng: Rng, folder: Path, count:
     for word, value in (("measured_across", "x"), ("adc_bits", 10.5), ("supply_volt", 5000.0)):
         yield _refused(lampest.TwoPointReadout, word, {word: value}, must=True)
     yield _refused(lampest.Panel, "rows", {"rows": "5", "columns": 6}, must=True)
-    yield _refused(lampest.Scene, "readout", {"panel": lampest.Panel(3, 4), "readout": "two_point"}, must=True)
+    yield _refused(
+        lampest.Scene, "readout", {"panel": lampest.Panel(3, 4), "readout": "two_point"}, must=True
+    )
     yield _refused(lampest.Gradient, "weight", {"weight": 1e300}, must=True)
 
 
@@ -94,13 +139,17 @@ def _refused(make: Any, call: str, given: dict[str, Any], must: bool = False) ->
 def test_readings_of_extended_precision_are_stored_as_doubles(tmp_path: Path) -> None:
     recording = lampest.datasets.load("rod")
     wide = recording.recorded.astype(np.longdouble)
-    extended = lampest.Recording(recording.scene, wide, recording.time.astype(np.longdouble), recording.role)
+    extended = lampest.Recording(
+        recording.scene, wide, recording.time.astype(np.longdouble), recording.role
+    )
     recording.save(path := tmp_path / "wide.h5")
     with h5py.File(path, "r+") as file:
         group = file["entry/two_point"]
         del group["resistance"]
         group["resistance"] = wide
     for variant in (extended, lampest.Recording.load(path)):
-        assert variant.recorded.dtype == float and np.array_equal(variant.recorded, recording.recorded)
+        assert variant.recorded.dtype == float and np.array_equal(
+            variant.recorded, recording.recorded
+        )
     completed = called("info", path)
     assert completed.code == 0 and "strongest change" in completed.out

@@ -1,4 +1,6 @@
-"""Numbers that no panel has, and panels of which next to nothing is left: sentences about the panel, no traceback."""
+"""Numbers that no panel has, and panels of which next to nothing is left: sentences about the
+panel, no traceback.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,39 +12,80 @@ from attack.attack import PASSED, SIMULATION, CompletedCommand, Outcomes, Rng, a
 from fuzz.batches import write_recording
 
 pytestmark = pytest.mark.slow
-EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
+EXTREME = (
+    1e300,
+    1e-300,
+    5e-324,
+    -1e300,
+    1e160,
+    1e29,
+    1e-29,
+    0.0,
+    -0.0,
+    1e12,
+    np.inf,
+    -np.inf,
+    np.nan,
+)
 # Words of the libraries behind; a user's panel has none of them.
 FOREIGN = (
-    "LinAlgError", "eigenvalue", "SVD", "leading minor", "out of bounds", "division by zero", "singular matrix",
-    "positive definite", "infs or NaNs", "broadcast", "index ", "bad_alloc", "NoneType", "math domain", "converge",
-    "overflow encountered", "invalid value", "zero-size array", "empty sequence", "nan_policy", "array must", "axis",
-)  # fmt: skip
+    "LinAlgError",
+    "eigenvalue",
+    "SVD",
+    "leading minor",
+    "out of bounds",
+    "division by zero",
+    "singular matrix",
+    "positive definite",
+    "infs or NaNs",
+    "broadcast",
+    "index ",
+    "bad_alloc",
+    "NoneType",
+    "math domain",
+    "converge",
+    "overflow encountered",
+    "invalid value",
+    "zero-size array",
+    "empty sequence",
+    "nan_policy",
+    "array must",
+    "axis",
+)
 ENTRIES = {
     "panel: {rows: 3, columns: 4": ("panel: {rows: 3, columns: 4, pitch_mm: VALUE",),
     "series_resistance_ohm: 140": (
-        "series_resistance_ohm: VALUE", "water: {top_row_depth_mm: VALUE}", "lines: {row_ohm_per_cell: VALUE}",
+        "series_resistance_ohm: VALUE",
+        "water: {top_row_depth_mm: VALUE}",
+        "lines: {row_ohm_per_cell: VALUE}",
         "systematic: {reference_tolerance: 0.01, channel_spread_ohm: VALUE}",
-        "systematic: {series_tolerance_ohm: VALUE}", "systematic: {inl_lsb: VALUE}",
-        "systematic: {reading_error: VALUE}", "systematic: {response_sd: VALUE}",
+        "systematic: {series_tolerance_ohm: VALUE}",
+        "systematic: {inl_lsb: VALUE}",
+        "systematic: {reading_error: VALUE}",
+        "systematic: {response_sd: VALUE}",
         "systematic: {wire_ohm_per_cell: VALUE}",
     ),
     "noise_lsb: 0.7": (
-        "noise_lsb: VALUE", "noise_lsb: 0.7, input_ohm: VALUE", "noise_lsb: 0.7, reference_ohm: VALUE",
+        "noise_lsb: VALUE",
+        "noise_lsb: 0.7, input_ohm: VALUE",
+        "noise_lsb: 0.7, reference_ohm: VALUE",
         "noise_lsb: 0.7, supply_volt: VALUE",
     ),
     "seed: 1": (
-        "seed: 1\nframe_period_s: VALUE", "seed: 1\ncells: {resistance_ohm: VALUE}",
+        "seed: 1\nframe_period_s: VALUE",
+        "seed: 1\ncells: {resistance_ohm: VALUE}",
         "seed: 1\ncells: {patch_mm: VALUE}",
         "seed: 1\nloads: [{kind: rod, centre_mm: [VALUE, 10], diameter_mm: 20, mass_g: 100}]",
         "seed: 1\nloads: [{kind: rod, centre_mm: [10, 10], diameter_mm: VALUE, mass_g: 100}]",
         "seed: 1\nloads: [{kind: rod, centre_mm: [10, 10], diameter_mm: 20, mass_g: VALUE}]",
     ),
-}  # fmt: skip
+}
 RUN = (
     "schema: 1\nrecordings: [small.h5]\nestimators:\n"
     "  LSM: {terms: {misfit: {}}}\n"
     "  LSR-CR: {terms: {misfit: {}, cell_resistance: {weight: 1e-3}}, formulation: reduced}\n"
-    "  LSR-gdCR: {terms: {misfit: {}, gradient_of_relative_change: {weight: auto}}, formulation: auto}\n"
+    "  LSR-gdCR: {terms: {misfit: {}, gradient_of_relative_change: {weight: auto}}, formulation: "
+    "auto}\n"
 )
 
 
@@ -61,8 +104,15 @@ def _tried(description: str, place: Path, commands: Commands) -> Iterator[str]:
 
 
 @attack(4, 60)
-def test_scenes_with_impossible_numbers_give_one_sentence(rng: Rng, folder: Path, count: int) -> Outcomes:
-    tries = [(old, new, value) for old, several in ENTRIES.items() for new in several for value in EXTREME]
+def test_scenes_with_impossible_numbers_give_one_sentence(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
+    tries = [
+        (old, new, value)
+        for old, several in ENTRIES.items()
+        for new in several
+        for value in EXTREME
+    ]
     for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
         place.mkdir()
@@ -72,7 +122,9 @@ def test_scenes_with_impossible_numbers_give_one_sentence(rng: Rng, folder: Path
         simulate = (("simulate", "small.yaml", "--out", "small.h5"),)
         description = f"{new.splitlines()[-1]} of {value}"
         yield from _tried(description, place, simulate)
-        yield from _tried(description, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
+        yield from _tried(
+            description, place, RUNS + LOOKS if (place / "small.h5").is_file() else ()
+        )
 
 
 @attack(1, 6)
@@ -100,4 +152,6 @@ def test_panels_with_few_readings_give_one_sentence(rng: Rng, folder: Path, coun
 def sensible(completed: CompletedCommand) -> str:
     """Return PASSED where a command did its work, or said in words of the panel why not."""
     foreign = [word for word in FOREIGN if word in completed.err]
-    return completed.survived() or (f"speaks of {foreign}: {completed.err[-300:]}" if foreign else PASSED)
+    return completed.survived() or (
+        f"speaks of {foreign}: {completed.err[-300:]}" if foreign else PASSED
+    )

@@ -41,14 +41,20 @@ FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "
 
 
 @attack(18, 18)
-def test_empty_and_root_paths_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_empty_and_root_paths_are_refused_as_outputs(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     work_folder = small_folder(folder / "work")
-    for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
+    for _, (writer, place) in drawn(
+        rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count
+    ):
         yield _untouched(work_folder, (*writer, place))
 
 
 @attack(12, 30)
-def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     work_folder = _beside_precious(folder, "work")
     kinds = ["pipe", "folder", "link", "socket"]
     os.mkfifo(work_folder / "pipe.h5")
@@ -60,14 +66,22 @@ def test_devices_pipes_sockets_folders_and_links_are_refused_as_outputs(rng: Rng
         with contextlib.suppress(PermissionError):
             os.mknod(work_folder / "device.h5", 0o600 | 0o020000, os.makedev(1, 3))
             kinds.append("device")
-        for _, (writer, kind) in drawn(rng, [(writer, kind) for writer in FILES for kind in kinds], count):
+        for _, (writer, kind) in drawn(
+            rng, [(writer, kind) for writer in FILES for kind in kinds], count
+        ):
             yield _untouched(work_folder, (*writer, f"{kind}.h5")) or _precious(folder)
 
 
 @attack(12, 100)
-def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder: Path, count: int) -> Outcomes:
+def test_every_input_of_every_command_is_refused_as_its_output(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
     cases = [
-        (words, read, prefix) for words in INPUTS for read in words if "." in read for prefix in ("", "./", "hard")
+        (words, read, prefix)
+        for words in INPUTS
+        for read in words
+        if "." in read
+        for prefix in ("", "./", "hard")
     ]
     for index, (words, read, prefix) in drawn(rng, cases, count):
         work_folder = _inputs(folder / f"work{index}")
@@ -79,7 +93,9 @@ def test_every_input_of_every_command_is_refused_as_its_output(rng: Rng, folder:
     shutil.copy(work_folder / "results.h5", work_folder / "detections.h5")
     yield _untouched(work_folder, ("detect", "detections.h5"), "is an input")
     for place in ("z", "./z"):
-        yield _untouched(work_folder, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs")
+        yield _untouched(
+            work_folder, ("compare", "results.h5", "--csv", "z", "--report", place), "two outputs"
+        )
 
 
 def _inputs(work_folder: Path) -> Path:
@@ -91,12 +107,18 @@ def _inputs(work_folder: Path) -> Path:
     np.savetxt(work_folder / "known.csv", known, delimiter=",")
     np.save(work_folder / "known.npy", known)
     read = np.tile(two_point_resistance(known) + 140.0, (9, 1, 1))
-    recording = Recording(Scene(scene, TwoPointReadout(), 140.0), read, np.arange(9.0), np.ones(9, dtype=np.uint8))
+    recording = Recording(
+        Scene(scene, TwoPointReadout(), 140.0), read, np.arange(9.0), np.ones(9, dtype=np.uint8)
+    )
     recording.save(work_folder / "known.h5")
-    (work_folder / "loads.yaml").write_text("schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n")
+    (work_folder / "loads.yaml").write_text(
+        "schema: 1\nloads: [{frames: [1, 2], pressure_kpa: 5}]\n"
+    )
     (work_folder / "loads.csv").write_text("frames,pressure_kpa\n1:2,5\n")
     estimators = "estimators: {CR: {terms: {misfit: {}, cell_resistance: {weight: auto}}}}\n"
-    (work_folder / "weights.yaml").write_text(f"schema: 1\nrecordings: [small.h5]\nformulation: reduced\n{estimators}")
+    (work_folder / "weights.yaml").write_text(
+        f"schema: 1\nrecordings: [small.h5]\nformulation: reduced\n{estimators}"
+    )
     return work_folder
 
 
@@ -131,7 +153,9 @@ def test_outputs_replaced_by_links_or_pipes_are_refused_and_foreign_files_surviv
     (work_folder / "out" / "cases").unlink()
     completed = called(*run, folder=work_folder)
     yield PASSED if completed.code == 0 else completed.described("the run failed")
-    untouched = [path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"]
+    untouched = [
+        path for path in folder.rglob(".theirs.h5.17.part") if path.read_text() == "precious"
+    ]
     yield PASSED if len(untouched) == 2 else "an unfinished file of another is gone"
     (work_folder / "out" / ".lock").unlink(missing_ok=True)
     os.mkfifo(work_folder / "out" / ".lock")
@@ -157,7 +181,9 @@ def _untouched(folder: Path, arguments: tuple[str, ...], *words: str) -> str:
     return f"{' '.join(arguments)}: {fault}" if fault else PASSED
 
 
-def test_the_folder_of_a_new_file_is_synced_after_renaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_of_a_new_file_is_synced_after_renaming(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Files and journals: what a power failure leaves of a folder is what was synced."""
     synced = list[bool]()
     sync = os.fsync

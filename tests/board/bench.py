@@ -1,4 +1,6 @@
-"""The simulated board for the tests: built by firmware/Makefile, driven by a truth; the real command."""
+"""The simulated board for the tests: built by firmware/Makefile, driven by a truth; the real
+command.
+"""
 
 import fcntl
 import json
@@ -27,10 +29,14 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 @cache
 def built(wiring: str = "two_point") -> Path:
-    """Build firmware/, one process at a time, and return its folder; a missing package fails the test by its name."""
+    """Build firmware/, one process at a time, and return its folder; a missing package fails the
+    test by its name.
+    """
     with (FIRMWARE / "Makefile").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        completed = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
+        completed = subprocess.run(
+            ["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True
+        )
     if completed.returncode:
         pytest.fail(completed.stderr.strip(), pytrace=False)
     return FIRMWARE / "build" / ("" if wiring == "two_point" else wiring)
@@ -60,7 +66,9 @@ def bench(
     wiring: str = "two_point",
     sketch: str = "lampest_board",
 ) -> Iterator[Bench]:
-    """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
+    """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every
+    `period` s.
+    """
     words = (built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf")
     with _running(folder, words, cells, options, period) as running:
         yield running
@@ -68,12 +76,28 @@ def bench(
 
 @contextmanager
 def portable_bench(
-    folder: Path, constants: Path, cells: Array, *options: object, period: float = 1.0, sketch: str = ESTIMATING
+    folder: Path,
+    constants: Path,
+    cells: Array,
+    *options: object,
+    period: float = 1.0,
+    sketch: str = ESTIMATING,
 ) -> Iterator[Bench]:
-    """A board with a sketch that estimates, by the constants of an exported folder, as a program of this computer."""
+    """A board with a sketch that estimates, by the constants of an exported folder, as a program of
+    this computer.
+    """
     build = constants / "build"
     path = FIRMWARE / sketch
-    words = ["make", "-s", "-C", FIRMWARE, "portable", f"PANEL={constants}", f"BUILD={build}", f"PORTABLE={path}"]
+    words = [
+        "make",
+        "-s",
+        "-C",
+        FIRMWARE,
+        "portable",
+        f"PANEL={constants}",
+        f"BUILD={build}",
+        f"PORTABLE={path}",
+    ]
     subprocess.run([str(word) for word in words], check=True)
     with _running(folder, (build / "portable_board",), cells, options, period) as running:
         yield running
@@ -81,7 +105,11 @@ def portable_bench(
 
 @contextmanager
 def _running(
-    folder: Path, program: tuple[object, ...], cells: Array, options: tuple[object, ...], period: float
+    folder: Path,
+    program: tuple[object, ...],
+    cells: Array,
+    options: tuple[object, ...],
+    period: float,
 ) -> Iterator[Bench]:
     sys.path.insert(0, str(FIRMWARE / "simulated_board"))
     from truth import truth_text
@@ -102,12 +130,22 @@ def _running(
 def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
     """What the simulated board is by default: two multiplexers of 70 ohm, noise of 0.7 LSB."""
     readout = TwoPointReadout(readings=readings, noise_lsb=0.7)
-    return Scene(Panel(rows, columns), readout, changes.get("series_resistance_ohm", 2 * MULTIPLEXER_OHM))
+    return Scene(
+        Panel(rows, columns), readout, changes.get("series_resistance_ohm", 2 * MULTIPLEXER_OHM)
+    )
 
 
 def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
-    """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at every column."""
-    known = {"load_ohm": 10_000.0, "drive_ohm": MULTIPLEXER_OHM, "supply_volt": 5.0, "adc_bits": 10, "noise_lsb": 0.7}
+    """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at
+    every column.
+    """
+    known = {
+        "load_ohm": 10_000.0,
+        "drive_ohm": MULTIPLEXER_OHM,
+        "supply_volt": 5.0,
+        "adc_bits": 10,
+        "noise_lsb": 0.7,
+    }
     return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, **(known | changes)))
 
 
@@ -119,11 +157,15 @@ def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: i
 def lampest(*words: object, code: int = 0) -> tuple[str, str]:
     """Standard output and error of a command that ends with `code`."""
     completed = run_command(*words, stdin=subprocess.DEVNULL, env=os.environ | ONE_THREAD)
-    assert completed.returncode == code, f"{completed.returncode}: {completed.stdout}{completed.stderr}"
+    assert completed.returncode == code, (
+        f"{completed.returncode}: {completed.stdout}{completed.stderr}"
+    )
     return completed.stdout, completed.stderr
 
 
-def scene_file(folder: Path, rows: int = 10, columns: int = 10, readings: int = 20, **changes: float) -> Path:
+def scene_file(
+    folder: Path, rows: int = 10, columns: int = 10, readings: int = 20, **changes: float
+) -> Path:
     """The simulated board's scene as YAML."""
     path = folder / "scene.yaml"
     written = scene(rows, columns, readings, **changes)

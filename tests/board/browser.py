@@ -1,4 +1,6 @@
-"""A headless Chromium for the tests, driven through chromedriver's plain HTTP; nothing beyond the standard library."""
+"""A headless Chromium for the tests, driven through chromedriver's plain HTTP; nothing beyond the
+standard library.
+"""
 
 import base64
 import json
@@ -15,7 +17,8 @@ from urllib.request import Request, urlopen
 import pytest
 
 FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run "
+    "--disable-background-networking "
     "--disable-component-update --disable-sync --hide-scrollbars"
 )
 PACKAGES = "chromium chromium-driver"
@@ -41,11 +44,15 @@ class Browser:
     def resized(self, width: int, height: int, scheme: str = "light") -> None:
         """A screen of so many pixels, light or dark, however small the window can be."""
         screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        self._ask("POST", "/goog/cdp/execute", cmd="Emulation.setDeviceMetricsOverride", params=screen)
+        self._ask(
+            "POST", "/goog/cdp/execute", cmd="Emulation.setDeviceMetricsOverride", params=screen
+        )
         wish = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
         self._ask("POST", "/goog/cdp/execute", cmd="Emulation.setEmulatedMedia", params=wish)
 
-    def until(self, script: str, expected: Callable[[Any], bool] = bool, seconds: float = 20.0) -> Any:
+    def until(
+        self, script: str, expected: Callable[[Any], bool] = bool, seconds: float = 20.0
+    ) -> Any:
         """What a script returns once that is what is wanted."""
         end = time.monotonic() + seconds
         while not expected(answer := self.run(script)):
@@ -73,25 +80,36 @@ def ask(method: str, url: str, body: dict[str, Any]) -> Any:
 
 @contextmanager
 def browser(folder: Path, width: int = 1280, height: int = 1000) -> Iterator[Browser]:
-    """A new, empty browser; where the package is missing the test fails with the sentence that names it."""
+    """A new, empty browser; where the package is missing the test fails with the sentence that
+    names it.
+    """
     chromium = shutil.which("chromium")
     driver = shutil.which("chromedriver")
     if not chromium or not driver:
         pytest.fail(
-            f"The page of lampest live is tested in Chromium; install it with: apt-get install {PACKAGES}",
+            "The page of lampest live is tested in Chromium; install it with: apt-get install "
+            f"{PACKAGES}",
             pytrace=False,
         )
     words = [driver, "--port=0"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         try:
             base = f"http://127.0.0.1:{listening_port(process)}"
-            arguments = [*FLAGS.split(), f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}"]
+            arguments = [
+                *FLAGS.split(),
+                f"--user-data-dir={folder / 'browser'}",
+                f"--window-size={width},{height}",
+            ]
             capabilities = {
                 "browserName": "chrome",
                 "goog:chromeOptions": {"binary": chromium, "args": arguments},
                 "goog:loggingPrefs": {"browser": "ALL"},
             }
-            session = ask("POST", f"{base}/session", {"capabilities": {"alwaysMatch": capabilities}})["sessionId"]
+            session = ask(
+                "POST", f"{base}/session", {"capabilities": {"alwaysMatch": capabilities}}
+            )["sessionId"]
             try:
                 yield Browser(f"{base}/session/{session}")
             finally:

@@ -6,12 +6,45 @@ import lampest
 
 CIRCUITS = {
     "two_point": {"kind": "two_point", "noise_lsb": 0.7},
-    "two_point_across_sensor": {"kind": "two_point", "measured_across": "sensor", "noise_lsb": 0.7, "input_ohm": 1e6},
-    "loaded_columns": {"kind": "loaded_columns", "load_ohm": 1000.0, "drive_ohm": 100.0, "noise_lsb": 0.7},
-    "pull_ups": {"kind": "loaded_columns", "load_ohm": 3000.0, "drive_ohm": 30.0, "noise_lsb": 0.7, "polarity": "down"},
-    "driven_columns": {"kind": "loaded_columns", "load_ohm": 1000.0, "noise_lsb": 0.7, "driven": "columns"},
-    "grounded_all": {"kind": "grounded", "sense": "all", "drive_ohm": 50.0, "load_ohm": 1000.0, "noise_lsb": 0.7},
-    "grounded_one": {"kind": "grounded", "sense": "one", "drive_ohm": 50.0, "load_ohm": 1000.0, "noise_lsb": 0.7},
+    "two_point_across_sensor": {
+        "kind": "two_point",
+        "measured_across": "sensor",
+        "noise_lsb": 0.7,
+        "input_ohm": 1e6,
+    },
+    "loaded_columns": {
+        "kind": "loaded_columns",
+        "load_ohm": 1000.0,
+        "drive_ohm": 100.0,
+        "noise_lsb": 0.7,
+    },
+    "pull_ups": {
+        "kind": "loaded_columns",
+        "load_ohm": 3000.0,
+        "drive_ohm": 30.0,
+        "noise_lsb": 0.7,
+        "polarity": "down",
+    },
+    "driven_columns": {
+        "kind": "loaded_columns",
+        "load_ohm": 1000.0,
+        "noise_lsb": 0.7,
+        "driven": "columns",
+    },
+    "grounded_all": {
+        "kind": "grounded",
+        "sense": "all",
+        "drive_ohm": 50.0,
+        "load_ohm": 1000.0,
+        "noise_lsb": 0.7,
+    },
+    "grounded_one": {
+        "kind": "grounded",
+        "sense": "one",
+        "drive_ohm": 50.0,
+        "load_ohm": 1000.0,
+        "noise_lsb": 0.7,
+    },
     "virtual_ground": {
         "kind": "virtual_ground",
         "drive_ohm": 70.0,
@@ -45,7 +78,9 @@ def scene_of(circuit, rows=6, columns=5, cells=None, series_ohm=0.0, **keys):
 
 
 def pressed_cells(scene, frames=8, rest=3, seed=0, ohm=4000.0, strength=1.2):
-    """Return cells (frames, rows, columns) ohm: at rest, then under a press that moves along a diagonal."""
+    """Return cells (frames, rows, columns) ohm: at rest, then under a press that moves along a
+    diagonal.
+    """
     rng = np.random.default_rng(seed)
     rows, columns = scene.panel.shape
     resting = ohm * np.exp(0.2 * rng.standard_normal((rows, columns)))
@@ -54,7 +89,9 @@ def pressed_cells(scene, frames=8, rest=3, seed=0, ohm=4000.0, strength=1.2):
         share = max(frame - rest, 0) / max(frames - rest, 1)
         place = np.array([rows - 1, columns - 1]) * (0.3 + 0.3 * share)
         distance = np.hypot(*(np.indices((rows, columns)) - place[:, None, None]))
-        cells.append(resting * np.exp(-strength * (frame >= rest) * np.exp(-((distance / 1.2) ** 2))))
+        cells.append(
+            resting * np.exp(-strength * (frame >= rest) * np.exp(-((distance / 1.2) ** 2)))
+        )
     return np.where(scene.panel.present, cells, 1e12)
 
 
@@ -63,7 +100,9 @@ def sums_of(scene, cells, seed=1):
     rng = np.random.default_rng(seed)
     readout = scene.circuit
     zero = np.zeros(scene.panel.rows), np.zeros(scene.panel.columns)
-    volt = readout.volt_from_recorded(np.array([readout.simulated(frame, scene, *zero) for frame in cells]))
+    volt = readout.volt_from_recorded(
+        np.array([readout.simulated(frame, scene, *zero) for frame in cells])
+    )
     codes = volt[..., None] / readout.lsb_volt + readout.noise_lsb * rng.standard_normal(
         (*volt.shape, readout.readings)
     )
@@ -81,5 +120,7 @@ def solved_case(scene, terms, seed=0, sums=None, rest=3, **options):
     """Return (sums of the measured frames, CaseResult) of a simulated recording."""
     if sums is None:
         sums = sums_of(scene, pressed_cells(scene, rest=rest, seed=seed), seed + 1)
-    estimate = lampest.reconstruct(recording_of(scene, sums, rest), list(terms), formulation="reduced", **options)
+    estimate = lampest.reconstruct(
+        recording_of(scene, sums, rest), list(terms), formulation="reduced", **options
+    )
     return sums[rest:], estimate.result("estimator")

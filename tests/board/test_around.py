@@ -1,4 +1,6 @@
-"""What stands around the board: missing packages, ports, keys, and costs of its firmware as its README has them."""
+"""What stands around the board: missing packages, ports, keys, and costs of its firmware as its
+README has them.
+"""
 
 import os
 import re
@@ -30,8 +32,12 @@ def test_one_sentence_names_missing_packages(tmp_path: Path) -> None:
     completed = subprocess.run(words, capture_output=True, text=True)
     assert completed.returncode
     first = completed.stderr.splitlines()[0]
-    assert first.startswith("firmware: compilers for the board are missing; install them with: apt-get install gcc-avr")
-    packages = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "packages"], capture_output=True, text=True).stdout
+    assert first.startswith(
+        "firmware: compilers for the board are missing; install them with: apt-get install gcc-avr"
+    )
+    packages = subprocess.run(
+        ["make", "-s", "-C", str(FIRMWARE), "packages"], capture_output=True, text=True
+    ).stdout
     assert first.endswith(packages.strip())
 
 
@@ -46,7 +52,11 @@ def test_ports_that_look_like_an_arduino_come_first(monkeypatch: pytest.MonkeyPa
     modem = SimpleNamespace(device="/dev/ttyS0", description="modem", vid=None)
     mega = SimpleNamespace(device="/dev/ttyACM0", description="Arduino Mega 2560", vid=0x2341)
     usb_serial = SimpleNamespace(device="/dev/ttyUSB0", description="USB serial", vid=0x1A86)
-    for present, url in (([modem, mega], mega.device), ([modem], None), ([modem, mega, usb_serial], None)):
+    for present, url in (
+        ([modem, mega], mega.device),
+        ([modem], None),
+        ([modem, mega, usb_serial], None),
+    ):
         monkeypatch.setattr(port.list_ports, "comports", lambda present=present: present)
         assert port.ports()[-1].url == modem.device
         if url:
@@ -56,7 +66,9 @@ def test_ports_that_look_like_an_arduino_come_first(monkeypatch: pytest.MonkeyPa
                 port.only_port()
 
 
-def test_keys_are_read_one_by_one_and_the_terminal_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_are_read_one_by_one_and_the_terminal_is_restored(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Without a terminal no key is pressed."""
     import termios
 
@@ -84,7 +96,8 @@ def test_flash_and_memory_match_the_readme() -> None:
     output = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     flash, memory = (int(number) for number in re.findall(r"(\d+) of", output))
     stated = [int(number) for number in re.findall(r"(\d+) of (?:253952|8192)", README)]
-    # Another version of the compiler may differ a little; what must not happen is that nobody notices.
+    # Another version of the compiler may differ a little; what must not happen is that nobody
+    # notices.
     assert stated == pytest.approx([flash, memory], rel=0.05)
     # Half of the memory stays for the stack.
     assert memory < 4096
@@ -94,15 +107,21 @@ def test_flash_and_memory_match_the_readme() -> None:
 def test_a_board_keeps_the_shortest_period_of_the_table(
     tmp_path: Path, rows: int, columns: int, readings: int, period_ms: float, rate: float
 ) -> None:
-    """At the shortest period that the board accepts no tick is missed and no frame lost; it is the table's."""
+    """At the shortest period that the board accepts no tick is missed and no frame lost; it is the
+    table's.
+    """
     frames = 40
-    with bench(tmp_path, some_cells(np.random.default_rng(1), 1, rows, columns), "--no-reset-on-open") as board:
+    with bench(
+        tmp_path, some_cells(np.random.default_rng(1), 1, rows, columns), "--no-reset-on-open"
+    ) as board:
         with port.Board.open(board.port) as opened:
             opened.hello()
             shortest = opened.start(rows, columns, readings, None).shortest_period_us
             opened.stop()
         known = scene(rows, columns, readings)
-        summary = record(board.port, tmp_path / "r.h5", frames=frames, scene=known, period=shortest / 1e6)
+        summary = record(
+            board.port, tmp_path / "r.h5", frames=frames, scene=known, period=shortest / 1e6
+        )
         figures = board.stop()
     recording = Recording.load(tmp_path / "r.h5")
     assert summary.lost == 0 and not recording.acquisition.missed.any()

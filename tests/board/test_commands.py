@@ -25,19 +25,38 @@ def test_recorded_board_frames_give_the_cells(tmp_path: Path, wiring: str) -> No
     known = scene() if wiring == "two_point" else loaded_scene()
     (tmp_path / "scene.yaml").write_text(to_yaml(known))
     with bench(tmp_path, truth, wiring=wiring) as board:
-        words = ("--port", board.port, "--out", out, "--scene", tmp_path / "scene.yaml", "--baseline", baseline)
+        words = (
+            "--port",
+            board.port,
+            "--out",
+            out,
+            "--scene",
+            tmp_path / "scene.yaml",
+            "--baseline",
+            baseline,
+        )
         output, complained = lampest("record", *words, "--count", len(truth))
-    assert output.startswith(f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0.")
+    assert output.startswith(
+        f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0."
+    )
     assert complained == "" and "frames     24: 3 unloaded, 21 measured" in lampest("info", out)[0]
-    group, signal, unit = ("two_point", "resistance", "ohm") if wiring == "two_point" else ("readings", "volt", "volt")
+    group, signal, unit = (
+        ("two_point", "resistance", "ohm")
+        if wiring == "two_point"
+        else ("readings", "volt", "volt")
+    )
     with h5py.File(out) as file:
         assert file["entry"].attrs["default"].decode() == group
         assert file[f"entry/{group}"].attrs["signal"].decode() == signal
         assert file[f"entry/{group}/{signal}"].attrs["units"].decode() == unit
     recording = Recording.load(out)
     assert recording.scene == known
-    (tmp_path / "run.yaml").write_text("schema: 1\nrecordings: [r.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
-    lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results", "--set", "formulation=reduced")
+    (tmp_path / "run.yaml").write_text(
+        "schema: 1\nrecordings: [r.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
+    )
+    lampest(
+        "run", tmp_path / "run.yaml", "--out", tmp_path / "results", "--set", "formulation=reduced"
+    )
     (case,) = read_results(tmp_path / "results" / "results.h5").cases
     error = np.median(np.abs(case.cell_resistance / truth[baseline:] - 1))
     assert case.solved.all() and error <= (0.01 if wiring == "two_point" else 0.02)
@@ -51,7 +70,10 @@ def test_shorted_lines_calibrate_the_next_recording(tmp_path: Path) -> None:
     scene = tmp_path / "scene.yaml"
     with bench(tmp_path, np.full((1, 10, 10), 1e-3)) as board:
         _, complained = lampest("record", "--port", board.port, "--out", shorted, "--seconds", 10)
-    assert complained.startswith("lampest: no series resistance is assumed") and complained.count("\n") == 1
+    assert (
+        complained.startswith("lampest: no series resistance is assumed")
+        and complained.count("\n") == 1
+    )
     output, _ = lampest("calibrate", shorted, "--out", scene)
     assert output.startswith("series resistance 1") and str(scene) in output
     calibrated: Scene = validated(read_document(scene), Scene)

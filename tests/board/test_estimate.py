@@ -1,4 +1,6 @@
-"""The C library of the estimate: the same as lampest's optimum, on the computer and on an emulated Cortex-M4F."""
+"""The C library of the estimate: the same as lampest's optimum, on the computer and on an emulated
+Cortex-M4F.
+"""
 
 import ctypes
 import shutil
@@ -21,13 +23,20 @@ from lampest.report.export.microcontroller.trade import chosen_budget, instructi
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 NOISY = lampest.Misfit(weighting="noise")
 EXACT = Budget(8, 60, 0.01)
-OVAL = tuple((i, k, 10.0 * k, 10.0 * i) for i in range(6) for k in range(5) if (i - 2.5) ** 2 + (k - 2) ** 2 < 8)
+OVAL = tuple(
+    (i, k, 10.0 * k, 10.0 * i)
+    for i in range(6)
+    for k in range(5)
+    if (i - 2.5) ** 2 + (k - 2) ** 2 < 8
+)
 FINE, BAD_CONSTANTS, TOO_FEW, UNDER_LOAD = range(4)
 MEGA_HERTZ = 16e6
 
 
 def deviations(case, changes):
-    """Return the rms deviation of each frame from the optimum, in standard deviations of the cells."""
+    """Return the rms deviation of each frame from the optimum, in standard deviations of the
+    cells.
+    """
     optimum = np.log(case.cell_resistance / case.baseline_resistance)
     square = ((changes - optimum) / case.sigma_own) ** 2
     return np.sqrt(np.nanmean(square, axis=(1, 2)))
@@ -35,7 +44,10 @@ def deviations(case, changes):
 
 def mostly_slow(*variants):
     """Return variants of which only the first is fast."""
-    return [variants[0], *(pytest.param(variant, marks=pytest.mark.slow) for variant in variants[1:])]
+    return [
+        variants[0],
+        *(pytest.param(variant, marks=pytest.mark.slow) for variant in variants[1:]),
+    ]
 
 
 def assert_same_optimum(scene, terms, tolerance=0.01):
@@ -47,7 +59,9 @@ def assert_same_optimum(scene, terms, tolerance=0.01):
     np.testing.assert_array_equal(Constants.of(case).sums_of(case), sums)
 
 
-@pytest.mark.parametrize("circuit", mostly_slow("grounded_one", *(name for name in CIRCUITS if name != "grounded_one")))
+@pytest.mark.parametrize(
+    "circuit", mostly_slow("grounded_one", *(name for name in CIRCUITS if name != "grounded_one"))
+)
 def test_every_circuit_reaches_the_optimum_of_lampest(circuit):
     assert_same_optimum(scene_of(circuit), [NOISY, lampest.LogGradient()])
 
@@ -55,17 +69,30 @@ def test_every_circuit_reaches_the_optimum_of_lampest(circuit):
 @pytest.mark.parametrize(
     "terms",
     mostly_slow(
-        [NOISY, lampest.LogGradient(weight=0.5), lampest.LogRatio(loss=lampest.Huber(corner=5.0), weight=1e-4)],
+        [
+            NOISY,
+            lampest.LogGradient(weight=0.5),
+            lampest.LogRatio(loss=lampest.Huber(corner=5.0), weight=1e-4),
+        ],
         [NOISY],
         [lampest.Misfit(), lampest.LogGradient()],
         [NOISY, lampest.Gradient()],
         [NOISY, lampest.CellResistance()],
         [NOISY, lampest.LogRatio(loss=lampest.Huber(corner=5.0))],
-        [NOISY, lampest.LogRatio(weight=0.01, loss=lampest.Student(corner=5.0), reference="previous")],
+        [
+            NOISY,
+            lampest.LogRatio(weight=0.01, loss=lampest.Student(corner=5.0), reference="previous"),
+        ],
         [NOISY, lampest.RelativeChange(weight=0.01)],
         [NOISY, lampest.GradientOfRelativeChange(weight=0.01)],
-        [lampest.Misfit(weighting="noise", loss=lampest.Huber(corner=2.0)), lampest.LogGradient(weight=1.0)],
-        [lampest.Misfit(weighting="noise", loss=lampest.Student(corner=3.0)), lampest.LogGradient(weight=1.0)],
+        [
+            lampest.Misfit(weighting="noise", loss=lampest.Huber(corner=2.0)),
+            lampest.LogGradient(weight=1.0),
+        ],
+        [
+            lampest.Misfit(weighting="noise", loss=lampest.Student(corner=3.0)),
+            lampest.LogGradient(weight=1.0),
+        ],
     ),
     ids=lambda terms: " + ".join(f"{term.kind}-{term.loss.kind}" for term in terms),
 )
@@ -76,7 +103,9 @@ def test_every_term_and_loss_reaches_the_optimum_of_lampest(terms):
 @pytest.mark.parametrize(
     "scene",
     mostly_slow(
-        scene_of("two_point", 5, 6, cells=tuple((k, i, y, x) for i, k, x, y in OVAL), series_ohm=140.0),
+        scene_of(
+            "two_point", 5, 6, cells=tuple((k, i, y, x) for i, k, x, y in OVAL), series_ohm=140.0
+        ),
         scene_of("two_point", 4, 7, series_ohm=140.0),
         scene_of("driven_columns", 4, 7),
         scene_of("grounded_one", 5, 6),
@@ -85,7 +114,16 @@ def test_every_term_and_loss_reaches_the_optimum_of_lampest(terms):
         scene_of("two_point", cells=OVAL),
         scene_of("grounded_all", cells=OVAL),
     ),
-    ids=["wide oval", "wide with channels", "wide", "wide grounded", "row", "column", "oval", "oval grounded"],
+    ids=[
+        "wide oval",
+        "wide with channels",
+        "wide",
+        "wide grounded",
+        "row",
+        "column",
+        "oval",
+        "oval grounded",
+    ],
 )
 def test_every_panel_shape_reaches_the_optimum_of_lampest(scene):
     assert_same_optimum(scene, [NOISY, lampest.LogGradient(weight=1.0)])
@@ -104,7 +142,9 @@ def lamprey(tmp_path_factory):
 def emulated(folder, build):
     """Return (instructions, log changes) of the frames of a sketch on the emulated Cortex-M4F."""
     words = ["make", "-s", "-C", str(FIRMWARE), f"PANEL={folder}", f"BUILD={build}", "emulated"]
-    begin, *lines = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+    begin, *lines = subprocess.run(
+        words, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     assert begin == f"begin {FINE}"
     fields = [line.split() for line in lines]
     bits = np.array([[int(number, 16) for number in frame[4:]] for frame in fields], np.uint32)
@@ -112,7 +152,7 @@ def emulated(folder, build):
 
 
 @pytest.mark.slow
-def test_a_lamprey_takes_one_and_a_half_million_instructions_and_deviates_by_a_twentieth_of_its_error(
+def test_a_lamprey_takes_1_5_million_instructions_and_deviates_by_a_twentieth_of_its_error(
     lamprey, tmp_path
 ):
     path, case = lamprey
@@ -128,7 +168,9 @@ def test_a_lamprey_takes_one_and_a_half_million_instructions_and_deviates_by_a_t
     assert counted[1:].mean() < 1.5e6
     # The same bits: single precision of the computer, kept in double
     np.testing.assert_array_equal(changes.reshape(-1, 10, 10), estimates.log_change[: len(changes)])
-    reckoned = instructions(constants, estimates.products - estimates.steps, estimates.steps)[: len(counted)]
+    reckoned = instructions(constants, estimates.products - estimates.steps, estimates.steps)[
+        : len(counted)
+    ]
     np.testing.assert_allclose(reckoned, counted, rtol=0.15)
 
 
@@ -156,7 +198,9 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
 
 @pytest.mark.slow
 def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
-    sums, case = solved_case(scene_of("two_point", 8, 8), [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False)
+    sums, case = solved_case(
+        scene_of("two_point", 8, 8), [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False
+    )
     constants = Constants.of(case).within(Budget(2, 6, 0.05))
     with compiled(constants) as host:
         estimates = host.frames(sums[:2], constants.budget)
@@ -175,10 +219,14 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
         "FRAMES=2",
         "CELLS=64",
     ]
-    lines = subprocess.run([*words, "mega"], capture_output=True, text=True, check=True).stdout.splitlines()
+    lines = subprocess.run(
+        [*words, "mega"], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     *cycles, changes = [line for line in lines if not line.startswith("Loaded")]
     assert max(map(int, cycles)) / MEGA_HERTZ < 2.5  # seconds
-    np.testing.assert_allclose(np.array(changes.split(), float).reshape(8, 8), estimates.log_change[-1], atol=0.01)
+    np.testing.assert_allclose(
+        np.array(changes.split(), float).reshape(8, 8), estimates.log_change[-1], atol=0.01
+    )
 
 
 def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
@@ -192,7 +240,9 @@ def test_standard_deviations_match_the_linear_system():
     with compiled(constants) as host:
         assert host.deviation(0, 0, 30) < 0  # before the first frame nothing is known
         host.frames(sums[:4], EXACT)
-        estimated = np.array([[host.deviation(row, column, 60) for column in range(5)] for row in range(6)])
+        estimated = np.array(
+            [[host.deviation(row, column, 60) for column in range(5)] for row in range(6)]
+        )
     cells = case.cell_resistance[3]
     readout = case.scene.circuit
     network = readout.network(cells, readout.ties(case.measured[3]))
@@ -245,7 +295,9 @@ def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
     sums = sums_of(scene, pressed_cells(scene))
     sums[4, 2, 2] = 4 * 4095
     recorded = sums.astype(float)
-    case = solved_case(scene, [NOISY, lampest.LogGradient(weight=30.0)], sums=recorded.astype(np.uint16))[1]
+    case = solved_case(
+        scene, [NOISY, lampest.LogGradient(weight=30.0)], sums=recorded.astype(np.uint16)
+    )[1]
     with compiled(Constants.of(case)) as host:
         estimates = host.frames(Constants.of(case).sums_of(case), Budget(12, 60, 1e-3))
     assert deviations(case, estimates.log_change).max() < 0.05
@@ -253,7 +305,8 @@ def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "field", ["reference_ohm", "sigma_volt[1]", "weight", "baseline[30]", "largest_ohm", "supply_volt"]
+    "field",
+    ["reference_ohm", "sigma_volt[1]", "weight", "baseline[30]", "largest_ohm", "supply_volt"],
 )
 def test_constants_that_are_not_numbers_are_refused(field, tmp_path):
     _, case = solved_case(scene_of("two_point"), [NOISY, lampest.LogGradient(weight=1.0)])
@@ -275,9 +328,24 @@ def test_constants_that_are_not_numbers_are_refused(field, tmp_path):
 
 def built(folder, *files, flags=()):
     """Return the shared library of C files in a folder and the library."""
-    words = ["gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", *flags, f"-I{folder}"]
-    parts = [str(folder / name) for name in files] + [str(path) for path in sources() if path.suffix == ".c"]
-    subprocess.run([*words, f"-I{library_folder()}", *parts, "-lm", "-o", str(folder / "host.so")], check=True)
+    words = [
+        "gcc",
+        "-std=c99",
+        "-O2",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-shared",
+        "-fPIC",
+        *flags,
+        f"-I{folder}",
+    ]
+    parts = [str(folder / name) for name in files] + [
+        str(path) for path in sources() if path.suffix == ".c"
+    ]
+    subprocess.run(
+        [*words, f"-I{library_folder()}", *parts, "-lm", "-o", str(folder / "host.so")], check=True
+    )
     return ctypes.CDLL(str(folder / "host.so"))
 
 
@@ -304,11 +372,13 @@ int main(void) {
             if (kind == 4 && rand() % 8 == 0) sum = rand() % (top + 1);
             sums[cell] = sum < 0 ? 0 : sum > 65535 ? 65535 : sum;
         }
-        lampest_status s = rand() % 10 ? lampest_frame(&panel, sums, change) : lampest_baseline(&panel, sums);
+        lampest_status s = rand() % 10 ? lampest_frame(&panel, sums, change)
+                                       : lampest_baseline(&panel, sums);
         if (s.steps > panel_constants.steps) return 2;
         if (s.products > panel_constants.steps * (panel_constants.products + 4)) return 3;
         if (!isfinite(s.left)) return 4;
-        for (unsigned cell = 0; cell < cells && frame; cell++) if (!isfinite(change[cell])) return 5;
+        for (unsigned cell = 0; cell < cells && frame; cell++)
+            if (!isfinite(change[cell])) return 5;
         if (isnan(lampest_deviation(&panel, rand() % 256, rand() % 256, 5))) return 6;
         if (!(lampest_cell(&panel, 0, 0) > 0)) return 7;
     }
@@ -322,16 +392,29 @@ def sanitized(folder, program):
     """Run a program on the library with the constants of a folder, under sanitizers."""
     (folder / "fuzz.c").write_text(program)
     parts = [str(path) for path in sources() if path.suffix == ".c"]
-    words = ["gcc", "-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    words = [
+        "gcc",
+        "-std=c99",
+        "-O1",
+        "-g",
+        "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all",
+    ]
     words += [f"-I{folder}", f"-I{library_folder()}", str(folder / "fuzz.c"), *parts, "-lm"]
     subprocess.run([*words, "-o", str(folder / "fuzz")], check=True)
     return subprocess.run([str(folder / "fuzz")], capture_output=True, text=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("circuit", "cells"), [("two_point", None), ("grounded_one", None), ("loaded_columns", OVAL)])
+@pytest.mark.parametrize(
+    ("circuit", "cells"), [("two_point", None), ("grounded_one", None), ("loaded_columns", OVAL)]
+)
 def test_random_codes_never_give_nan_overruns_or_more_work_than_budgeted(circuit, cells, tmp_path):
-    term = lampest.RelativeChange(weight=0.01) if circuit == "grounded_one" else lampest.LogGradient(weight=1.0)
+    term = (
+        lampest.RelativeChange(weight=0.01)
+        if circuit == "grounded_one"
+        else lampest.LogGradient(weight=1.0)
+    )
     _, case = solved_case(scene_of(circuit, cells=cells), [NOISY, term])
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
     completed = sanitized(tmp_path, FUZZ)
@@ -354,36 +437,50 @@ static const float *copied(int number, const float *values, int count, int turn,
     return arrays[number];
 }
 int main(void) {
-    const float bads[] = {NAN, INFINITY, -INFINITY, 0, -1, 1e38f, -1e38f, 1e-38f, 1e-45f, 1e9f, 1e-9f};
+    const float bads[] = {NAN,    INFINITY, -INFINITY, 0,    -1,   1e38f,
+                          -1e38f, 1e-38f,   1e-45f,    1e9f, 1e-9f};
     static float memory[PANEL_MEMORY], change[CELLS];
     srand(7);
     for (int trial = 0; trial < 2000; trial++) {
         lampest_constants c = panel_constants;
         lampest_term term = c.terms[0];
-        const int turn = rand() % 23, driven = c.rows_driven ? c.rows : c.columns, sensed = LINES - driven;
+        const int turn = rand() % 23;
+        const int driven = c.rows_driven ? c.rows : c.columns, sensed = LINES - driven;
         const float bad = bads[rand() % (sizeof bads / sizeof *bads)];
-        c.tie = copied(0, c.tie, LINES, turn, bad), c.series = copied(1, c.series, LINES, turn, bad);
-        c.drive = copied(2, c.drive, driven, turn, bad), c.release = copied(3, c.release, driven, turn, bad);
-        c.load = copied(4, c.load, sensed, turn, bad), c.gain = copied(5, c.gain, sensed, turn, bad);
+        c.tie = copied(0, c.tie, LINES, turn, bad);
+        c.series = copied(1, c.series, LINES, turn, bad);
+        c.drive = copied(2, c.drive, driven, turn, bad);
+        c.release = copied(3, c.release, driven, turn, bad);
+        c.load = copied(4, c.load, sensed, turn, bad);
+        c.gain = copied(5, c.gain, sensed, turn, bad);
         c.sigma_volt = copied(6, c.sigma_volt, c.sigma_count, turn, bad);
         c.baseline = copied(7, c.baseline, CELLS, turn, bad);
-        float *fields[] = {&c.volt_per_sum, &c.volt_at_zero, &c.supply_volt, &c.reference_ohm, &c.ohm_scale,
-                           &c.shunt_siemens, &c.plain_sigma, &c.data_corner, &c.least_ohm, &c.largest_ohm,
-                           &c.loaded_limit, &c.within, &term.weight, &term.corner};
+        float *fields[] = {&c.volt_per_sum,  &c.volt_at_zero,  &c.supply_volt, &c.reference_ohm,
+                           &c.ohm_scale,     &c.shunt_siemens, &c.plain_sigma, &c.data_corner,
+                           &c.least_ohm,     &c.largest_ohm,   &c.loaded_limit, &c.within,
+                           &term.weight,     &term.corner};
         if (turn >= 8 && turn < 22) *fields[turn - 8] = bad;
-        if (turn == 22) c.low_sum = rand() % 65536, c.high_sum = rand() % 65536, c.top_sum = rand() % 65536;
+        if (turn == 22) {
+            c.low_sum = rand() % 65536;
+            c.high_sum = rand() % 65536;
+            c.top_sum = rand() % 65536;
+        }
         c.terms = &term;
         lampest_panel panel = {.constants = &c};
         memset(change, 0, sizeof change);
         lampest_begin(&panel, memory);
         for (int call = 0; call < CALLS; call++) {
             uint16_t sums[CELLS];
-            for (int cell = 0; cell < CELLS; cell++) sums[cell] = rand() % (panel_constants.top_sum + 1);
-            lampest_status s = call % 4 == 1 ? lampest_baseline(&panel, sums) : lampest_frame(&panel, sums, change);
+            for (int cell = 0; cell < CELLS; cell++)
+                sums[cell] = rand() % (panel_constants.top_sum + 1);
+            lampest_status s = call % 4 == 1 ? lampest_baseline(&panel, sums)
+                                             : lampest_frame(&panel, sums, change);
             if (!isfinite(s.left)) return 2;
             if (s.products > c.steps * (c.products + 4)) return 3;
-            for (int cell = 0; cell < CELLS; cell++) if (!isfinite(change[cell])) return 4;
-            if (isnan(lampest_deviation(&panel, rand() % PANEL_ROWS, rand() % PANEL_COLUMNS, 5))) return 5;
+            for (int cell = 0; cell < CELLS; cell++)
+                if (!isfinite(change[cell])) return 4;
+            const unsigned row = rand() % PANEL_ROWS, column = rand() % PANEL_COLUMNS;
+            if (isnan(lampest_deviation(&panel, row, column, 5))) return 5;
         }
     }
     return 0;
@@ -395,7 +492,9 @@ int main(void) {
 @pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
 def test_wrong_constants_never_give_nan_overruns_or_more_work(circuit, tmp_path):
     loss = lampest.Student(corner=5.0)
-    _, case = solved_case(scene_of(circuit), [NOISY, lampest.LogRatio(loss=loss, weight=1e-3)], error_bars=False)
+    _, case = solved_case(
+        scene_of(circuit), [NOISY, lampest.LogRatio(loss=loss, weight=1e-3)], error_bars=False
+    )
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
     assert sanitized(tmp_path, CONSTANTS_FUZZ).returncode == 0
 
@@ -413,7 +512,9 @@ def chord_of(rng, shape):
     """Return three or four keys, mostly corners of a rectangle."""
     rows, columns = (rng.choice(size, 2, replace=False) for size in shape)
     corners = [(row, column) for row in rows for column in columns]
-    anywhere = list(zip(*np.unravel_index(rng.choice(np.prod(shape), 4, replace=False), shape), strict=True))
+    anywhere = list(
+        zip(*np.unravel_index(rng.choice(np.prod(shape), 4, replace=False), shape), strict=True)
+    )
     keys = corners if rng.random() < 0.7 else anywhere
     return [keys[number] for number in rng.permutation(4)[: rng.integers(3, 5)]]
 
@@ -432,7 +533,9 @@ def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_p
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
     (tmp_path / "host.c").write_text(HOST)
     (tmp_path / "keys.c").write_text(KEYS)
-    library = built(tmp_path, "host.c", "keys.c", flags=(f"-I{library_folder() / 'examples' / 'keyboard'}",))
+    library = built(
+        tmp_path, "host.c", "keys.c", flags=(f"-I{library_folder() / 'examples' / 'keyboard'}",)
+    )
     assert library.host_begin(3, 12, ctypes.c_float(0.05)) == FINE
     change = np.zeros(shape, np.float32)
     pressed = np.zeros(shape, np.uint8)
@@ -445,7 +548,10 @@ def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_p
         cells = resting.copy()
         for key in keys:
             cells[key] = rng.uniform(1500, 4000)
-        for expected, panel in (({tuple(map(int, key)) for key in keys}, [cells] * 3), (set(), [resting] * 2)):
+        for expected, panel in (
+            ({tuple(map(int, key)) for key in keys}, [cells] * 3),
+            (set(), [resting] * 2),
+        ):
             for sums in sums_of(scene, np.array(panel), trial):
                 assert library.keys_host(at(sums), at(change), at(pressed))
             assert {tuple(map(int, key)) for key in np.argwhere(pressed)} == expected
@@ -480,9 +586,17 @@ def test_impossible_requests_get_a_sentence_and_write_nothing(lamprey, tmp_path,
 @pytest.mark.parametrize(
     ("scene", "terms", "sentence"),
     [
-        (scene_of("two_point"), [NOISY, lampest.TotalVariation(weight=1.0)], "no term 'total_variation'"),
+        (
+            scene_of("two_point"),
+            [NOISY, lampest.TotalVariation(weight=1.0)],
+            "no term 'total_variation'",
+        ),
         (scene_of("two_point"), [NOISY, lampest.LogRatio(weight=1.0)], "no loss 'absolute'"),
-        (scene_of("loaded_columns", diode=lampest.Diode()), [NOISY, lampest.LogGradient(weight=1.0)], "no diodes"),
+        (
+            scene_of("loaded_columns", diode=lampest.Diode()),
+            [NOISY, lampest.LogGradient(weight=1.0)],
+            "no diodes",
+        ),
     ],
 )
 def test_methods_without_a_c_version_are_refused(scene, terms, sentence):
@@ -503,15 +617,21 @@ def test_the_smallest_sufficient_budget_is_chosen(lamprey):
         table = trades(host, constants, case)
     exact, _ = chosen_budget(table, 0.02, None, None)
     assert exact.median <= 0.02
-    assert all(trade.median > 0.02 for trade in table if trade.most_instructions < exact.most_instructions)
+    assert all(
+        trade.median > 0.02 for trade in table if trade.most_instructions < exact.most_instructions
+    )
     fast, _ = chosen_budget(table, None, 10.0, "cortex-m4f")
     assert fast.milliseconds("cortex-m4f") <= 10
-    assert fast.median == min(trade.median for trade in table if trade.milliseconds("cortex-m4f") <= 10)
+    assert fast.median == min(
+        trade.median for trade in table if trade.milliseconds("cortex-m4f") <= 10
+    )
 
 
 @pytest.mark.slow
 def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
-    """Suction from one frame to the next, for which the smallest budget of the median frame does not suffice."""
+    """Suction from one frame to the next, for which the smallest budget of the median frame does
+    not suffice.
+    """
     estimate = lampest.reconstruct(lampest.datasets.load("cup_air_20kpa"), formulation="reduced")
     case = estimate.result("smooth")
     constants = Constants.of(case)
@@ -519,7 +639,14 @@ def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
         table = trades(host, constants, case)
         trade, _ = chosen_budget(table, None, None, None)
         assert trade.median <= 0.05
-        assert min(trade.touch for trade in table if trade.most_instructions < 0.6e6 and trade.median <= 0.05) > 1
+        assert (
+            min(
+                trade.touch
+                for trade in table
+                if trade.most_instructions < 0.6e6 and trade.median <= 0.05
+            )
+            > 1
+        )
         sums = constants.sums_of(case)
         errors = []
         for frame in range(len(sums)):
@@ -543,12 +670,16 @@ struct { void begin(long) {} template <class T> void print(T v, int = 0) { std::
          template <class T> void println(T v, int = 0) { std::cout << v << std::endl; } } Serial;
 unsigned long micros() { return 0; }
 """
-    (tmp_path / "main.cpp").write_text(f'{core}#include "{folder}/mat.ino"\nint main() {{ setup(); loop(); }}\n')
+    (tmp_path / "main.cpp").write_text(
+        f'{core}#include "{folder}/mat.ino"\nint main() {{ setup(); loop(); }}\n'
+    )
     objects = []
     for path in folder.glob("*.c"):
         objects.append(str(tmp_path / f"{path.stem}.o"))
         subprocess.run(["gcc", "-std=c99", "-O2", "-c", str(path), "-o", objects[-1]], check=True)
     words = ["g++", "-std=c++11", "-O1", f"-I{folder}", str(tmp_path / "main.cpp"), *objects, "-lm"]
     subprocess.run([*words, "-o", str(tmp_path / "mat.out")], check=True)
-    output = subprocess.run([str(tmp_path / "mat.out")], capture_output=True, text=True, check=True).stdout
+    output = subprocess.run(
+        [str(tmp_path / "mat.out")], capture_output=True, text=True, check=True
+    ).stdout
     assert "as computed" in output and "NOT" not in output and "row " in output

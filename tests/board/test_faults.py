@@ -1,4 +1,6 @@
-"""What goes wrong with a board on a cable: damaged bytes, unplugging, resets, silence, a killed recorder, Ctrl-C."""
+"""What goes wrong with a board on a cable: damaged bytes, unplugging, resets, silence, a killed
+recorder, Ctrl-C.
+"""
 
 import subprocess
 import sys
@@ -16,14 +18,35 @@ from tests.bodies import frame_body
 
 
 @pytest.mark.parametrize(
-    "frames", [pytest.param(400, marks=pytest.mark.slow), pytest.param(10_000, marks=pytest.mark.soak)]
+    "frames",
+    [pytest.param(400, marks=pytest.mark.slow), pytest.param(10_000, marks=pytest.mark.soak)],
 )
-def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: Path, frames: int) -> None:
-    """Recorded until the board has sent so many frames; the log holds each byte sent, and whether it was hurt."""
+def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
+    tmp_path: Path, frames: int
+) -> None:
+    """Recorded until the board has sent so many frames; the log holds each byte sent, and whether
+    it was hurt.
+    """
     cells = some_cells(np.random.default_rng(8), 40)
-    hurt = ("--flip", 0.004, "--drop", 0.003, "--duplicate", 0.003, "--loop", "--log", tmp_path / "log")
+    hurt = (
+        "--flip",
+        0.004,
+        "--drop",
+        0.003,
+        "--duplicate",
+        0.003,
+        "--loop",
+        "--log",
+        tmp_path / "log",
+    )
     with bench(tmp_path, cells, *hurt) as board:
-        record(board.port, tmp_path / "r.h5", scene=scene(readings=20), period=0.25, seconds=0.25 * frames)
+        record(
+            board.port,
+            tmp_path / "r.h5",
+            scene=scene(readings=20),
+            period=0.25,
+            seconds=0.25 * frames,
+        )
     recording = Recording.load(tmp_path / "r.h5")
     last = recording.acquisition.sequence[-1]
     accepted = recording.acquisition.sequence.tolist()
@@ -39,14 +62,19 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: P
     wrong = sum(
         frame_body(by_number[number]) != frame_body(Frame(20, number, device_ms, missed, sums))
         for number, device_ms, missed, sums in zip(
-            accepted, recording.acquisition.device_ms, recording.acquisition.missed, recording.raw_sums, strict=True
+            accepted,
+            recording.acquisition.device_ms,
+            recording.acquisition.missed,
+            recording.raw_sums,
+            strict=True,
         )
     )
     undamaged = {frame.sequence for frame, unharmed in sent if unharmed}
     assert undamaged <= set(accepted), "a good frame was not kept"
     assert sum(recording.acquisition.lost) == last + 1 - len(accepted)
     print(
-        f"\n{frames} frames sent with 1 % of bytes hurt: {len(undamaged)} whole, {len(accepted)} accepted, "
+        f"\n{frames} frames sent with 1 % of bytes hurt: {len(undamaged)} whole, {len(accepted)} "
+        "accepted, "
         f"{wrong} wrong"
     )
     assert wrong == 0
@@ -58,7 +86,12 @@ def test_unplugging_marks_a_gap_in_the_same_file(tmp_path: Path) -> None:
     states: list[Progress] = []
     with bench(tmp_path, cells, "--unplug", "3:5", "--no-reset-on-open") as board:
         summary = record(
-            board.port, tmp_path / "r.h5", frames=60, scene=scene(), period=0.25, on_progress=states.append
+            board.port,
+            tmp_path / "r.h5",
+            frames=60,
+            scene=scene(),
+            period=0.25,
+            on_progress=states.append,
         )
     recording = Recording.load(tmp_path / "r.h5")
     assert summary.frames == 60 and summary.restarts == recording.acquisition.session[-1] >= 1
@@ -70,7 +103,13 @@ def test_unplugging_marks_a_gap_in_the_same_file(tmp_path: Path) -> None:
 
 
 def test_a_reset_board_is_configured_and_started_again(tmp_path: Path) -> None:
-    with bench(tmp_path, some_cells(np.random.default_rng(9), 1, 5, 5), "--reset", "5", "--no-reset-on-open") as board:
+    with bench(
+        tmp_path,
+        some_cells(np.random.default_rng(9), 1, 5, 5),
+        "--reset",
+        "5",
+        "--no-reset-on-open",
+    ) as board:
         summary = record(board.port, tmp_path / "r.h5", frames=40, scene=scene(5, 5), period=0.25)
     recording = Recording.load(tmp_path / "r.h5")
     assert (summary.frames, summary.restarts, recording.acquisition.session[-1]) == (40, 1, 1)

@@ -1,4 +1,6 @@
-"""Skins of the package flexitac, live: its own reader over a pseudo-terminal, and the lines of the page around it."""
+"""Skins of the package flexitac, live: its own reader over a pseudo-terminal, and the lines of the
+page around it.
+"""
 
 import os
 import re
@@ -55,13 +57,16 @@ def codes(scene: lampest.Scene, cells: np.ndarray, seed: int) -> np.ndarray:
 
 @pytest.fixture
 def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
-    """The name of a port that sends frames as the firmware does, and an event that presses the skin."""
+    """The name of a port that sends frames as the firmware does, and an event that presses the
+    skin.
+    """
     scene: lampest.Scene = page.scene
     resting = np.full(scene.panel.shape, OPEN_OHM)
     loaded = resting.copy()
     loaded[PRESSED] = PRESSED_OHM
     frames = {
-        state: [codes(scene, cells, seed) for seed in range(8)] for state, cells in ((False, resting), (True, loaded))
+        state: [codes(scene, cells, seed) for seed in range(8)]
+        for state, cells in ((False, resting), (True, loaded))
     }
     master, slave = os.openpty()
     tty.setraw(slave, termios.TCSANOW)
@@ -90,20 +95,25 @@ def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
         os.close(end)
 
 
-def test_the_code_of_the_page_locates_the_pressed_cells(page: Any, board: tuple[str, threading.Event]) -> None:
+def test_the_code_of_the_page_locates_the_pressed_cells(
+    page: Any, board: tuple[str, threading.Event]
+) -> None:
     port, press = board
     with flexitac.FlexiTacSensor(port, baseline=0.0) as sensor:
         frames = page.cells(sensor, UNLOADED)
         resting = list(islice(frames, 3))[-1]
         assert np.median(resting) == pytest.approx(OPEN_OHM, rel=0.5)
         press.set()
-        loaded = np.median(list(islice(frames, 25))[-8:], axis=0)  # all noise of the board, whichever comes first
+        # All noise of the board, whichever comes first.
+        loaded = np.median(list(islice(frames, 25))[-8:], axis=0)
     error = np.abs(loaded[PRESSED] / PRESSED_OHM - 1)
     assert np.median(error) < 0.2
     raw = codes(
         page.scene,
         np.where(
-            np.isin(np.arange(384).reshape(12, 32), np.arange(384).reshape(12, 32)[PRESSED]), PRESSED_OHM, OPEN_OHM
+            np.isin(np.arange(384).reshape(12, 32), np.arange(384).reshape(12, 32)[PRESSED]),
+            PRESSED_OHM,
+            OPEN_OHM,
         ),
         1,
     )

@@ -1,4 +1,6 @@
-"""Mats of the package matsense, live: the page's lines beside a server that answers as the package's own does."""
+"""Mats of the package matsense, live: the page's lines beside a server that answers as the
+package's own does.
+"""
 
 import re
 import socket
@@ -46,7 +48,10 @@ def server(tmp_path: Path, scene: lampest.Scene) -> Iterator[tuple[str, threadin
     resting = np.full(scene.panel.shape, RESTING_OHM)
     pressed = resting.copy()
     pressed[PRESSED] = PRESSED_OHM
-    volts = {state: scene.circuit.exact_reading(cells) for state, cells in ((False, resting), (True, pressed))}
+    volts = {
+        state: scene.circuit.exact_reading(cells)
+        for state, cells in ((False, resting), (True, pressed))
+    }
     rng = np.random.default_rng(4)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     listener.bind(address)

@@ -1,4 +1,6 @@
-"""A board that estimates, from its pins to record, info and live; its sketch runs as a program of this computer."""
+"""A board that estimates, from its pins to record, info and live; its sketch runs as a program of
+this computer.
+"""
 
 import dataclasses
 import itertools
@@ -38,9 +40,15 @@ def exported(tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("exported")
     # The cells at rest were others then, so that the board needs a baseline of its own.
     cells = CELLS[1:9] * np.exp(0.1 * np.random.default_rng(8).standard_normal(SHAPE))
-    estimate = reconstruct(recording_of(SCENE, sums_of(SCENE, cells), 3), [Misfit(weighting="noise"), LogGradient()])
+    estimate = reconstruct(
+        recording_of(SCENE, sums_of(SCENE, cells), 3), [Misfit(weighting="noise"), LogGradient()]
+    )
     estimate.save(folder / "results.h5", name="smooth")
-    return folder / "mat", export_sketch(folder / "results.h5", folder / "mat").budget, estimate.result("smooth")
+    return (
+        folder / "mat",
+        export_sketch(folder / "results.h5", folder / "mat").budget,
+        estimate.result("smooth"),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -48,18 +56,26 @@ def recorded(exported, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of the board with its estimates."""
     folder = tmp_path_factory.mktemp("recorded")
     with portable_bench(folder, exported[0], CELLS) as board:
-        summary = record(board.port, folder / "r.h5", frames=FRAMES, scene=SCENE, baseline=UNLOADED_FRAMES)
+        summary = record(
+            board.port, folder / "r.h5", frames=FRAMES, scene=SCENE, baseline=UNLOADED_FRAMES
+        )
     assert summary.lost == 0
     return folder / "r.h5"
 
 
-def test_the_recording_holds_sums_and_the_estimates_of_the_library(exported, recorded: Path) -> None:
-    """The board takes its baseline from the unloaded frames; the numbers are those of this computer's C, to the bit."""
+def test_the_recording_holds_sums_and_the_estimates_of_the_library(
+    exported, recorded: Path
+) -> None:
+    """The board takes its baseline from the unloaded frames; the numbers are those of this
+    computer's C, to the bit.
+    """
     _, budget, case = exported
     recording = Recording.load(recorded)
     with h5py.File(recorded) as file:
         dataset = file["entry/board/log_change"]
-        assert dataset.attrs["units"] == b"1" and b"ln(r / r unloaded)" in dataset.attrs["long_name"]
+        assert (
+            dataset.attrs["units"] == b"1" and b"ln(r / r unloaded)" in dataset.attrs["long_name"]
+        )
         assert file["entry/board"].attrs["signal"] == b"log_change"
     assert np.isnan(recording.board_log_change[:UNLOADED_FRAMES]).all()
     with compiled(Constants.of(case)) as host:
@@ -68,14 +84,21 @@ def test_the_recording_holds_sums_and_the_estimates_of_the_library(exported, rec
             host.baseline(sums)
         expected = [host.frame(sums)[0] for sums in recording.raw_sums[UNLOADED_FRAMES:]]
     np.testing.assert_array_equal(recording.board_log_change[UNLOADED_FRAMES:], expected)
-    np.testing.assert_allclose(recording.board_log_change[UNLOADED_FRAMES:], CHANGE[UNLOADED_FRAMES:], atol=0.03)
+    np.testing.assert_allclose(
+        recording.board_log_change[UNLOADED_FRAMES:], CHANGE[UNLOADED_FRAMES:], atol=0.03
+    )
 
 
 def test_info_compares_both_estimates_in_sigma_and_percent(recorded: Path) -> None:
     output, _ = lampest("info", recorded)
     (line,) = [line for line in output.splitlines() if line.startswith("board ")]
-    assert "estimated 8 of 8 measured frames" in line and "(misfit + log_gradient, 8 frames)" in line
-    median, largest = (float(line.split(word)[0].split(" σ")[-2].split()[-1]) for word in ("in the median", "at most"))
+    assert (
+        "estimated 8 of 8 measured frames" in line and "(misfit + log_gradient, 8 frames)" in line
+    )
+    median, largest = (
+        float(line.split(word)[0].split(" σ")[-2].split()[-1])
+        for word in ("in the median", "at most")
+    )
     assert 0 < median < 0.2 and median < largest < 3
     assert line.count(" %)") == 2 and line.endswith("σ is a cell's own error")
 
@@ -84,41 +107,64 @@ def test_info_does_not_compare_without_unloaded_frames(recorded: Path, tmp_path:
     recording = Recording.load(recorded, slice(UNLOADED_FRAMES, FRAMES))
     recording.save(tmp_path / "loaded.h5")
     output, _ = lampest("info", tmp_path / "loaded.h5")
-    assert "estimated 8 of 8 measured frames; they are compared where unloaded frames precede them" in output
+    assert (
+        "estimated 8 of 8 measured frames; they are compared where unloaded frames precede them"
+        in output
+    )
 
 
 def test_live_shows_the_map_of_the_board_next_to_its_own(exported, tmp_path: Path) -> None:
     with portable_bench(tmp_path, exported[0], CELLS) as board:
         source = LiveBoard((board.port,), SCENE, UNLOADED_FRAMES, out=tmp_path / "r.h5")
         method = Estimator((Misfit(weighting="noise"), LogGradient()), "reduced")
-        shown = live_pictures(method, UNLOADED_FRAMES, lambda engine: recorded_from_board(engine, source, FRAMES))
+        shown = live_pictures(
+            method, UNLOADED_FRAMES, lambda engine: recorded_from_board(engine, source, FRAMES)
+        )
     assert len(shown) == FRAMES - UNLOADED_FRAMES
     for picture, change in zip(shown, CHANGE[UNLOADED_FRAMES:], strict=True):
         np.testing.assert_allclose(picture.board_change, 100 * np.expm1(change), atol=3)
         np.testing.assert_allclose(picture.board_change, picture.relative_change, atol=2)
     recording = Recording.load(tmp_path / "r.h5")
-    replayed = live_pictures(method, UNLOADED_FRAMES, lambda engine: from_recording(engine, recording, 1e6, None))
-    np.testing.assert_allclose([picture.board_change for picture in replayed], [view.board_change for view in shown])
+    replayed = live_pictures(
+        method, UNLOADED_FRAMES, lambda engine: from_recording(engine, recording, 1e6, None)
+    )
+    np.testing.assert_allclose(
+        [picture.board_change for picture in replayed], [view.board_change for view in shown]
+    )
 
 
 def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path: Path) -> None:
     cells = np.array([CELLS[0] * np.where(np.indices(SHAPE).sum(axis=0) == 4, 0.1, 1.0)])
     with portable_bench(tmp_path, exported[0], cells) as board:
-        words = ("--port", board.port, "--scene", scene_file(tmp_path, *SHAPE), "--out", tmp_path / "r.h5")
+        words = (
+            "--port",
+            board.port,
+            "--scene",
+            scene_file(tmp_path, *SHAPE),
+            "--out",
+            tmp_path / "r.h5",
+        )
         _, warned = lampest("record", *words, "--count", 5, "--baseline", 2)
     reason = "something lies on the panel while it takes its baseline"
     assert f"the board did not estimate 2 of the 5 frames: {reason}" in warned
     recording = Recording.load(tmp_path / "r.h5")
-    assert np.isfinite(recording.board_log_change[2:]).all() and np.isnan(recording.board_log_change[:2]).all()
+    assert (
+        np.isfinite(recording.board_log_change[2:]).all()
+        and np.isnan(recording.board_log_change[:2]).all()
+    )
     assert recording.board_log_change[2:].min() < -1.5
 
 
 def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None:
-    """A damaged message is lost as a whole; a frame without its estimate is a frame, and none has another's."""
+    """A damaged message is lost as a whole; a frame without its estimate is a frame, and none has
+    another's.
+    """
     cells = np.repeat(CELLS[-1:], 60, axis=0) * np.exp(0.05 * np.arange(60))[:, None, None]
     cells[:UNLOADED_FRAMES] = CELLS[0]
     with portable_bench(tmp_path, exported[0], cells, "--flip", 1e-3, "--seed", 3) as board:
-        summary = record(board.port, tmp_path / "r.h5", frames=50, scene=SCENE, baseline=UNLOADED_FRAMES)
+        summary = record(
+            board.port, tmp_path / "r.h5", frames=50, scene=SCENE, baseline=UNLOADED_FRAMES
+        )
         assert board.stop()["flipped"] > 5
     recording = Recording.load(tmp_path / "r.h5")
     known = np.isfinite(recording.board_log_change).all(axis=(1, 2))
@@ -130,7 +176,9 @@ def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None
 
 
 def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) -> None:
-    """The Mega does not know the command; constants of another size leave the estimating board a plain one."""
+    """The Mega does not know the command; constants of another size leave the estimating board a
+    plain one.
+    """
     (tmp_path / "mega").mkdir()
     with bench(tmp_path / "mega", CELLS[:1]) as board:
         record(board.port, tmp_path / "mega.h5", frames=2, scene=SCENE, baseline=1)
@@ -153,7 +201,9 @@ def chords(rng: np.random.Generator, count: int) -> list[set[tuple[int, int]]]:
     return drawn
 
 
-def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(tmp_path: Path) -> None:
+def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(
+    tmp_path: Path,
+) -> None:
     rng = np.random.default_rng(2)
     resting = 30_000.0 * np.exp(0.1 * rng.standard_normal(SHAPE))
     played = chords(rng, 6)
@@ -171,30 +221,45 @@ def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(t
     (tmp_path / "panel_constants.h").write_text(text.replace("static const", readings, 1))
     events: list[list[str]] = []
     with (
-        portable_bench(tmp_path, tmp_path, np.array([*states, resting]), period=0.5, sketch=KEYBOARD) as board,
+        portable_bench(
+            tmp_path, tmp_path, np.array([*states, resting]), period=0.5, sketch=KEYBOARD
+        ) as board,
         serial.Serial(board.port, timeout=20) as port,
     ):
         expected_count = 2 * sum(map(len, played))
         while len(events) < expected_count and (line := port.readline()):
             events.append(line.decode().split())
-    heard = [(word, list(group)) for word, group in itertools.groupby(events, key=lambda event: event[0])]
-    assert [(word, {(int(row), int(column)) for _, row, column, _ in group}) for word, group in heard] == [
-        (word, chord) for chord in played for word in ("press", "release")
+    heard = [
+        (word, list(group)) for word, group in itertools.groupby(events, key=lambda event: event[0])
     ]
+    assert [
+        (word, {(int(row), int(column)) for _, row, column, _ in group}) for word, group in heard
+    ] == [(word, chord) for chord in played for word in ("press", "release")]
     for (_, presses), cells in zip(heard[::2], states[2::2], strict=True):
         for _, row, column, strength in presses:
-            assert float(strength) == pytest.approx(np.log(resting / cells)[int(row), int(column)], abs=0.15)
+            assert float(strength) == pytest.approx(
+                np.log(resting / cells)[int(row), int(column)], abs=0.15
+            )
     assert all(strength == "0.00" for _, group in heard[1::2] for *_, strength in group)
 
 
-def test_the_largest_difference_names_its_frame_and_its_percent_without_error_bars(exported) -> None:
+def test_the_largest_difference_names_its_frame_and_its_percent_without_error_bars(
+    exported,
+) -> None:
     case = exported[2]
     own = np.log(case.cell_resistance / case.baseline_resistance)
     altered = own.copy()
     altered[3, 2, 1] -= np.log(1.5)
     numbers = 10 * np.arange(len(own))
     bare = dataclasses.replace(case, sigma_own=None, sigma_common=None)
-    assert "by 0 % in the median, 50 % at most, in frame 30" in difference_sentence(bare, altered, numbers)
+    assert "by 0 % in the median, 50 % at most, in frame 30" in difference_sentence(
+        bare, altered, numbers
+    )
     largest = np.log(1.5) / case.sigma_own[3, 2, 1]
-    assert f"{digits(largest, 2)} σ (50 %) at most, in frame 30; σ is" in difference_sentence(case, altered, numbers)
-    assert difference_sentence(case, np.full_like(own, np.nan), numbers) == "no cell has both estimates"
+    assert f"{digits(largest, 2)} σ (50 %) at most, in frame 30; σ is" in difference_sentence(
+        case, altered, numbers
+    )
+    assert (
+        difference_sentence(case, np.full_like(own, np.nan), numbers)
+        == "no cell has both estimates"
+    )

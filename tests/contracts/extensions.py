@@ -1,6 +1,8 @@
-"""A user's own term, loss, readout, method, shape, column and plot, as a notebook or a package writes them.
+"""A user's own term, loss, readout, method, shape, column and plot, as a notebook or a package
+writes them.
 
-Nothing but public names; `test_extending` uses these classes through Python, and installs this file as a package.
+Nothing but public names; `test_extending` uses these classes through Python, and installs this file
+as a package.
 """
 
 from collections.abc import Sequence
@@ -30,7 +32,9 @@ class Leash(lampest.Term):
 
 @dataclass(frozen=True)
 class Cushion(lampest.Loss):
-    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual; written without the cancellation."""
+    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual; written without the
+    cancellation.
+    """
 
     softness: float = 1.0
     kind: Literal["cushion"] = "cushion"
@@ -42,7 +46,9 @@ class Cushion(lampest.Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Divider(lampest.Readout):
-    """V = Vcc·Z_jk/(Rd + Z_jj): one row driven through Rd, every column with its load; other rows float."""
+    """V = Vcc·Z_jk/(Rd + Z_jj): one row driven through Rd, every column with its load; other rows
+    float.
+    """
 
     kind: Literal["divider"] = "divider"
     load_ohm: float = 10_000.0
@@ -63,7 +69,9 @@ class Divider(lampest.Readout):
 
     def apparent_resistance(self, measured: Array) -> Array:
         """r = Rs·(Vcc/V − 1) − Rd, ohm."""
-        cells: Array = np.maximum(self.load_ohm * (self.supply_volt / measured - 1) - self.drive_ohm, 1.0)
+        cells: Array = np.maximum(
+            self.load_ohm * (self.supply_volt / measured - 1) - self.drive_ohm, 1.0
+        )
         return cells
 
 

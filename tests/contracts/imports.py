@@ -8,37 +8,58 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout, import_file
+from lampest import (
+    InputError,
+    LoadedColumnsReadout,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    import_file,
+)
 
 ROWS = 3
 COLUMNS = 5
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, ROWS, COLUMNS)).round(3)
 CODES = np.random.default_rng(7).integers(200, 900, (4, ROWS, COLUMNS))
 DIVIDER = Scene(Panel(ROWS, COLUMNS), TwoPointReadout(), 140.0)
-LOADED = Scene(Panel(ROWS, COLUMNS), LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=3.3, adc_bits=12, readings=1))
+LOADED = Scene(
+    Panel(ROWS, COLUMNS),
+    LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=3.3, adc_bits=12, readings=1),
+)
 VOLT_OF_CODES = (CODES + 0.5) * 3.3 / 4096  # the middle of what a converter calls by each code
 
 
 def lines(values: Any, sign: str = ",", decimal: str = ".") -> list[str]:
-    return [sign.join(str(value).replace(".", decimal) for value in np.ravel(line)) for line in values]
+    return [
+        sign.join(str(value).replace(".", decimal) for value in np.ravel(line)) for line in values
+    ]
 
 
 def names(pattern: str, first: int = 0, sign: str = ",") -> str:
-    return sign.join(pattern.format(r=row + first, c=column + first) for row, column in np.ndindex(ROWS, COLUMNS))
+    return sign.join(
+        pattern.format(r=row + first, c=column + first) for row, column in np.ndindex(ROWS, COLUMNS)
+    )
 
 
 def given(
-    content: str | bytes | Iterable[str] | Callable[[Path], object], *notes: str, name: str = "m.csv", **options: Any
+    content: str | bytes | Iterable[str] | Callable[[Path], object],
+    *notes: str,
+    name: str = "m.csv",
+    **options: Any,
 ) -> SimpleNamespace:
     """A file, the sentences that its import says, and what is in it.
 
-    content : a text, its lines, bytes, or what writes the file. expected, times, start, role : of the recording, where
+    content : a text, its lines, bytes, or what writes the file. expected, times, start, role : of
+        the recording, where
     they are checked. absent : what no sentence says. options : arguments of the import.
     """
     parts = {part: options.pop(part, None) for part in ("times", "start", "role", "absent")}
     expected = options.pop("expected", FRAMES)
     plain = content if isinstance(content, str | bytes) or callable(content) else "\n".join(content)
-    return SimpleNamespace(content=plain, notes=notes, name=name, expected=expected, how=options, **parts)
+    return SimpleNamespace(
+        content=plain, notes=notes, name=name, expected=expected, how=options, **parts
+    )
 
 
 def written(folder: Path, file: SimpleNamespace) -> Path:
@@ -56,7 +77,9 @@ def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str,
 
 
 def check_taken(file: SimpleNamespace, folder: Path) -> None:
-    """Frames, times and start are the expected ones, in the recording's own file too, and every sentence is said."""
+    """Frames, times and start are the expected ones, in the recording's own file too, and every
+    sentence is said.
+    """
     recording, notes = imported(folder, file)
     assert all(any(words in note for note in notes) for words in file.notes), notes
     assert file.absent is None or not any(file.absent in note for note in notes)

@@ -1,4 +1,6 @@
-"""Advice: what a recording suggests beyond its scene is said with its evidence, and written where a user asks."""
+"""Advice: what a recording suggests beyond its scene is said with its evidence, and written where a
+user asks.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +33,9 @@ def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = 
     volts = np.stack([RIGHT.exact_reading(frame) for frame in cells])
     codes = np.floor(volts / 5 * 1024 + rng.standard_normal(volts.shape))
     scene = lampest.Scene(lampest.Panel(*SHAPE), readout)
-    lampest.Recording.from_array(np.clip(codes, 0, 1023).astype(int), unit="code", baseline=6, scene=scene).save(path)
+    lampest.Recording.from_array(
+        np.clip(codes, 0, 1023).astype(int), unit="code", baseline=6, scene=scene
+    ).save(path)
     return path
 
 
@@ -45,12 +49,19 @@ def test_info_prints_health_verdict_and_advice(tmp_path: Path, lampest: Command)
 def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> None:
     output = lampest("info", written(tmp_path / "clean.h5")).out
     assert "model      yes" in output and "advice" not in output
-    assert lampest("info", tmp_path / "clean.h5", "--apply").out.strip().endswith("no advice has a line to write")
+    assert (
+        lampest("info", tmp_path / "clean.h5", "--apply")
+        .out.strip()
+        .endswith("no advice has a line to write")
+    )
 
 
 @pytest.mark.parametrize(
     ("readout", "dead_row", "words"),
-    [pytest.param(WRONG_READOUT, None, "kind: loaded_columns", marks=pytest.mark.slow), (RIGHT, 5, "dead_rows")],
+    [
+        pytest.param(WRONG_READOUT, None, "kind: loaded_columns", marks=pytest.mark.slow),
+        (RIGHT, 5, "dead_rows"),
+    ],
     ids=["another circuit", "a dead row"],
 )
 def test_apply_writes_the_lines_into_the_scene(
@@ -73,7 +84,11 @@ def test_apply_refuses_results_and_leaves_them(tmp_path: Path, lampest: Command)
     _reconstructed(written(tmp_path / "clean.h5")).save(results)
     original = results.read_bytes()
     refused = lampest("info", results, "--apply")
-    assert refused.code == 2 and "name the recording" in refused.err and results.read_bytes() == original
+    assert (
+        refused.code == 2
+        and "name the recording" in refused.err
+        and results.read_bytes() == original
+    )
 
 
 @pytest.mark.slow
@@ -81,8 +96,13 @@ def test_python_and_runs_give_the_same_advice(tmp_path: Path, lampest: Command) 
     path = written(tmp_path / "dead.h5", dead_row=5)
     estimate = _reconstructed(path)
     [line] = [text for text in estimate.advice if "dead" in text]
-    assert estimate.model_check.mark == "doubtful" and "row is dead: 5" in estimate.model_check.sentence
-    (tmp_path / "run.yaml").write_text("schema: 1\nrecordings: [dead.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
+    assert (
+        estimate.model_check.mark == "doubtful"
+        and "row is dead: 5" in estimate.model_check.sentence
+    )
+    (tmp_path / "run.yaml").write_text(
+        "schema: 1\nrecordings: [dead.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
+    )
     output = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results").out
     assert f"advice: dead: {line}" in " ".join(output.split())
     assert line in lampest("info", tmp_path / "results" / "results.h5").out

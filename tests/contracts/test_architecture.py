@@ -1,6 +1,8 @@
-"""Rules of the code, read from its imports: doors of libraries, floors of rooms, contracts of the public face alone.
+"""Rules of the code, read from its imports: doors of libraries, floors of rooms, contracts of the
+public face alone.
 
-A rule is a function from a module's name and syntax tree to its objections. Texts that break the rules test them.
+A rule is a function from a module's name and syntax tree to its objections. Texts that break the
+rules test them.
 """
 
 import ast
@@ -14,31 +16,66 @@ import pytest
 CONTRACTS = Path(__file__).parent
 HOUSE = CONTRACTS.parents[1] / "lampest"
 
-# From the ground up. A room may import from itself and from the floors below its own; rooms of one floor are apart.
+# From the ground up. A room may import from itself and from the floors below its own; rooms of one
+# floor are apart.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("files",), ("panel",), ("loads", "cost"), ("recording", "formulation"), ("solvers",), ("posterior",),
-    ("estimate",), ("audit",), ("runs",), ("report",), ("studies",), ("cli",),
-)  # fmt: skip
+    ("files",),
+    ("panel",),
+    ("loads", "cost"),
+    ("recording", "formulation"),
+    ("solvers",),
+    ("posterior",),
+    ("estimate",),
+    ("audit",),
+    ("runs",),
+    ("report",),
+    ("studies",),
+    ("cli",),
+)
 # numpy is everywhere; each other library has its doors: a room, or a module of one.
 DOORS: dict[str, tuple[str, ...]] = {
-    "casadi": ("files.process", "panel.compiled", "panel.network", "cost", "formulation", "estimate.own_program"),
+    "casadi": (
+        "files.process",
+        "panel.compiled",
+        "panel.network",
+        "cost",
+        "formulation",
+        "estimate.own_program",
+    ),
     "scipy": (
-        "files.process", "panel.compiled", "panel.readouts", "panel.response", "loads", "cost.problem",
-        "recording.readings", "estimate.calibration", "estimate.model_check", "estimate.own_program", "formulation",
-        "solvers", "posterior",
-        "report.export.formats", "studies",
+        "files.process",
+        "panel.compiled",
+        "panel.readouts",
+        "panel.response",
+        "loads",
+        "cost.problem",
+        "recording.readings",
+        "estimate.calibration",
+        "estimate.model_check",
+        "estimate.own_program",
+        "formulation",
+        "solvers",
+        "posterior",
+        "report.export.formats",
+        "studies",
     ),
     "h5py": ("files.hdf5", "files.checksums", "files.parts", "recording", "runs.results"),
-    "xarray": ("runs.case", "report.export.formats"), "pandas": ("runs.case",), "mpmath": ("studies.certified",),
-    "pyarrow": ("recording.foreign.records", "report.export.formats"), "zarr": ("report.export.formats",),
+    "xarray": ("runs.case", "report.export.formats"),
+    "pandas": ("runs.case",),
+    "mpmath": ("studies.certified",),
+    "pyarrow": ("recording.foreign.records", "report.export.formats"),
+    "zarr": ("report.export.formats",),
     **dict.fromkeys(("pynwb", "hdmf"), ("report.export.nwb",)),
     **dict.fromkeys(("pylsl", "pythonosc", "paho", "websockets"), ("report.live.publish",)),
-    "openpyxl": ("recording.foreign", "report.export.formats"), "serial": ("recording.board",),
+    "openpyxl": ("recording.foreign", "report.export.formats"),
+    "serial": ("recording.board",),
     **dict.fromkeys(("psutil", "threadpoolctl"), ("files.process",)),
     **dict.fromkeys(("pydantic", "ruamel"), ("files.document",)),
-    "matplotlib": ("report.plots", "studies"), "jinja2": ("report.page",),
-    **dict.fromkeys(("rich", "typer"), ("cli",)), "lazy_loader": ("",),
-}  # fmt: skip
+    "matplotlib": ("report.plots", "studies"),
+    "jinja2": ("report.page",),
+    **dict.fromkeys(("rich", "typer"), ("cli",)),
+    "lazy_loader": ("",),
+}
 ROOMS = {room for rooms in FLOORS for room in rooms}
 ALWAYS_PERMITTED = sys.stdlib_module_names | {"lampest", "numpy"}
 
@@ -58,7 +95,10 @@ def dotted(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = {dotted(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(HOUSE.rglob("*.py"))}
+MODULES = {
+    dotted(path): ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(HOUSE.rglob("*.py"))
+}
 
 
 def floor(room: str) -> int:
@@ -78,12 +118,16 @@ def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
 
 
 def imports(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """(module, name or '') of every import anywhere in a module; a module's name as a text counts, too."""
+    """(module, name or '') of every import anywhere in a module; a module's name as a text counts,
+    too.
+    """
     for node in nodes(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield from (("." * node.level + (node.module or ""), alias.name) for alias in node.names)
+            yield from (
+                ("." * node.level + (node.module or ""), alias.name) for alias in node.names
+            )
         elif (
             isinstance(node, ast.Constant)
             and isinstance(node.value, str)
@@ -115,12 +159,18 @@ def floors(module: str, tree: ast.Module) -> Iterator[str]:
             continue
         if name == "lampest":
             yield "imports the public face"
-        elif room_of(name) != room and floor(room_of(name)) >= floor(room) and (module, name) not in PICTURES:
+        elif (
+            room_of(name) != room
+            and floor(room_of(name)) >= floor(room)
+            and (module, name) not in PICTURES
+        ):
             yield f"imports {name}"
 
 
 def privates(module: str, tree: ast.Module) -> Iterator[str]:
-    """What a module keeps to itself is not imported, nor reached through a name that was imported."""
+    """What a module keeps to itself is not imported, nor reached through a name that was
+    imported.
+    """
     foreign_names = set()
     for node in nodes(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lampest"):
@@ -149,16 +199,24 @@ def generators(module: str, tree: ast.Module) -> Iterator[str]:
 
 def variables(module: str, tree: ast.Module) -> Iterator[str]:
     """No module changes its variables."""
-    yield from (f"changes {', '.join(node.names)}" for node in nodes(tree) if isinstance(node, ast.Global))
+    yield from (
+        f"changes {', '.join(node.names)}" for node in nodes(tree) if isinstance(node, ast.Global)
+    )
 
 
 def faces(module: str, tree: ast.Module) -> Iterator[str]:
-    """A contract is tested from outside: a test of one imports the package alone, and patches nothing inside."""
+    """A contract is tested from outside: a test of one imports the package alone, and patches
+    nothing inside.
+    """
     for name, imported in imports(tree):
         if name.startswith("lampest.") or f"{name}.{imported}" in MODULES:
             yield f"imports {name if name.startswith('lampest.') else imported} from within"
     for node in nodes(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value not in MODULES:
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and node.value not in MODULES
+        ):
             parts = node.value.split(".")
             if ".".join(parts[:2]) in MODULES and parts[0] == "lampest" and len(parts) > 2:
                 yield f"names {node.value}"
@@ -171,11 +229,17 @@ def classes(tree: ast.Module) -> Iterator[str]:
 
 def public_functions(tree: ast.Module) -> Iterator[str]:
     """The names of a module's functions that others may call."""
-    yield from (node.name for node in tree.body if isinstance(node, ast.FunctionDef) and not is_private(node.name))
+    yield from (
+        node.name
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and not is_private(node.name)
+    )
 
 
 def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[str]]:
-    """Name → modules, of names that stand in several; commands and the public face are called like what they call."""
+    """Name → modules, of names that stand in several; commands and the public face are called like
+    what they call.
+    """
     homes: dict[str, list[str]] = {}
     for module, tree in modules.items():
         for name in names(tree) if room_of(module) not in ("", "cli") else ():
@@ -183,9 +247,13 @@ def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[st
     return {name: several for name, several in homes.items() if len(several) > 1}
 
 
-@pytest.mark.parametrize("rule", [doors, floors, privates, generators, variables], ids=lambda rule: rule.__name__)
+@pytest.mark.parametrize(
+    "rule", [doors, floors, privates, generators, variables], ids=lambda rule: rule.__name__
+)
 def test_the_package_follows_the_rule(rule: Rule) -> None:
-    broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
+    broken = [
+        f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)
+    ]
     assert not broken
 
 
@@ -199,11 +267,14 @@ def test_the_check_notices_equal_names_of_classes_and_functions() -> None:
     texts = {
         "lampest.cli.board": "def record(): pass",
         "lampest.recording.board.record": "class Row: pass\ndef record(): pass\ndef _open(): pass",
-        "lampest.report.compare": "class Row: pass\nclass Table: pass\ndef _open(): pass\ndef plain(): pass",
+        "lampest.report.compare": "class Row: pass\nclass Table: pass\ndef _open(): pass\ndef "
+        "plain(): pass",
         "lampest.studies.study": "def plain(): pass",
     }
     modules = {module: ast.parse(text) for module, text in texts.items()}
-    assert set(namesakes(modules, classes)) == {"Row"} and set(namesakes(modules, public_functions)) == {"plain"}
+    assert set(namesakes(modules, classes)) == {"Row"} and set(
+        namesakes(modules, public_functions)
+    ) == {"plain"}
 
 
 @pytest.mark.parametrize("path", sorted(CONTRACTS.glob("*.py")), ids=lambda path: path.stem)
@@ -246,7 +317,11 @@ def test_the_check_notices_broken_rules(rule: Rule, module: str, text: str) -> N
 def test_every_permitted_import_is_used() -> None:
     for library, places in DOORS.items():
         for place in places:
-            inside = [tree for module, tree in MODULES.items() if f"{module}.".startswith(f"lampest.{place}.")]
+            inside = [
+                tree
+                for module, tree in MODULES.items()
+                if f"{module}.".startswith(f"lampest.{place}.")
+            ]
             inside += [] if place else [MODULES["lampest"]]
             used = {name.split(".")[0] for tree in inside for name, _ in imports(tree)}
             assert library in used, f"nobody imports {library} in {place}"
@@ -254,7 +329,11 @@ def test_every_permitted_import_is_used() -> None:
 
 def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
     stub = ast.parse((HOUSE / "__init__.pyi").read_text(encoding="utf-8"))
-    public = {f"lampest.{node.module}" for node in ast.walk(stub) if isinstance(node, ast.ImportFrom) and node.level}
+    public = {
+        f"lampest.{node.module}"
+        for node in ast.walk(stub)
+        if isinstance(node, ast.ImportFrom) and node.level
+    }
     reached = set()
     waiting = ["lampest", "lampest.cli", *public]
     while waiting:
@@ -269,11 +348,15 @@ def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
 
 @pytest.mark.parametrize("room", sorted(ROOMS))
 def test_imports_form_no_cycle(room: str) -> None:
-    """Not even for type checkers: modules of a room can be put in an order in which each needs those before it."""
+    """Not even for type checkers: modules of a room can be put in an order in which each needs
+    those before it.
+    """
     inside = [module for module in MODULES if f"{module}.".startswith(f"lampest.{room}.")]
     needs = {module: set(needed(module)) & set(inside) for module in inside}
     ready: set[str] = set()
-    while following := {module for module in needs if module not in ready and needs[module] <= ready | {module}}:
+    while following := {
+        module for module in needs if module not in ready and needs[module] <= ready | {module}
+    }:
         ready |= following
     assert not needs.keys() - ready
 
@@ -291,7 +374,9 @@ def test_the_package_has_fourteen_rooms() -> None:
     assert {path.name for path in HOUSE.glob("*.py")} == {"__init__.py"}
 
 
-@pytest.mark.parametrize(("name", "home"), [("nlpsol", "lampest.formulation.ipopt"), ("print", "lampest.cli.screen")])
+@pytest.mark.parametrize(
+    ("name", "home"), [("nlpsol", "lampest.formulation.ipopt"), ("print", "lampest.cli.screen")]
+)
 def test_solver_and_terminal_are_called_in_one_place(name: str, home: str) -> None:
     callers = {
         module

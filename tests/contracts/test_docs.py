@@ -1,9 +1,11 @@
 """The pages are true: examples run as a stranger would run them, and what is named is there.
 
-Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is written to
-it, a diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
+Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is
+written to it, a diff is applied, what follows a dollar sign is typed, and what it answers must
+stand below, with ... for any text.
 
-Text for people is plain: pages, README and CHANGELOG, comments of the shipped YAML, messages and docstrings.
+Text for people is plain: pages, README and CHANGELOG, comments of the shipped YAML, messages and
+docstrings.
 """
 
 import ast
@@ -46,11 +48,16 @@ TOOLS = {
 }
 PROSE = sorted(
     path
-    for path in [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), REPOSITORY / "paper/paper.md"]
+    for path in [
+        *REPOSITORY.glob("*.md"),
+        *(REPOSITORY / "docs").rglob("*.md"),
+        REPOSITORY / "paper/paper.md",
+    ]
     if "_build" not in path.parts and path.name not in ("licences.md", "CODE_OF_CONDUCT.md")
 )
 NOT_PLAIN = re.compile(
-    r"\b(un?told|says nothing of|leaps?|leapt|torn|bends|gropes?|groping|what [^.,;:|\[]{1,40} what)\b",
+    r"\b(un?told|says nothing of|leaps?|leapt|torn|bends|gropes?|groping|what [^.,;:|\[]{1,40} "
+    r"what)\b",
     re.IGNORECASE,
 )
 NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
@@ -71,14 +78,20 @@ class Fence(NamedTuple):
 
     def commands(self) -> Iterator[tuple[str, str]]:
         """Commands of a console with their answers."""
-        parts = re.split(r"^\$ ", self.text, flags=re.MULTILINE)[1:] if self.language == "console" else []
+        parts = (
+            re.split(r"^\$ ", self.text, flags=re.MULTILINE)[1:]
+            if self.language == "console"
+            else []
+        )
         for command, _, answer in (part.partition("\n") for part in parts):
             yield command, answer
 
 
 def fences(page: Path) -> tuple[Fence, ...]:
     """The fenced blocks of a page."""
-    blocks = re.finditer(r"^```(\w+)\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    blocks = re.finditer(
+        r"^```(\w+)\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
     return tuple(Fence(*block.groups()) for block in blocks)
 
 
@@ -109,14 +122,22 @@ def run(folder: Path, command: str) -> str:
     """Return the output of a command in a copy of the house; it must succeed."""
     paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
     environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths}
-    options = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "timeout": 300}
+    options = {
+        "cwd": folder,
+        "env": environment,
+        "capture_output": True,
+        "text": True,
+        "timeout": 300,
+    }
     completed = subprocess.run(command, shell=True, **options)
     assert completed.returncode == 0, f"$ {command}\n{completed.stdout}{completed.stderr}"
     return completed.stdout
 
 
 def apply(folder: Path, fence: Fence) -> None:
-    """Write a block where its first line says, or apply its diff; the removed text must stand there once."""
+    """Write a block where its first line says, or apply its diff; the removed text must stand there
+    once.
+    """
     if fence.file:
         (folder / fence.file).write_text(fence.text.partition("\n")[2], encoding="utf-8")
     if fence.language != "diff":
@@ -153,22 +174,34 @@ def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
             if command.startswith("mv "):
                 run(copy, command)
                 new.append(command.split()[-1])
-        new += re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE) if fence.language == "diff" else []
+        new += (
+            re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE)
+            if fence.language == "diff"
+            else []
+        )
     joining = set(EXAMPLES) - {"constraint"}  # parts of a notebook's own program stay there
     assert len(new) == len(joining), "each page moves one file or one class into the house"
-    run(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
+    run(
+        copy,
+        "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached "
+        "or twelve'",
+    )
     run(copy, "ruff check lampest && ruff format --check lampest")
     run(copy, "mypy")
 
 
 def indented(page: Path) -> list[str]:
     """The blocks of a page that are set in by four blanks, without these."""
-    blocks = re.findall(r"(?:^    .*\n|^\n(?=    ))+", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    blocks = re.findall(
+        r"(?:^    .*\n|^\n(?=    ))+", page.read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
     return [textwrap.dedent(block).strip() + "\n" for block in blocks]
 
 
 @pytest.mark.parametrize(
-    "page", [README, pytest.param(DOCS / "howto" / "python.md", marks=pytest.mark.slow)], ids=lambda page: page.name
+    "page",
+    [README, pytest.param(DOCS / "howto" / "python.md", marks=pytest.mark.slow)],
+    ids=lambda page: page.name,
 )
 def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
     blocks = [block for language, block in fences(page) if language == "python"]
@@ -190,8 +223,15 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
         for named in re.findall(r"_file: ([\w.-]+)", block):
             (tmp_path / named).touch()
         run = tmp_path / "run.yaml"
-        estimators = "" if block.startswith("estimators:") else "estimators: {LSR-gCR: {terms: {misfit: {}}}}\n"
-        run.write_text(f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{estimators}{block}", encoding="utf-8")
+        estimators = (
+            ""
+            if block.startswith("estimators:")
+            else "estimators: {LSR-gCR: {terms: {misfit: {}}}}\n"
+        )
+        run.write_text(
+            f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{estimators}{block}",
+            encoding="utf-8",
+        )
         assert read_run(run).cases
 
 
@@ -206,23 +246,44 @@ def test_links_and_named_paths_exist(page: Path) -> None:
             assert not anchor or anchor in anchors(linked), f"{page.name}: {target}"
     examples = "".join(example.read_text(encoding="utf-8") for example in ADDING)
     moved_files = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
-    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
+    for path in re.findall(
+        r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text
+    ):
         built = path.startswith("docs/_build/")
         assert built or path in moved_files or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    """Every link inside it leads somewhere, everything that its pages show has run, and nothing was fetched."""
-    command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(tmp_path / "read"))
+    """Every link inside it leads somewhere, everything that its pages show has run, and nothing was
+    fetched.
+    """
+    command = (
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-b",
+        "html",
+        "-d",
+        str(tmp_path / "read"),
+    )
     completed = subprocess.run(
-        (*command, str(DOCS), str(tmp_path / "html")), capture_output=True, text=True, timeout=300, cwd=REPOSITORY
+        (*command, str(DOCS), str(tmp_path / "html")),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=REPOSITORY,
     )
     assert completed.returncode == 0, completed.stderr
     pages = [path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")]
     assert len(pages) > 15, "the site has its pages"
     assert not [
-        reference for page in pages for reference in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)
+        reference
+        for page in pages
+        for reference in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)
     ]
 
 
@@ -251,13 +312,21 @@ def test_the_glossary_names_where_things_are_defined() -> None:
     for path, names in rows:
         text = (REPOSITORY / path).read_text(encoding="utf-8")
         for name in re.findall(r"`([^`]+)`", names):
-            assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
+            assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), (
+                f"{path}: {name}"
+            )
 
 
-def test_the_readouts_page_shows_every_kind_with_a_valid_scene_and_a_drawing(tmp_path: Path) -> None:
+def test_the_readouts_page_shows_every_kind_with_a_valid_scene_and_a_drawing(
+    tmp_path: Path,
+) -> None:
     page = READOUTS.read_text(encoding="utf-8")
     blocks = fences(READOUTS)
-    kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
+    kinds = [
+        getattr(lampest, name).kind
+        for name in dir(lampest)
+        if name.endswith("Readout") and name != "Readout"
+    ]
     assert len(blocks) >= len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
     for fence in blocks:
         (tmp_path / "scene.yaml").write_text(fence.text, encoding="utf-8")
@@ -291,17 +360,23 @@ def sentences(paragraph: str) -> Iterator[str]:
 @pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    prose = re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+    prose = re.sub(
+        r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    )
     assert not [match[0] for match in NOT_PLAIN.finditer(prose)]
     every = (sentence for paragraph in paragraphs(text) for sentence in sentences(paragraph))
-    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MAX_WORDS]
+    assert not [
+        sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MAX_WORDS
+    ]
 
 
 def test_comments_messages_and_docstrings_are_plain() -> None:
     comments = (
         (path, comment)
         for path in (REPOSITORY / "configs").glob("*.yaml")
-        for comment in re.findall(r"(?:^|\s)#(.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        for comment in re.findall(
+            r"(?:^|\s)#(.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE
+        )
     )
     texts = (
         (path, node.value)
@@ -309,13 +384,25 @@ def test_comments_messages_and_docstrings_are_plain() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
     )
-    assert not [(path, word[0]) for path, text in (*comments, *texts) for word in NOT_PLAIN.finditer(text)]
+    assert not [
+        (path, word[0]) for path, text in (*comments, *texts) for word in NOT_PLAIN.finditer(text)
+    ]
 
 
 def test_every_word_is_spelt_right() -> None:
     pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "firmware/README.md"]
     options = ["--ignore-words-list", NAMES, "--skip", "*_build*,*.svg,*.bib"]
-    command = [sys.executable, "-m", "codespell_lib", *options, "lampest", "docs", "configs", "paper", *pages]
+    command = [
+        sys.executable,
+        "-m",
+        "codespell_lib",
+        *options,
+        "lampest",
+        "docs",
+        "configs",
+        "paper",
+        *pages,
+    ]
     completed = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
     assert completed.returncode == 0, completed.stdout
 
@@ -326,7 +413,9 @@ HOW_TOS = ("import", "readouts", "outlines", "flexitac", "ros")
 OF_MATS = ("tutorial/mats.md", "tutorial/own_panel.md", *(f"howto/{name}.md" for name in HOW_TOS))
 
 
-@pytest.mark.parametrize("page", [README, *(DOCS / name for name in OF_MATS)], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", [README, *(DOCS / name for name in OF_MATS)], ids=lambda page: page.name
+)
 def test_the_path_for_mats_mentions_mats_alone(page: Path) -> None:
     assert not re.search("lamprey", page.read_text(encoding="utf-8"), re.IGNORECASE)
 
@@ -334,18 +423,25 @@ def test_the_path_for_mats_mentions_mats_alone(page: Path) -> None:
 def test_the_page_for_mats_links_such_pages_and_names_existing_columns() -> None:
     page = DOCS / "tutorial" / "mats.md"
     text = page.read_text(encoding="utf-8")
-    linked = {(page.parent / target).resolve() for target in re.findall(r"[^!]\[[^]]*\]\(([^)#]+\.md)", text)}
+    linked = {
+        (page.parent / target).resolve()
+        for target in re.findall(r"[^!]\[[^]]*\]\(([^)#]+\.md)", text)
+    }
     assert linked <= {DOCS / name for name in OF_MATS}
     table = text.partition("| column | unit")[2].partition("\n\n")[0]
     named = re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE)
     names = {name for cells in named for name in re.findall(r"`(\w+)`", cells)}
     recording = lampest.Recording.from_array(np.full((3, 2, 2), 500.0), baseline=1)
-    estimate = lampest.reconstruct(replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")])
+    estimate = lampest.reconstruct(
+        replace(recording, sigma=np.ones((2, 2))), [lampest.Misfit(weighting="noise")]
+    )
     assert names - {"reading_model"} <= set(estimate.to_dataframe().columns)
 
 
 def test_the_ros_example_turns_a_message_into_an_image(tmp_path: Path) -> None:
-    (code,) = (block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python")
+    (code,) = (
+        block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python"
+    )
     names: dict[str, Any] = {}
     exec(compile(code, "cells.py", "exec"), names)
     message = {"panel": {"rows": 2, "columns": 3}, "cells": [1.5, 2.5, None, 4.0, 5.0, 6.0]}

@@ -1,4 +1,6 @@
-"""What stands around the package: hooks, the workflow beside `.ci/run`, the first screen of the help, Excel."""
+"""What stands around the package: hooks, the workflow beside `.ci/run`, the first screen of the
+help, Excel.
+"""
 
 import re
 import warnings
@@ -56,7 +58,10 @@ def test_the_first_screen_of_the_help_lists_the_first_commands(lampest: Command)
 
 
 def test_an_excel_workbook_holds_cells_units_and_meanings(lampest: Command, tmp_path: Path) -> None:
-    cases = [invented_case("=LSM", "mouth", (3, 4, 5), failed=(1,)), invented_case("LSM:a", "other", (2, 3, 6))]
+    cases = [
+        invented_case("=LSM", "mouth", (3, 4, 5), failed=(1,)),
+        invented_case("LSM:a", "other", (2, 3, 6)),
+    ]
     lp.write_results(tmp_path / "r.h5", cases)
     assert lampest("export", tmp_path / "r.h5", "--to", "xlsx").code == 0
     book = openpyxl.load_workbook(tmp_path / "r.xlsx", read_only=True)
@@ -69,7 +74,9 @@ def test_an_excel_workbook_holds_cells_units_and_meanings(lampest: Command, tmp_
         cells = [np.nan if line[place] is None else line[place] for line in lines]
         expected = case.cell_resistance.ravel().tolist()
         assert cells == pytest.approx(expected, rel=1e-14, nan_ok=True)
-        assert not any(isinstance(value, str) and value.startswith("=") for line in lines for value in line)
+        assert not any(
+            isinstance(value, str) and value.startswith("=") for line in lines for value in line
+        )
 
 
 def test_numpy_functions_accept_the_symbols_of_a_term_silently() -> None:
@@ -91,21 +98,31 @@ def test_numpy_functions_accept_the_symbols_of_a_term_silently() -> None:
 @pytest.mark.parametrize("name", ["lazy_loader", "flexitac"])
 def test_dependencies_are_locked(name: str) -> None:
     locks = (ROOT / "requirements.lock").read_text() + (ROOT / "requirements-dev.lock").read_text()
-    assert re.search(rf"^{name.replace('_', '-')}=={constraint(name.replace('_', '-'))} ", locks, re.MULTILINE)
+    assert re.search(
+        rf"^{name.replace('_', '-')}=={constraint(name.replace('_', '-'))} ", locks, re.MULTILINE
+    )
 
 
 def test_every_extra_is_documented() -> None:
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8").partition("[project.optional-dependencies]")[2]
+    text = (
+        (ROOT / "pyproject.toml")
+        .read_text(encoding="utf-8")
+        .partition("[project.optional-dependencies]")[2]
+    )
     extras = set(re.findall(r"^(\w+) = \[", text.partition("\n[project.scripts]")[0], re.MULTILINE))
     table = (ROOT / "docs" / "faq.md").read_text(encoding="utf-8").partition("## Which extras")[2]
     named = {
-        name for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)
+        name
+        for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", row)
     }
     assert named == extras
 
 
 def installed_megabytes(*extras: str) -> float:
-    """MB on a disk with blocks of 4 kB of lampest's requirements with these extras, and all that they require."""
+    """MB on a disk with blocks of 4 kB of lampest's requirements with these extras, and all that
+    they require.
+    """
     pending: list[tuple[str, frozenset[str]]] = [("lampest", frozenset(extras))]
     visited: set[tuple[str, frozenset[str]]] = set()
     sizes: dict[str, int] = {}
@@ -119,18 +136,26 @@ def installed_megabytes(*extras: str) -> float:
         except metadata.PackageNotFoundError:
             continue  # of another platform, or vendored
         places = (Path(str(file.locate())) for file in package.files or [] if name != "lampest")
-        sizes[name] = sum(-(-place.stat().st_size // 4096) * 4096 for place in places if place.is_file())
+        sizes[name] = sum(
+            -(-place.stat().st_size // 4096) * 4096 for place in places if place.is_file()
+        )
         for text in package.requires or []:
             needed = Requirement(text)
-            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in (*requested, "")):
+            if needed.marker is None or any(
+                needed.marker.evaluate({"extra": extra}) for extra in (*requested, "")
+            ):
                 pending.append((canonicalize_name(needed.name), frozenset(needed.extras)))
-    package_files = [file for file in (ROOT / "lampest").rglob("*") if file.is_file() and file.suffix != ".pyc"]
+    package_files = [
+        file for file in (ROOT / "lampest").rglob("*") if file.is_file() and file.suffix != ".pyc"
+    ]
     return (sum(sizes.values()) + sum(file.stat().st_size for file in package_files)) / 1e6
 
 
 @pytest.mark.slow
 def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
-    text = re.search(r"Without `\[plots\]`, (\d+) MB in place of (\d+)", (ROOT / "README.md").read_text())
+    text = re.search(
+        r"Without `\[plots\]`, (\d+) MB in place of (\d+)", (ROOT / "README.md").read_text()
+    )
     assert text is not None
     without = installed_megabytes()
     with_plots = installed_megabytes("plots")
@@ -139,7 +164,9 @@ def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
     assert with_plots - without == pytest.approx(float(text[2]) - float(text[1]), rel=0.2)
 
 
-def test_the_help_of_init_lists_the_eight_circuits_of_the_readme(lampest: Command, tmp_path: Path) -> None:
+def test_the_help_of_init_lists_the_eight_circuits_of_the_readme(
+    lampest: Command, tmp_path: Path
+) -> None:
     assert "`lampest init --help` lists\n   eight circuits" in (ROOT / "README.md").read_text()
     shown = " ".join(re.findall(r"[\w,]+", lampest("init", "--help").out))
     listed = re.search(r"Your circuit (.+?) default", shown)
@@ -148,6 +175,11 @@ def test_the_help_of_init_lists_the_eight_circuits_of_the_readme(lampest: Comman
     assert len(circuits) == len(set(circuits)) == 8, circuits
     kinds = set()
     for circuit in circuits:
-        assert lampest("init", tmp_path / circuit, "--readout", circuit, "--rows", 3, "--columns", 3).code == 0
+        assert (
+            lampest(
+                "init", tmp_path / circuit, "--readout", circuit, "--rows", 3, "--columns", 3
+            ).code
+            == 0
+        )
         kinds.add(lp.read_scene(tmp_path / circuit / "scene.yaml").readout)
     assert len(kinds) == 8

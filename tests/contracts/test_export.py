@@ -1,4 +1,6 @@
-"""`lampest export`: what a results file holds comes out of every format through that format's own library."""
+"""`lampest export`: what a results file holds comes out of every format through that format's own
+library.
+"""
 
 import csv
 import dataclasses
@@ -32,12 +34,16 @@ Run = Callable[..., SimpleNamespace]
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """Two recordings, one with a failed frame and error bars, one of another size without a truth."""
+    """Two recordings, one with a failed frame and error bars, one of another size without a
+    truth.
+    """
     failing = invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)
     bars = np.indices((3, 4, 5)).sum(axis=0) / 7
     flags = np.zeros((3, 4, 5), dtype=np.uint8)
     bars[1], flags[0, 1, 2] = np.nan, 1
-    maps = dict.fromkeys(("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors"), bars)
+    maps = dict.fromkeys(
+        ("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors"), bars
+    )
     cases = [
         dataclasses.replace(failing, **maps, cell_resistance_upper=bars + np.inf, saturated=flags),
         invented_case("LSR-gCR", "mouth", (3, 4, 5), start_time=START),
@@ -83,7 +89,9 @@ def check_table(table: Any, results: Path) -> None:
             assert_array_equal(lines.saturated.astype(float), shown(case, "saturated").ravel())
 
 
-def test_pandas_reads_the_csv_export(lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pandas_reads_the_csv_export(
+    lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pandas
 
     path = exported(lampest, results, "csv")
@@ -92,12 +100,16 @@ def test_pandas_reads_the_csv_export(lampest: Run, results: Path, monkeypatch: p
     check_table(table, results)
     written = path.read_bytes()
     monkeypatch.setitem(sys.modules, "pandas", None)
-    assert export_results(results, "csv")[0].read_bytes() == written, "nor is pandas needed to write it"
+    assert export_results(results, "csv")[0].read_bytes() == written, (
+        "nor is pandas needed to write it"
+    )
 
 
 def test_csv_quotes_names_that_spreadsheets_would_compute(lampest: Run, tmp_path: Path) -> None:
     names = {"=cmd|'C calc'!A0": "+1", "-2+3": "@SUM(A1)"}
-    cases = [invented_case(estimator, recording, (2, 3, 4)) for recording, estimator in names.items()]
+    cases = [
+        invented_case(estimator, recording, (2, 3, 4)) for recording, estimator in names.items()
+    ]
     write_results(tmp_path / "r.h5", cases)
     table = exported(lampest, tmp_path / "r.h5", "csv")
     assert lampest("compare", tmp_path / "r.h5", "--csv", tmp_path / "c.csv").code == 0
@@ -106,10 +118,17 @@ def test_csv_quotes_names_that_spreadsheets_would_compute(lampest: Run, tmp_path
         with path.open(newline="") as lines:
             assert expected <= {field for line in csv.reader(lines) for field in line}
     with (tmp_path / "c.csv").open(newline="") as lines:
-        assert not [field for line in csv.reader(lines) for field in line if field.startswith(("=", "+", "@"))]
+        assert not [
+            field
+            for line in csv.reader(lines)
+            for field in line
+            if field.startswith(("=", "+", "@"))
+        ]
 
 
-def test_pyarrow_and_pandas_read_the_parquet_export(lampest: Run, results: Path, tmp_path: Path) -> None:
+def test_pyarrow_and_pandas_read_the_parquet_export(
+    lampest: Run, results: Path, tmp_path: Path
+) -> None:
     import pandas
     from pyarrow import parquet
 
@@ -118,13 +137,24 @@ def test_pyarrow_and_pandas_read_the_parquet_export(lampest: Run, results: Path,
     schema = parquet.read_schema(path)
     assert schema.field("time_s").metadata == {b"units": b"s", b"long_name": b"time of the frame"}
     assert json.loads(schema.field("solved").metadata[b"flags"]) == {"0": "failed", "1": "solved"}
-    assert str(schema.field("saturated").type) == "uint8", "a flag that some cases lack stays a flag"
+    assert str(schema.field("saturated").type) == "uint8", (
+        "a flag that some cases lack stays a flag"
+    )
     assert json.loads(schema.metadata[b"lampest"])[0]["start_time"] == START
     volt = invented_case("LSM", "volts", (2, 3, 4))
-    scene = dataclasses.replace(volt.scene, readout=LoadedColumnsReadout(load_ohm=1000.0), series_resistance_ohm=0.0)
-    write_results(tmp_path / "r.h5", [invented_case("LSM", "ohms", (2, 3, 4)), dataclasses.replace(volt, scene=scene)])
-    table = pandas.read_parquet(export_results(tmp_path / "r.h5", "parquet", tmp_path / "both.parquet")[0])
-    assert table[table.recording == "ohms"].measured_volt.isna().all(), "readings in volt are a column of their own"
+    scene = dataclasses.replace(
+        volt.scene, readout=LoadedColumnsReadout(load_ohm=1000.0), series_resistance_ohm=0.0
+    )
+    write_results(
+        tmp_path / "r.h5",
+        [invented_case("LSM", "ohms", (2, 3, 4)), dataclasses.replace(volt, scene=scene)],
+    )
+    table = pandas.read_parquet(
+        export_results(tmp_path / "r.h5", "parquet", tmp_path / "both.parquet")[0]
+    )
+    assert table[table.recording == "ohms"].measured_volt.isna().all(), (
+        "readings in volt are a column of their own"
+    )
     assert_array_equal(table[table.recording == "volts"].measured_volt, volt.measured.ravel())
 
 
@@ -149,7 +179,9 @@ def test_scipy_reads_the_mat_export(lampest: Run, results: Path) -> None:
         assert (saved["units"]["cell_resistance"], saved["units"]["x"]) == ("ohm", "mm")
         assert saved["long_name"]["cell_resistance"] == "estimated cell resistance"
         assert list(saved["flags"]["solved"]["meanings"]) == ["failed", "solved"]
-        assert all(name.isidentifier() and len(name) < 64 for name in saved), "Octave and MATLAB take no other names"
+        assert all(name.isidentifier() and len(name) < 64 for name in saved), (
+            "Octave and MATLAB take no other names"
+        )
     assert held[0]["start_time"] == START
 
 
@@ -161,21 +193,35 @@ def test_xarray_reads_the_zarr_export(lampest: Run, results: Path) -> None:
     assert path.name == "r.zarr.zip"
     with ZipStore(path, mode="r") as store, xarray.open_datatree(store, engine="zarr") as tree:
         for case in read_results(results).cases:
-            xarray.testing.assert_identical(tree[f"{case.recording}/{case.estimator}"].to_dataset(), case.to_xarray())
+            xarray.testing.assert_identical(
+                tree[f"{case.recording}/{case.estimator}"].to_dataset(), case.to_xarray()
+            )
         group = tree["mouth/LSM"]
-        assert group["cell_resistance"].attrs["units"] == "ohm" and group["x"].attrs["units"] == "mm"
+        assert (
+            group["cell_resistance"].attrs["units"] == "ohm" and group["x"].attrs["units"] == "mm"
+        )
         assert group["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
-        assert group["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
+        assert group["saturated"].isnull().any(["row", "column"]).values.tolist() == [
+            False,
+            True,
+            False,
+        ]
         assert "two_point_model" in group and "reading_model" not in group
         assert group.attrs["start_time"] == START
 
 
 @pytest.mark.parametrize(
-    ("library", "to"), [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")]
+    ("library", "to"),
+    [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")],
 )
-def test_export_names_a_missing_library(results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str) -> None:
+def test_export_names_a_missing_library(
+    results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
+) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$"):
+    with pytest.raises(
+        InputError,
+        match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$",
+    ):
         export_results(results, to, recording="mouth")
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
@@ -201,8 +247,12 @@ def test_pynwb_reads_the_nwb_export_with_subject_and_start(lampest: Run, tmp_pat
     case = invented_case("LSM", "mouth", (2, 3, 4))
     scene = dataclasses.replace(
         case.scene,
-        subject=MeasuredSubject(id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0),
-        experiment=Experiment(title="attachment", experimenter="Doe, Jane", water_temperature_celsius=12.5),
+        subject=MeasuredSubject(
+            id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0
+        ),
+        experiment=Experiment(
+            title="attachment", experimenter="Doe, Jane", water_temperature_celsius=12.5
+        ),
     )
     write_results(tmp_path / "r.h5", [dataclasses.replace(case, scene=scene)])
     path = exported(lampest, tmp_path / "r.h5", "nwb", "--start", START)
@@ -226,6 +276,9 @@ def test_pynwb_reads_the_nwb_export_with_subject_and_start(lampest: Run, tmp_pat
     assert session.experiment_description == "attachment; water at 12.5 degrees Celsius"
     assert session.experimenter == ("Doe, Jane",)
     described = module.description.splitlines()
-    assert described[:2] == ["recording: mouth", "estimator: LSM"] and "lampest_version: 0.1.0" in described
+    assert (
+        described[:2] == ["recording: mouth", "estimator: LSM"]
+        and "lampest_version: 0.1.0" in described
+    )
     assert "scene:" not in "".join(described) and "rows: 3" in session.notes
     session.read_io.close()

@@ -16,7 +16,13 @@ import lampest
 from lampest import Gradient, Misfit, Panel, Recording, Scene, Simulation, write_results
 
 ELLIPSE = Ellipse(centre_mm=(25.0, 20.0), long_mm=40.0, short_mm=20.0, pressure_kpa=15.0)
-GROUPS = {"terms": "Leash", "losses": "Cushion", "readouts": "Divider", "methods": "Even", "shapes": "Ellipse"}
+GROUPS = {
+    "terms": "Leash",
+    "losses": "Cushion",
+    "readouts": "Divider",
+    "methods": "Even",
+    "shapes": "Ellipse",
+}
 GROUPS |= {"columns": "CONTRAST", "plots": "HISTOGRAM"}
 SIMULATION = """\
 schema: 1
@@ -37,13 +43,26 @@ estimators:
   even: {terms: {misfit: {}}, formulation: {kind: even, factor: 2}}
 """
 EXTENSIONS = Path(__file__).with_name("extensions.py").read_text(encoding="utf-8")
-# A group of entry points, what a package names in it, and how the sentence begins; "terms" are asked for by a run.
+# A group of entry points, what a package names in it, and how the sentence begins; "terms" are
+# asked for by a run.
 WRONG_NAMES = (
     ("terms", "addon:Even", "lampest.terms: Even of an installed package is no Term"),
     ("methods", "addon:Leash", "lampest.methods: Leash of an installed package is no Method"),
-    ("terms", "addon:contrast", "lampest.terms: extra = addon:contrast of an installed package is no type"),
-    ("terms", "lampest:Misfit", "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with"),
-    ("columns", "addon:MOST", "lampest.columns: extra = addon:MOST of an installed package cannot be loaded"),
+    (
+        "terms",
+        "addon:contrast",
+        "lampest.terms: extra = addon:contrast of an installed package is no type",
+    ),
+    (
+        "terms",
+        "lampest:Misfit",
+        "lampest.terms: Misfit of an installed package needs kind: Literal['...'] with",
+    ),
+    (
+        "columns",
+        "addon:MOST",
+        "lampest.columns: extra = addon:MOST of an installed package cannot be loaded",
+    ),
     ("columns", "math:pi", "lampest.columns: extra = math:pi of an installed package is no Column"),
     ("plots", "addon:TWICE", "there are two plots 'contours'"),
 )
@@ -51,7 +70,9 @@ WRONG_NAMES = (
 
 def simulated(readout: lampest.Readout) -> Recording:
     scene = Scene(Panel(5, 6), readout)
-    return lampest.simulate(Simulation(schema=1, seed=3, scene=scene, frames=2, loads=(ELLIPSE,)), "ellipse")
+    return lampest.simulate(
+        Simulation(schema=1, seed=3, scene=scene, frames=2, loads=(ELLIPSE,)), "ellipse"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +83,14 @@ def recording() -> Recording:
 def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
     terms = [Misfit(weighting="noise"), Leash(weight=1e6, length_ohm=1234.0)]
     for formulation in ("nodal", "reduced"):
-        estimate = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
+        estimate = lampest.reconstruct(
+            recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none")
+        )
         assert estimate.status == ("optimum verified",) * 2
         assert_allclose(estimate.cell_resistance, 1234, rtol=1e-3)
-    weak = lampest.reconstruct(recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced")
+    weak = lampest.reconstruct(
+        recording, [Misfit(weighting="noise"), Leash(weight="auto")], formulation="reduced"
+    )
     assert weak.solved.all() and "misfit + leash" in repr(weak)
 
 
@@ -73,7 +98,9 @@ def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
     """So soft a cushion is a square; a hard one costs what it says."""
     penalty = Gradient(weight=1e-3)
     plain, soft, hard = (
-        lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), penalty], formulation="reduced")
+        lampest.reconstruct(
+            recording, [Misfit(weighting="noise", loss=loss), penalty], formulation="reduced"
+        )
         for loss in (lampest.Squared(), Cushion(softness=1e6), Cushion(softness=0.5))
     )
     assert soft.status == hard.status == ("optimum verified",) * 2
@@ -93,7 +120,10 @@ def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
         def cost(self, residual: Any) -> Any:
             return residual**2
 
-    with pytest.raises(lampest.InputError, match=r"loss Forgetful: cost gives 30×1 numbers; it must give one, the sum"):
+    with pytest.raises(
+        lampest.InputError,
+        match=r"loss Forgetful: cost gives 30×1 numbers; it must give one, the sum",
+    ):
         lampest.reconstruct(recording, [Misfit(loss=Forgetful())], formulation="reduced")
 
 
@@ -112,7 +142,10 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
 
 def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None:
     free = lampest.Bounds("none", "none")
-    single, double = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
+    single, double = (
+        lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free)
+        for f in (1.0, 2.0)
+    )
     assert_allclose(double.cell_resistance, 2 * single.cell_resistance)
     assert np.ptp(single.cell_resistance[0]) == 0 and single.cell_resistance_errors is None
     assert set(single.status) == {"approximate, as the formulation asks; not an optimum"}
@@ -184,9 +217,16 @@ def test_a_wrong_entry_point_gives_one_sentence(
     sentence: str,
 ) -> None:
     write_results(tmp_path / "r.h5", [invented_case()])
-    package(EXTENSIONS + 'TWICE = type("Twice", (Histogram,), {"kind": "contours"})()\n', **{group: name})
+    package(
+        EXTENSIONS + 'TWICE = type("Twice", (Histogram,), {"kind": "contours"})()\n',
+        **{group: name},
+    )
     (tmp_path / "run.yaml").write_text(RUN)
-    words = ("run", tmp_path / "run.yaml") if group in ("terms", "methods") else ("plot", tmp_path / "r.h5")
+    words = (
+        ("run", tmp_path / "run.yaml")
+        if group in ("terms", "methods")
+        else ("plot", tmp_path / "r.h5")
+    )
     completed = lampest(*words, *(("--show", "contours") if group == "plots" else ()))
     assert completed.code == 2 and completed.err.startswith(f"lampest: {sentence}"), completed.err
     assert completed.err.count("\n") == 1

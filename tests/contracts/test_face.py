@@ -1,4 +1,6 @@
-"""The public face: every name is there, typed, and cheap until it is used; wrong use is one sentence; defaults."""
+"""The public face: every name is there, typed, and cheap until it is used; wrong use is one
+sentence; defaults.
+"""
 
 import ast
 import dataclasses
@@ -17,7 +19,16 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import lampest
-from lampest import CellResistance, Gradient, InputError, Misfit, Reconstruction, Recording, Scene, TotalVariation
+from lampest import (
+    CellResistance,
+    Gradient,
+    InputError,
+    Misfit,
+    Reconstruction,
+    Recording,
+    Scene,
+    TotalVariation,
+)
 
 ROOT = Path(__file__).parents[2]
 MISFIT = [Misfit()]
@@ -25,10 +36,14 @@ NO_DATA = "gradient needs the term misfit: without it nothing reads what was mea
 NO_RECORDING = "recording must be a Recording, such as Recording.load('mine.h5'), not "
 # What `reconstruct` is given, and what it says of it.
 WRONG_CALLS: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"formulation": "fast"}, "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, "),
+    (
+        {"formulation": "fast"},
+        "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, ",
+    ),
     (
         {"formulation": lampest.TruncatedMethod},
-        "formulation must be a word or a method such as TruncatedMethod(), not the class TruncatedMethod",
+        "formulation must be a word or a method such as TruncatedMethod(), not the class "
+        "TruncatedMethod",
     ),
     ({"solver": {"tolerance": 1e-3}}, "solver must be Settings(...), not a dict"),
     ({"bounds": {}}, "bounds must be Bounds(...), not a dict"),
@@ -53,7 +68,9 @@ def lamprey() -> Recording:
 
 @pytest.fixture(scope="module")
 def estimate(lamprey: Recording) -> Reconstruction:
-    return lampest.reconstruct(lamprey, [Misfit(), Gradient(weight=np.float64(1e-3))], formulation="reduced")
+    return lampest.reconstruct(
+        lamprey, [Misfit(), Gradient(weight=np.float64(1e-3))], formulation="reduced"
+    )
 
 
 def test_every_public_name_exists_and_is_listed() -> None:
@@ -76,8 +93,8 @@ from contracts.extensions import CONTRAST, Ellipse, Even, Histogram, Leash
 
 scene = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
 load = Ellipse(centre_mm=(20.0, 15.0), long_mm=30.0, short_mm=20.0, pressure_kpa=10.0)
-recording = lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=scene, loads=(load, lampest.Rod(
-    centre_mm=(10.0, 10.0), diameter_mm=20.0, mass_g=100.0))))
+rod = lampest.Rod(centre_mm=(10.0, 10.0), diameter_mm=20.0, mass_g=100.0)
+recording = lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=scene, loads=(load, rod)))
 estimate = lampest.reconstruct(
     recording,
     [lampest.Misfit(), lampest.Gradient(weight="auto"), Leash(loss=lampest.Huber(corner=3.0))],
@@ -105,9 +122,15 @@ REVEALED = (
 MISTAKES = (
     ("lampest.Recordign", 'has no attribute "Recordign"'),
     ("lampest.reconstruct(recording, lampest.Misfit())", 'incompatible type "Misfit"'),
-    ('lampest.reconstruct(recording, [lampest.Misfit()], formulation="fast")', 'incompatible type "Literal['),
+    (
+        'lampest.reconstruct(recording, [lampest.Misfit()], formulation="fast")',
+        'incompatible type "Literal[',
+    ),
     ("lampest.reconstruct(recording, [lampest.Misfit()], solver={})", "incompatible type"),
-    ("lampest.reconstruct(recording, [lampest.Misfit()], tolerance=1)", 'Unexpected keyword argument "tolerance"'),
+    (
+        "lampest.reconstruct(recording, [lampest.Misfit()], tolerance=1)",
+        'Unexpected keyword argument "tolerance"',
+    ),
 )
 
 
@@ -116,22 +139,42 @@ def test_a_strict_type_checker_infers_the_types_of_a_script(tmp_path: Path) -> N
     script = tmp_path / "script.py"
     wrong = tmp_path / "wrong.py"
     script.write_text(SCRIPT)
-    wrong.write_text("\n".join(["import lampest", "recording = lampest.Recording.load('x.h5')", *dict(MISTAKES)]))
-    options = ("--strict", "--no-error-summary", "--hide-error-context", "--follow-imports=silent", "--no-pretty")
+    wrong.write_text(
+        "\n".join(["import lampest", "recording = lampest.Recording.load('x.h5')", *dict(MISTAKES)])
+    )
+    options = (
+        "--strict",
+        "--no-error-summary",
+        "--hide-error-context",
+        "--follow-imports=silent",
+        "--no-pretty",
+    )
     command = [sys.executable, "-m", "mypy", *options, script.name, wrong.name]
     variables = os.environ | {"MYPYPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests")))}
-    completed = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=variables)
+    completed = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=variables
+    )
     assert completed.stderr == ""
     diagnostics = [line.split(": ", 2) for line in completed.stdout.splitlines()]
-    revealed = [text for place, kind, text in diagnostics if place.startswith("script") and kind == "note"]
-    assert [text.removeprefix('Revealed type is "').removesuffix('"') for text in revealed] == list(REVEALED)
+    revealed = [
+        text for place, kind, text in diagnostics if place.startswith("script") and kind == "note"
+    ]
+    assert [text.removeprefix('Revealed type is "').removesuffix('"') for text in revealed] == list(
+        REVEALED
+    )
     assert not [line for line in diagnostics if line[0].startswith("script") and line[1] == "error"]
-    errors = {int(place.split(":")[1]) - 3: text for place, kind, text in diagnostics if kind == "error"}
-    assert [number for number, (_, text) in enumerate(MISTAKES) if text not in errors.get(number, "")] == []
+    errors = {
+        int(place.split(":")[1]) - 3: text for place, kind, text in diagnostics if kind == "error"
+    }
+    assert [
+        number for number, (_, text) in enumerate(MISTAKES) if text not in errors.get(number, "")
+    ] == []
 
 
 @pytest.mark.parametrize(("given", "sentence"), WRONG_CALLS)
-def test_wrong_use_gives_one_sentence(lamprey: Recording, given: dict[str, Any], sentence: str) -> None:
+def test_wrong_use_gives_one_sentence(
+    lamprey: Recording, given: dict[str, Any], sentence: str
+) -> None:
     with pytest.raises(InputError) as raised:
         lampest.reconstruct(**{"recording": lamprey, "terms": MISFIT} | given)
     assert isinstance(raised.value, ValueError) and str(raised.value).startswith(sentence)
@@ -146,8 +189,12 @@ def test_wrong_frames_weights_and_files_give_one_sentence(lamprey: Recording) ->
         lambda: Gradient(
             weight="autos"
         ): "Gradient: weight: Input should be a valid number or 'auto', not 'autos'; did",
-        lambda: Recording.load("mine.csv"): "mine.csv: is no recording; lampest.import_file (lampest import) makes one",
-        lambda: stream.push(lamprey.resistance[3]): "a stream takes Readings.of(scene, values), not a ndarray",
+        lambda: Recording.load(
+            "mine.csv"
+        ): "mine.csv: is no recording; lampest.import_file (lampest import) makes one",
+        lambda: stream.push(
+            lamprey.resistance[3]
+        ): "a stream takes Readings.of(scene, values), not a ndarray",
         lambda: stream.push(
             readings[3:5]
         ): "a stream takes one frame of 10 × 10 readings, not 2 × 10 × 10; of several,",
@@ -158,13 +205,22 @@ def test_wrong_frames_weights_and_files_give_one_sentence(lamprey: Recording) ->
         replace(lamprey, recorded=lamprey.recorded / 1000)
 
 
-def test_a_recording_and_a_reconstruction_print_one_line_each(lamprey: Recording, estimate: Reconstruction) -> None:
+def test_a_recording_and_a_reconstruction_print_one_line_each(
+    lamprey: Recording, estimate: Reconstruction
+) -> None:
     assert len(repr(lamprey).splitlines()) == len(repr(estimate).splitlines()) == 1
     assert estimate.weights.keys() == {"gradient"} and np.all(estimate.weights["gradient"] == 1e-3)
     shown = estimate._repr_html_()
-    assert "gradient: 0.001" in shown and "[[Cells in frame 6 at 6 s]]" in shown and 'src="data:image/' in shown
+    assert (
+        "gradient: 0.001" in shown
+        and "[[Cells in frame 6 at 6 s]]" in shown
+        and 'src="data:image/' in shown
+    )
     assert not {"ast", "annotations", "import_module", "Path"} & set(dir(lampest))
-    assert not {"of", "asked", "tared"} & set(dir(estimate)) and {"cell_resistance", "fit_report"} <= set(dir(estimate))
+    assert not {"of", "asked", "tared"} & set(dir(estimate)) and {
+        "cell_resistance",
+        "fit_report",
+    } <= set(dir(estimate))
 
 
 def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path) -> None:
@@ -172,26 +228,53 @@ def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path
     (case,) = lampest.read_results(tmp_path / "r.h5").cases
     assert (case.recording, case.estimator) == ("lamprey_35mm", "mine")
     assert "weight: 0.001" in case.case_yaml and len(case.case_id) == 24
-    arrays = ["time", "status", "solved", "cell_resistance", "relative_change", "open_cell", "at_lower_bound"]
+    arrays = [
+        "time",
+        "status",
+        "solved",
+        "cell_resistance",
+        "relative_change",
+        "open_cell",
+        "at_lower_bound",
+    ]
     for name in ("cell_resistance", "relative_change", "pressure"):
         arrays += [f"{name}_errors", f"{name}_lower", f"{name}_upper"]
-    for name in (*arrays, "pressure", "saturated", "resolution", "data_share", "baseline_resistance_errors"):
+    for name in (
+        *arrays,
+        "pressure",
+        "saturated",
+        "resolution",
+        "data_share",
+        "baseline_resistance_errors",
+    ):
         assert_array_equal(getattr(estimate, name), getattr(case, name), name)
     shape = (4, 10, 10)
-    assert estimate.pressure is not None and estimate.cell_resistance.shape == estimate.pressure.shape == shape
+    assert (
+        estimate.pressure is not None
+        and estimate.cell_resistance.shape == estimate.pressure.shape == shape
+    )
     restored = estimate.result("mine")
     assert (restored.case_id, restored.case_yaml) == (case.case_id, case.case_yaml)
 
 
 def test_estimates_without_noise_have_no_error_bars(lamprey: Recording) -> None:
     silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
-    bare = lampest.reconstruct(silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none"))
-    for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
+    bare = lampest.reconstruct(
+        silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none")
+    )
+    for name in (
+        "cell_resistance_errors",
+        "relative_change_upper",
+        "pressure",
+        "saturated",
+        "resolution",
+    ):
         assert getattr(bare, name) is None
     assert "pressure" not in bare.to_xarray()
     assert "chi-square" not in bare.fit_report() and "[[Weights]]" not in bare.fit_report()
     hint = (
-        r"holds no pressure to draw, which needs pressure.*; add .* to the scene, such as response: \{kind: published\}"
+        r"holds no pressure to draw, which needs pressure.*; add .* to the scene, such as "
+        r"response: \{kind: published\}"
     )
     with pytest.raises(InputError, match=hint):
         bare.plot("pressure")
@@ -208,10 +291,21 @@ def test_labelled_arrays_agree_with_results_files(estimate: Reconstruction, tmp_
     units = table.attrs["units"]
     assert (units["cell_resistance"], units["pressure"], units["time"]) == ("ohm", "kPa", "s")
     assert_array_equal(dataset.x, 10.0 * np.arange(10))
-    assert dataset.x.dims == ("column",) and dataset.y.dims == ("row",) and dataset.x.attrs["units"] == "mm"
+    assert (
+        dataset.x.dims == ("column",)
+        and dataset.y.dims == ("row",)
+        and dataset.x.attrs["units"] == "mm"
+    )
     with h5py.File(tmp_path / "r.h5") as file:
         group = file["entry/lamprey_35mm/misfit + gradient"]
-        for name in ("cell_resistance", "relative_change", "pressure", "status", "solved", "baseline_resistance"):
+        for name in (
+            "cell_resistance",
+            "relative_change",
+            "pressure",
+            "status",
+            "solved",
+            "baseline_resistance",
+        ):
             stored = group[name]
             variable = dataset[name]
             for attribute in ("units", "long_name"):
@@ -222,7 +316,10 @@ def test_labelled_arrays_agree_with_results_files(estimate: Reconstruction, tmp_
     read = lampest.read_results(tmp_path / "r.h5").cases[0].to_xarray()
     assert read.identical(dataset)
     dataset.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
-    assert float(dataset.sel(time=5.0, row=3, column=4).cell_resistance) == estimate.cell_resistance[2, 3, 4]
+    assert (
+        float(dataset.sel(time=5.0, row=3, column=4).cell_resistance)
+        == estimate.cell_resistance[2, 3, 4]
+    )
 
 
 def test_errors_name_the_kind_of_a_file_and_a_missing_library(
@@ -232,23 +329,30 @@ def test_errors_name_the_kind_of_a_file_and_a_missing_library(
     with pytest.raises(InputError, match=r"r\.h5: holds results; lampest\.read_results reads them"):
         Recording.load(tmp_path / "r.h5")
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"^xarray is not installed; pip install 'lampest\[xarray\]' brings it$"):
+    with pytest.raises(
+        InputError, match=r"^xarray is not installed; pip install 'lampest\[xarray\]' brings it$"
+    ):
         estimate.to_xarray()
 
 
 @pytest.fixture(scope="module")
 def example_names() -> dict[str, object]:
-    """What examples may take without a word: a small recording, also as mine.h5, and what was found of it."""
+    """What examples may take without a word: a small recording, also as mine.h5, and what was found
+    of it.
+    """
     scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     load = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
-    simulation = lampest.Simulation(schema=1, seed=1, scene=scene, baseline_frames=2, frames=2, loads=(load,))
+    simulation = lampest.Simulation(
+        schema=1, seed=1, scene=scene, baseline_frames=2, frames=2, loads=(load,)
+    )
     recording = replace(lampest.simulate(simulation), name="mine")
     examples = {"recording": recording, "found": lampest.reconstruct(recording, [Misfit()])}
     return {"lampest": lampest, "np": np, "dataclasses": dataclasses, "Path": Path} | examples
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")]
+    "name",
+    [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")],
 )
 def test_examples_in_docstrings_run(
     name: str, example_names: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -257,7 +361,9 @@ def test_examples_in_docstrings_run(
     if name in ("read_run", "read_results", "export_results", "plot_results", "comparison"):
         example_names["recording"].save("mine.h5")
         example_names["found"].save("results.h5", "LSM")
-    examples = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(example_names))
+    examples = doctest.DocTestFinder(recurse=False).find(
+        getattr(lampest, name), name, globs=dict(example_names)
+    )
     assert examples and examples[0].examples, f"{name} has no example"
     for example in examples:
         assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
@@ -278,23 +384,36 @@ def few_frames() -> Recording:
     recording = lampest.datasets.load("lamprey_35mm")
     chosen = [0, 1, 2, 14, 15]
     parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
-    return replace(recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts})
+    return replace(
+        recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts}
+    )
 
 
 def test_the_automatic_weight_is_better_than_the_papers_weight(few_frames: Recording) -> None:
     errors = {}
     for name, penalty in (("default", Gradient()), ("paper", Gradient(weight=1e-3))):
         estimate = lampest.reconstruct(few_frames, [Misfit(), penalty])
-        errors[name] = np.median(np.abs(estimate.cell_resistance / few_frames.truth_cell_resistance[3:] - 1))
+        errors[name] = np.median(
+            np.abs(estimate.cell_resistance / few_frames.truth_cell_resistance[3:] - 1)
+        )
     assert errors["default"] < 0.3 * errors["paper"]
 
 
 def test_unknown_noise_takes_the_same_rule(few_frames: Recording) -> None:
-    silent = replace(few_frames, scene=Scene(few_frames.scene.panel, None, few_frames.scene.series_resistance_ohm))
+    silent = replace(
+        few_frames,
+        scene=Scene(few_frames.scene.panel, None, few_frames.scene.series_resistance_ohm),
+    )
     estimate = lampest.reconstruct(silent, [Misfit(), Gradient()])
-    explicit = lampest.reconstruct(silent, [Misfit(), Gradient()], auto_weight=lampest.AutoWeight(rule="risk"))
-    assert estimate.solved.all() and np.array_equal(estimate.cell_resistance, explicit.cell_resistance)
-    open_ended = lampest.reconstruct(silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none"))
+    explicit = lampest.reconstruct(
+        silent, [Misfit(), Gradient()], auto_weight=lampest.AutoWeight(rule="risk")
+    )
+    assert estimate.solved.all() and np.array_equal(
+        estimate.cell_resistance, explicit.cell_resistance
+    )
+    open_ended = lampest.reconstruct(
+        silent, [Misfit(), Gradient()], bounds=lampest.Bounds(upper="none")
+    )
     assert np.array_equal(estimate.cell_resistance, open_ended.cell_resistance)
     assert lampest.reconstruct(silent, [Misfit(), CellResistance(), TotalVariation()]).solved.all()
 
@@ -302,10 +421,12 @@ def test_unknown_noise_takes_the_same_rule(few_frames: Recording) -> None:
 def test_the_stub_and_the_function_have_one_signature() -> None:
     """`reconstruct` stands in the package itself, and once more in the stub that editors read."""
     stub, face = (
-        ast.parse((ROOT / "lampest" / f"__init__.{end}").read_text(encoding="utf-8")) for end in ("pyi", "py")
+        ast.parse((ROOT / "lampest" / f"__init__.{end}").read_text(encoding="utf-8"))
+        for end in ("pyi", "py")
     )
     signatures = [
-        ast.unparse(node.args).replace("typing.", "").replace("collections.abc.", "") + ast.unparse(node.returns)
+        ast.unparse(node.args).replace("typing.", "").replace("collections.abc.", "")
+        + ast.unparse(node.returns)
         for tree in (stub, face)
         for node in tree.body
         if isinstance(node, ast.FunctionDef) and node.name == "reconstruct"

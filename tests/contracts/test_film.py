@@ -1,4 +1,6 @@
-"""Films that remember, and responses from known loads, as a user meets them: files, commands, results, sentences."""
+"""Films that remember, and responses from known loads, as a user meets them: files, commands,
+results, sentences.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -80,17 +82,25 @@ def test_a_run_estimates_the_film_and_prints_its_numbers(recording: Path, lampes
     assert "film       hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
 
 
-def test_tare_changes_only_the_unloaded_frames_and_warns_of_a_load(recording: Path, lampest: Command) -> None:
+def test_tare_changes_only_the_unloaded_frames_and_warns_of_a_load(
+    recording: Path, lampest: Command
+) -> None:
     out = recording.parent / "zeroed.h5"
     completed = lampest("tare", recording, "--frames", "55:60", "--out", out)
-    assert (completed.code, completed.out, completed.err) == (0, f"unloaded: frames 55 to 59: {out}\n", "")
+    assert (completed.code, completed.out, completed.err) == (
+        0,
+        f"unloaded: frames 55 to 59: {out}\n",
+        "",
+    )
     original = Recording.load(recording)
     tared = Recording.load(out)
     np.testing.assert_array_equal(np.flatnonzero(tared.role == UNLOADED), np.arange(55, 60))
     for name in ("recorded", "time", "truth_pressure", "raw_sums"):
         np.testing.assert_array_equal(getattr(tared, name), getattr(original, name))
     assert (tared.scene, tared.simulation) == (original.scene, original.simulation)
-    completed = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5")
+    completed = lampest(
+        "tare", recording, "--frames", "10:30", "--out", recording.parent / "loaded.h5"
+    )
     assert completed.code == 0 and "did a load come or go?" in completed.err
 
 
@@ -107,15 +117,21 @@ def test_yaml_and_csv_give_the_same_scene_and_it_is_printed_without_out(
     rod = rods[4]
     load = "frames: [4, 6], x_mm: 25, y_mm: 25, diameter_mm: 30"
     path.write_text(f"schema: 1\nloads:\n  - {{{load}, force_newton: 3.5316}}\n")
-    (tmp_path / "loads.csv").write_text("first,last,x_mm,y_mm,diameter_mm,mass_g\n4,6,25,25,30,360\n\n")
-    as_yaml, as_csv = (lampest("calibrate", rod, "--loads", tmp_path / f"loads.{end}") for end in ("yaml", "csv"))
+    (tmp_path / "loads.csv").write_text(
+        "first,last,x_mm,y_mm,diameter_mm,mass_g\n4,6,25,25,30,360\n\n"
+    )
+    as_yaml, as_csv = (
+        lampest("calibrate", rod, "--loads", tmp_path / f"loads.{end}") for end in ("yaml", "csv")
+    )
     assert as_yaml.code == 0 and as_yaml.out == as_csv.out
     assert "cells felt no load" in as_yaml.out
     path.with_name("scene.yaml").write_text(as_yaml.out)
     assert public.read_scene(path.with_name("scene.yaml")).response is not None
 
 
-def test_impossible_loads_give_one_sentence(rods: list[Path], tmp_path: Path, lampest: Command) -> None:
+def test_impossible_loads_give_one_sentence(
+    rods: list[Path], tmp_path: Path, lampest: Command
+) -> None:
     path = tmp_path / "loads.csv"
     out = tmp_path / "scene.yaml"
     for text, words in WRONG_LOADS.items():
@@ -123,6 +139,11 @@ def test_impossible_loads_give_one_sentence(rods: list[Path], tmp_path: Path, la
         completed = lampest("calibrate", rods[0], "--loads", path, "--out", out)
         assert (completed.code, completed.out, completed.err.count("\n")) == (2, "", 1)
         assert words in completed.err and not out.exists()
-    completed = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
-    several = "lampest: --known, --loads and --from-recording are different calibrations: give one of them\n"
+    completed = lampest(
+        "calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000"
+    )
+    several = (
+        "lampest: --known, --loads and --from-recording are different calibrations: give one "
+        "of them\n"
+    )
     assert (completed.code, completed.err) == (2, several)

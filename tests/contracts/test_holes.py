@@ -1,4 +1,6 @@
-"""Readings that are missing, at a rail or beyond what bounds allow: they refuse nothing, and sentences say so."""
+"""Readings that are missing, at a rail or beyond what bounds allow: they refuse nothing, and
+sentences say so.
+"""
 
 import csv
 import dataclasses
@@ -65,20 +67,31 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
         cells = file["entry/holes/LSM/cell_resistance"][()]
         assert np.isnan(cells[2]).all() and np.isfinite(cells[[0, 1, 3, 4]]).all()
         given = file["entry/holes/recording"]
-        assert given["missing_readings"][()].tolist() == [1, 5, 20, 0, 0] and given["bound_readings"][0] == 1
+        assert (
+            given["missing_readings"][()].tolist() == [1, 5, 20, 0, 0]
+            and given["bound_readings"][0] == 1
+        )
         assert np.isnan(given["resistance"][1, 3]).all() and given["reading_side"][0, 2, 2] == 1
 
 
 @pytest.mark.slow
 def test_errors_and_coverage_count_intact_cells(tmp_path: Path, lampest: Command) -> None:
-    """A report compares two estimators on a panel with a hole, an open and a shorted cell and a dead row."""
-    places = tuple((*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0))
+    """A report compares two estimators on a panel with a hole, an open and a shorted cell and a
+    dead row.
+    """
+    places = tuple(
+        (*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0)
+    )
     broken = Faults(open=((1, 1),), shorted=((2, 3),), dead_rows=(5,))
     scene = dataclasses.replace(LOADED, panel=Panel(6, 6, cells=places), faults=broken)
     simulate(Simulation(1, 3, scene, frames=4)).save(tmp_path / "broken.h5")
-    (tmp_path / "run.yaml").write_text(RUN.format("broken.h5").replace("misfit: {}", "misfit: {weighting: noise}"))
+    (tmp_path / "run.yaml").write_text(
+        RUN.format("broken.h5").replace("misfit: {}", "misfit: {weighting: noise}")
+    )
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out").code == 0
-    results, report, table = (tmp_path / name for name in ("out/results.h5", "page.html", "table.csv"))
+    results, report, table = (
+        tmp_path / name for name in ("out/results.h5", "page.html", "table.csv")
+    )
     assert lampest("compare", results, "--report", report, "--csv", table).code == 0
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert len(rows) == 2 and all(float(row["cell error mean [%]"]) < 2 for row in rows)
@@ -94,11 +107,17 @@ def test_info_names_a_row_without_readings(tmp_path: Path, lampest: Command) -> 
     assert "35 readings missing (25 %), in 7 of 7 frames; row 2 has none" in output
 
 
-@pytest.mark.parametrize("terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))])
-def test_the_first_readable_frame_replaces_missing_unloaded_frames(terms: tuple[object, ...]) -> None:
+@pytest.mark.parametrize(
+    "terms", [(lampest.Misfit(),), (lampest.Misfit(), lampest.RelativeChange(weight=10.0))]
+)
+def test_the_first_readable_frame_replaces_missing_unloaded_frames(
+    terms: tuple[object, ...],
+) -> None:
     values = healthy(5)
     values[:3] = np.nan
-    estimate = lampest.reconstruct(recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced")
+    estimate = lampest.reconstruct(
+        recording_of(SCENE, values, 2), terms=list(terms), formulation="reduced"
+    )
     assert estimate.status[0] == TOO_FEW_READINGS and all(estimate.solved[1:])
     assert np.nanmax(np.abs(estimate.relative_change)) < 5.0
 
@@ -108,44 +127,69 @@ def test_a_frame_with_mostly_missing_readings_is_not_solved() -> None:
     truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
     values = lampest.two_point_resistance(truth)
     values[1].ravel()[:156] = np.nan
-    estimate = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
-    assert not estimate.solved.any() and "too few of the frame's readings are values" in estimate.status[0]
+    estimate = lampest.reconstruct(
+        lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()]
+    )
+    assert (
+        not estimate.solved.any()
+        and "too few of the frame's readings are values" in estimate.status[0]
+    )
 
 
 def cells() -> np.ndarray:
     return np.asarray(2000 * np.exp(0.2 * np.random.default_rng(3).standard_normal((6, 6))))
 
 
-def exactly(scene: lampest.Scene, *frames: np.ndarray, sigma: float | None = None) -> lampest.Recording:
+def exactly(
+    scene: lampest.Scene, *frames: np.ndarray, sigma: float | None = None
+) -> lampest.Recording:
     """Exact readings, the first of them unloaded; sigma : of themselves."""
     exact = lampest.two_point_resistance(np.stack(frames))
-    return recording_of(scene, exact, 1, sigma=None if sigma is None else sigma * exact, name="exact")
+    return recording_of(
+        scene, exact, 1, sigma=None if sigma is None else sigma * exact, name="exact"
+    )
 
 
-def solved(recording: lampest.Recording, formulation: str, weight: float | None = None, **bounds: object) -> list[str]:
+def solved(
+    recording: lampest.Recording, formulation: str, weight: float | None = None, **bounds: object
+) -> list[str]:
     terms = [lampest.Misfit(), *([] if weight is None else [lampest.Gradient(weight=weight)])]
-    estimate = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))
+    estimate = lampest.reconstruct(
+        recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds)
+    )
     return list(estimate.status)
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
-    """Without noise a millionth counts, above and below; a bound that holds nothing back changes no word."""
+    """Without noise a millionth counts, above and below; a bound that holds nothing back changes no
+    word.
+    """
     unloaded = cells()
     loaded = cells()
     loaded[1, 2], loaded[3, 3] = 9000.0, 300.0
     recording = exactly(PLAIN, unloaded, loaded, loaded)
-    assert all(status.startswith(OPTIMUM_AT_BOUNDS) for status in solved(recording, formulation, upper=8990.0))
-    assert all(status.startswith(OPTIMUM_AT_BOUNDS) for status in solved(recording, formulation, lower=301.0))
+    assert all(
+        status.startswith(OPTIMUM_AT_BOUNDS)
+        for status in solved(recording, formulation, upper=8990.0)
+    )
+    assert all(
+        status.startswith(OPTIMUM_AT_BOUNDS)
+        for status in solved(recording, formulation, lower=301.0)
+    )
     assert solved(recording, formulation, upper=9100.0, lower=299.0) == [VERIFIED] * 2
 
 
 def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
-    """A cell beyond what the converter resolves takes less than σ from its reading; many such cells take more."""
+    """A cell beyond what the converter resolves takes less than σ from its reading; many such cells
+    take more.
+    """
     unloaded = cells()
     open_cell = cells()
     open_cell[2, 3] *= 1e6
-    estimate = lampest.reconstruct(exactly(LOADED, unloaded, open_cell), [lampest.Misfit()], formulation="reduced")
+    estimate = lampest.reconstruct(
+        exactly(LOADED, unloaded, open_cell), [lampest.Misfit()], formulation="reduced"
+    )
     assert estimate.status[0] == VERIFIED and estimate.result().open_cell.sum() == 1
     apart = 2000 * 10 ** np.random.default_rng(0).uniform(-3, 3, (6, 6))
     noisy = exactly(PLAIN, unloaded, apart, sigma=0.01)

@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 from contracts import imports
-from contracts.imports import CODES, COLUMNS, DIVIDER, FRAMES, LOADED, ROWS, VOLT_OF_CODES, given, lines, names
+from contracts.imports import (
+    CODES,
+    COLUMNS,
+    DIVIDER,
+    FRAMES,
+    LOADED,
+    ROWS,
+    VOLT_OF_CODES,
+    given,
+    lines,
+    names,
+)
 
 from lampest import LoadedColumnsReadout, TwoPointReadout
 
@@ -47,7 +58,9 @@ def blocks(sign: str, between: str, frames: np.ndarray = CODES) -> str:
 # What a terminal shows of a board.
 
 ARDUINO = "12:34:55.100 -> ,511,600\r\n12:34:55.200 -> Panel 3x5 v1.2 ready\r\n"
-ARDUINO += "".join(f"12:34:5{6 + number}.789 -> {line},\r\n" for number, line in enumerate(lines(CODES)))
+ARDUINO += "".join(
+    f"12:34:5{6 + number}.789 -> {line},\r\n" for number, line in enumerate(lines(CODES))
+)
 MONITOR = (
     "it began at 12:34:56.789, the date is not in the file",
     "lines 1, 2 (the first: '511 600')",
@@ -55,23 +68,40 @@ MONITOR = (
 )
 codes("the Arduino's monitor", ARDUINO, *MONITOR, times=FOUR, rows=None, columns=None)
 LABVIEW = ["LabVIEW Measurement\t", "Channels\t15", "***End_of_Header***\t"]
-LABVIEW += ["X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"]
+LABVIEW += [
+    "X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"
+]
 LABVIEW += [*(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]
-codes("empty columns beside the cells", "\r\n".join(LABVIEW), "empty columns left out: Comment", times=FOUR / 2)
+codes(
+    "empty columns beside the cells",
+    "\r\n".join(LABVIEW),
+    "empty columns left out: Comment",
+    times=FOUR / 2,
+)
 
 NAMES_OF_CELLS = names("r{r}c{c}").split(",")
-NUMBERED = [(number, row, line) for number, frame in enumerate(CODES) for row, line in enumerate(lines(frame))]
+NUMBERED = [
+    (number, row, line)
+    for number, frame in enumerate(CODES)
+    for row, line in enumerate(lines(frame))
+]
 BLOCKS = {
     "blank lines": "boot...\n" + blocks("\t", "\n\n"),
     "windows lines": "\r\n\r\n".join("\r\n".join(lines(frame, ", ")) + ",\r\n" for frame in CODES),
     "marks": blocks(" ", "\n---\n") + "\n---\n",
-    "titles": "\n".join(f"Frame {number}:\n" + "\n".join(lines(frame, ";")) for number, frame in enumerate(CODES)),
-    "numbers": "\n".join(f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)),
+    "titles": "\n".join(
+        f"Frame {number}:\n" + "\n".join(lines(frame, ";")) for number, frame in enumerate(CODES)
+    ),
+    "numbers": "\n".join(
+        f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)
+    ),
     "nothing": blocks(",", "\n"),
     "every line alone": "\n\n".join("\n\n".join(lines(frame)) for frame in CODES),
     "python lists": "\n".join(f"[{line}]" for frame in CODES for line in lines(frame, ", ")),
     "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n" + blocks(" ", "\n\n"),
-    "frame and row": "\n".join(["frame,row,c0,c1,c2,c3,c4", *(f"{n},{row},{line}" for n, row, line in NUMBERED)]),
+    "frame and row": "\n".join(
+        ["frame,row,c0,c1,c2,c3,c4", *(f"{n},{row},{line}" for n, row, line in NUMBERED)]
+    ),
 }
 for name, sign in (("ROW{}={}", ","), ("R{}: {}", ","), ("row {} = {}", ","), ("R{}:  {}", " ")):
     BLOCKS[name] = "\n".join(name.format(row, line.replace(",", sign)) for _, row, line in NUMBERED)
@@ -82,10 +112,22 @@ for title, times, start in (
     ("time: 2025-01-31 12:00:0{n}Z", FOUR, "2025-01-31T12:00:00Z"),
     ("millis={ms}", FOUR / 4, None),
 ):
-    titled = [title.format(n=n, ms=250 * n) + "\n" + "\n".join(lines(frame)) for n, frame in enumerate(CODES)]
+    titled = [
+        title.format(n=n, ms=250 * n) + "\n" + "\n".join(lines(frame))
+        for n, frame in enumerate(CODES)
+    ]
     codes(title, titled, times=times, start=start)
-# The terminal was opened between two rows; a row was lost, nobody knows which; the terminal was closed.
-BROKEN = [*lines(CODES[0])[1:], "", *lines(CODES[1]), "", *lines(CODES[2])[:2], "", *lines(CODES[3])[:2]]
+# The terminal was opened between two rows; a row was lost, nobody knows which; the terminal was
+# closed.
+BROKEN = [
+    *lines(CODES[0])[1:],
+    "",
+    *lines(CODES[1]),
+    "",
+    *lines(CODES[2])[:2],
+    "",
+    *lines(CODES[3])[:2],
+]
 SENTENCES = ("the first block (line 1) is cut and left out", "has 2 of 3 lines")
 codes("blocks that are cut", BROKEN, *SENTENCES, expected=with_nan(VOLT_OF_CODES[1:], (1,), (2, 2)))
 LONG = blocks(",", "\n\n", np.concatenate([CODES, CODES[:, :1]], axis=1))
@@ -99,12 +141,19 @@ OF_EIGHT = CODES + CODES % 8 / 8 + 2000
 RAISED = (OF_EIGHT + 0.5) * 3.3 / 4096
 for name, written in (
     ("Serial.print", [[f"{value:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
-    ("cut digits", [[f"{int(100 * value) / 100:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
+    (
+        "cut digits",
+        [[f"{int(100 * value) / 100:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT],
+    ),
     ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
 ):
     rounded = (np.array(written, dtype=float).reshape(CODES.shape) + 0.5) * 3.3 / 4096
     accept(
-        f"means of eight codes by {name}", map(",".join, written), "unit code, guessed", expected=rounded, scene=EIGHT
+        f"means of eight codes by {name}",
+        map(",".join, written),
+        "unit code, guessed",
+        expected=rounded,
+        scene=EIGHT,
     )
     two_point = replace(DIVIDER, readout=TwoPointReadout(supply_volt=3.3, adc_bits=12, readings=8))
     resistances = two_point.readout.recorded_from_volt(rounded)
@@ -115,14 +164,30 @@ for name, written in (
         expected=resistances,
         scene=two_point,
     )
-    ways = "may be mV or code (codes would be whole numbers, by the scene); say which with `unit='mV'`"
-    refuse(f"means of eight codes by {name} where readings is 1", map(",".join, written), ways, scene=LOADED)
+    ways = (
+        "may be mV or code (codes would be whole numbers, by the scene); say which with `unit='mV'`"
+    )
+    refuse(
+        f"means of eight codes by {name} where readings is 1",
+        map(",".join, written),
+        ways,
+        scene=LOADED,
+    )
 FILTERED = CODES * 0.937 + 0.013
 refuse("filtered codes of a divider", lines(FILTERED), "may be ohm or", "mV or code", scene=DIVIDER)
 MILLIVOLTS = np.round(CODES * 5000 / 1024)
-FIVE_VOLT = replace(LOADED, readout=LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=5.0, adc_bits=10, readings=1))
+FIVE_VOLT = replace(
+    LOADED,
+    readout=LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=5.0, adc_bits=10, readings=1),
+)
 for name, written in (("rounded", MILLIVOLTS), ("cut", CODES * 5000 // 1023)):
-    accept(f"{name} millivolts", lines(written), "unit mV, guessed", expected=written / 1000, scene=FIVE_VOLT)
+    accept(
+        f"{name} millivolts",
+        lines(written),
+        "unit mV, guessed",
+        expected=written / 1000,
+        scene=FIVE_VOLT,
+    )
 accept(
     "whole numbers",
     lines(CODES),
@@ -131,13 +196,24 @@ accept(
     scene=LOADED,
     expected=VOLT_OF_CODES,
 )
-WHOLE = "may be ohm or code, the whole numbers of a converter, which need a scene; say which with `unit='ohm'`"
+WHOLE = (
+    "may be ohm or code, the whole numbers of a converter, which need a scene; say which with "
+    "`unit='ohm'`"
+)
 refuse("whole numbers without a scene", lines(CODES), WHOLE)
 refuse("resistances of either size", lines(FRAMES / 10), "may be ohm or kohm; say which with")
-accept("small kiloohms", lines(FRAMES / 1000), "kohm, guessed: values from 0.2", "too small for ohm", expected=FRAMES)
+accept(
+    "small kiloohms",
+    lines(FRAMES / 1000),
+    "kohm, guessed: values from 0.2",
+    "too small for ohm",
+    expected=FRAMES,
+)
 PRESSED = CODES * (CODES > 500)
 refuse(
-    "pressures without a scene", lines(PRESSED), "of them are 0, as in pressures or codes; a resistance of 0 is a short"
+    "pressures without a scene",
+    lines(PRESSED),
+    "of them are 0, as in pressures or codes; a resistance of 0 is a short",
 )
 for unit in ("%", "N", "kPa", "mmHg", "a.u.", "g", "µS", "1/kOhm", "MOhm", "degC"):
     for header in (f"r{{r}}c{{c}} [{unit}]", f"R{{r}}C{{c}} ({unit})"):
@@ -146,22 +222,54 @@ for unit in ("%", "N", "kPa", "mmHg", "a.u.", "g", "µS", "1/kOhm", "MOhm", "deg
             [names(header), *lines(WIDE)],
             f"says '{unit}'" if unit in ("N", "kPa", "mmHg", "g") else f"unit '{unit}'",
         )
-        accept(f"{header} overridden", [names(header), *lines(WIDE)], "unit ohm, as specified", unit="ohm")
+        accept(
+            f"{header} overridden",
+            [names(header), *lines(WIDE)],
+            "unit ohm, as specified",
+            unit="ohm",
+        )
 for header in ("pressure_r{r}c{c}", "r{r}c{c}_kpa", "Force R{r}C{c}"):
     refuse(header, [names(header), *lines(WIDE)], "readings must be ohm, kohm, volt, mV or code")
 for beside in ("Average Pressure (mmHg)", "peak [kPa]"):
-    pressures = [f"time,{beside},{names('r{r}c{c}')}", *(f"{n},7,{line}" for n, line in enumerate(lines(WIDE)))]
+    pressures = [
+        f"time,{beside},{names('r{r}c{c}')}",
+        *(f"{n},7,{line}" for n, line in enumerate(lines(WIDE))),
+    ]
     refuse(f"{beside} beside the cells", pressures, "readings must be ohm, kohm, volt, mV or code")
 refuse("a title of pressures", ["Pressure (mmHg)", *lines(WIDE)], "the header says 'mmHg'")
-for stated in ("Peak: 118 mmHg", "Mean pressure (mmHg),12.3", "Peak,118,mmHg", "# all below 200 mmHg"):
-    refuse(f"whole pressures with {stated}", [stated, *lines(CODES)], "the header says 'mmHg'", scene=LOADED)
-    refuse(f"whole pressures before {stated}", [*lines(CODES), stated], "the header says 'mmHg'", scene=LOADED)
-    codes(f"codes, as specified, with {stated}", [stated, *lines(CODES)], "as specified", unit="code")
+for stated in (
+    "Peak: 118 mmHg",
+    "Mean pressure (mmHg),12.3",
+    "Peak,118,mmHg",
+    "# all below 200 mmHg",
+):
+    refuse(
+        f"whole pressures with {stated}",
+        [stated, *lines(CODES)],
+        "the header says 'mmHg'",
+        scene=LOADED,
+    )
+    refuse(
+        f"whole pressures before {stated}",
+        [*lines(CODES), stated],
+        "the header says 'mmHg'",
+        scene=LOADED,
+    )
+    codes(
+        f"codes, as specified, with {stated}", [stated, *lines(CODES)], "as specified", unit="code"
+    )
 accept(
-    "temperatures beside resistances", [f"{names('r{r}c{c} [ohm]')},T [degC]", *(f"{line},21" for line in lines(WIDE))]
+    "temperatures beside resistances",
+    [f"{names('r{r}c{c} [ohm]')},T [degC]", *(f"{line},21" for line in lines(WIDE))],
 )
 RAILS = "no other unit is within the converter's rails"
-accept("resistances far above the reference", lines(1000 * FRAMES), RAILS, expected=1000 * FRAMES, scene=DIVIDER)
+accept(
+    "resistances far above the reference",
+    lines(1000 * FRAMES),
+    RAILS,
+    expected=1000 * FRAMES,
+    scene=DIVIDER,
+)
 
 TEN = VOLT_OF_CODES[np.arange(10) % 4]
 
@@ -172,7 +280,9 @@ def debugged(separator: str, debug: str) -> list[str]:
     for number in (2, 6):
         frames[number].insert(1, debug)
     titles = (separator.format(n=number, ms=100 * number) for number in range(10))
-    return "\n".join(title + "\n".join(frame) for title, frame in zip(titles, frames, strict=True)).split("\n")
+    return "\n".join(
+        title + "\n".join(frame) for title, frame in zip(titles, frames, strict=True)
+    ).split("\n")
 
 
 FREE_HEAP = "DEBUG: free heap 23456 bytes"
@@ -180,35 +290,65 @@ for separator, debug in itertools.product(
     ("Frame {n} t={ms} ms\n", "t = {ms} ms\n", "\n", ""),
     (FREE_HEAP, "wifi: rssi -61", "# note", "42 overruns 7 8 9 1 2 3"),
 ):
-    skipped = ["skipped between rows: line 11, line 28"] * ("Frame" in separator and debug == FREE_HEAP)
+    skipped = ["skipped between rows: line 11, line 28"] * (
+        "Frame" in separator and debug == FREE_HEAP
+    )
     times = 0.1 * np.arange(10) if "ms" in separator else None
     name = f"{debug} between rows after {separator!r}"
     codes(name, debugged(separator, debug), *skipped, expected=TEN, times=times)
 LOST_DEBUG = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
 del LOST_DEBUG[LOST_DEBUG.index("Frame 4 t=400 ms") + 2]
 SENTENCE = "has 2 of 3 lines and is missing"
-codes("a row that was lost", LOST_DEBUG, SENTENCE, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10))
+codes(
+    "a row that was lost",
+    LOST_DEBUG,
+    SENTENCE,
+    expected=with_nan(TEN, (4,)),
+    times=0.1 * np.arange(10),
+)
 
 # Fields beside the readings.
 
-TABS = ["\t\t".join([str(600 + n), str(row), *line.split(",")]) + "\t\t" for n, row, line in NUMBERED]
+TABS = [
+    "\t\t".join([str(600 + n), str(row), *line.split(",")]) + "\t\t" for n, row, line in NUMBERED
+]
 codes("two tabs between fields", TABS, "empty columns left out", "field 1 frame, field 2 row")
-ALIGNED = ["\t".join(f"{value}\t" if int(value) < 500 else value for value in line.split(",")) for line in lines(CODES)]
+ALIGNED = [
+    "\t".join(f"{value}\t" if int(value) < 500 else value for value in line.split(","))
+    for line in lines(CODES)
+]
 codes("columns aligned by tabs", ALIGNED, "separated by one or more tabs", "one frame a line")
 for sign in ("\t", ",", " ", ";"):
     plain = [sign.join([str(600 + n), str(row), *line.split(",")]) for n, row, line in NUMBERED]
     codes(
-        f"frame and row before the values: {sign!r}", plain, "no header: field 1 frame, field 2 row", absent="transpose"
+        f"frame and row before the values: {sign!r}",
+        plain,
+        "no header: field 1 frame, field 2 row",
+        absent="transpose",
     )
 LOST_ROWS = [line for number, line in enumerate(plain) if number not in (1, 2, 3)]
-codes("lost rows beside frame and row", LOST_ROWS, expected=with_nan(VOLT_OF_CODES, (0, [1, 2]), (1, 0)))
+codes(
+    "lost rows beside frame and row",
+    LOST_ROWS,
+    expected=with_nan(VOLT_OF_CODES, (0, [1, 2]), (1, 0)),
+)
 STAMPED = [f"{0.25 * n:.2f},{row},{line}" for n, row, line in NUMBERED]
-codes("time and row before the values", STAMPED, "no header: field 1 time, field 2 row", times=FOUR / 4)
+codes(
+    "time and row before the values",
+    STAMPED,
+    "no header: field 1 time, field 2 row",
+    times=FOUR / 4,
+)
 for first, second, times, noted in (
     ("HH,MM,SS", "12,59,{s}", FOUR, "HH, MM, SS are one time"),
     ("hour,minute,second,ms", "23,59,5{s},250", FOUR, "hour, minute, second, ms are one time"),
     ("Hour,Min,Sec", "7,5,1{s}.5", FOUR, "are one time"),
-    ("year,month,day,hour,minute,second", "2025,1,31,12,0,{s}", FOUR, "year, month, day are one date"),
+    (
+        "year,month,day,hour,minute,second",
+        "2025,1,31,12,0,{s}",
+        FOUR,
+        "year, month, day are one date",
+    ),
 ):
     clocked = [f"{second.format(s=n)},{line}" for n, line in enumerate(lines(CODES))]
     start = "2025-01-31T12:00:00.000000" if "year" in first else None
@@ -221,59 +361,124 @@ for lead, noted, times in (
     ("DATA,{ms}", "field 1 left out", FOUR / 4),
     ("{n},{ms}", "field 1 frame, field 2 time", FOUR / 4),
 ):
-    led = [f"{lead.format(s=n, n=n + 100, ms=250 * n)},{line}" for n, line in enumerate(lines(CODES))]
+    led = [
+        f"{lead.format(s=n, n=n + 100, ms=250 * n)},{line}" for n, line in enumerate(lines(CODES))
+    ]
     codes(f"{lead} before a frame", led, noted, "one frame a line, cells row by row", times=times)
     marked = [f"{line},255" for line in led]
-    codes(f"{lead} before a frame, and a mark", marked, "left out: beside the readings", times=times)
+    codes(
+        f"{lead} before a frame, and a mark", marked, "left out: beside the readings", times=times
+    )
 for end in ("255", "END", "*", "-1"):
     ended = [f"{line},{end}" for line in lines(CODES)]
-    codes(f"{end} at the end of a frame", ended, "field 16 left out: beside the readings", "one frame a line")
+    codes(
+        f"{end} at the end of a frame",
+        ended,
+        "field 16 left out: beside the readings",
+        "one frame a line",
+    )
     rows_ended = [f"{line},{end}" for frame in CODES for line in lines(frame)]
-    codes(f"{end} at the end of a row", rows_ended, "field 6 left out", "one row a line, 3 lines a frame")
+    codes(
+        f"{end} at the end of a row",
+        rows_ended,
+        "field 6 left out",
+        "one row a line, 3 lines a frame",
+    )
 RISING = np.arange(60).reshape(4, 3, 5) / 10 + 50
-accept("readings that rise from field to field and from line to line", lines(RISING), expected=RISING, unit="ohm")
+accept(
+    "readings that rise from field to field and from line to line",
+    lines(RISING),
+    expected=RISING,
+    unit="ohm",
+)
 GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
 codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
 # matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.
 FLOATS = [f"{line.replace(',', '.0,')}.0" for line in lines(CODES)]
 MATSENSE = [f"{line},{7 + n},{1738324800000000 + 40_000 * n}" for n, line in enumerate(FLOATS)]
 START = "2025-01-31T12:00:00Z"
-codes("a recording of matsense", MATSENSE, "field 16 frame, field 17 time", times=FOUR / 25, start=START)
+codes(
+    "a recording of matsense",
+    MATSENSE,
+    "field 16 frame, field 17 time",
+    times=FOUR / 25,
+    start=START,
+)
 TIMED_ROWS = [f"{line},{0.5 * n:.1f}" for n, row, line in NUMBERED]
-codes("a time at the end of each row", TIMED_ROWS, "no header: field 6 time", "one row a line", times=FOUR / 2)
+codes(
+    "a time at the end of each row",
+    TIMED_ROWS,
+    "no header: field 6 time",
+    "one row a line",
+    times=FOUR / 2,
+)
 NUMBERS = [str(value) for value in CODES.ravel()]
 codes("one number a line", NUMBERS, "one number a line, 15 lines a frame; row by row")
-codes("one number a line, of which some lack", NUMBERS[:-4], expected=with_nan(VOLT_OF_CODES, (3, 2, slice(1, None))))
+codes(
+    "one number a line, of which some lack",
+    NUMBERS[:-4],
+    expected=with_nan(VOLT_OF_CODES, (3, 2, slice(1, None))),
+)
 SEPARATED = [text for frame in CODES for text in ("", *map(str, frame.ravel()))]
 codes("one number a line between blank lines", SEPARATED, "one number a line")
-TITLED = [text for n, frame in enumerate(CODES) for text in (f"Frame {n}: t = {250 * n} ms", *map(str, frame.ravel()))]
+TITLED = [
+    text
+    for n, frame in enumerate(CODES)
+    for text in (f"Frame {n}: t = {250 * n} ms", *map(str, frame.ravel()))
+]
 codes("one number a line below titles", TITLED, "one number a line", times=FOUR / 4)
 COUNTED = [f"{number % 15} {value}" for number, value in enumerate(CODES.ravel())]
 codes("a cell's number and a value a line", COUNTED, "one value a line as cell, value")
 refuse(
-    "too few numbers", NUMBERS[:7], ":1: 1 field; 3 × 5 cells need 15", "`layout` says what each field is", scene=LOADED
+    "too few numbers",
+    NUMBERS[:7],
+    ":1: 1 field; 3 × 5 cells need 15",
+    "`layout` says what each field is",
+    scene=LOADED,
 )
 
 WORDS_BEFORE = "Frame,Timestamp,Average,Range Max"
 for first in (0, 1):
     counted = ",".join(str(number + first) for number in range(15))
-    measured = [f"{n},2024-09-26T15:15:0{n}.01-05:00,104.2,260,{line}" for n, line in enumerate(lines(CODES))]
+    measured = [
+        f"{n},2024-09-26T15:15:0{n}.01-05:00,104.2,260,{line}"
+        for n, line in enumerate(lines(CODES))
+    ]
     start = "2024-09-26T15:15:00.01-05:00"
     sentence = f"cells by their numbers from {first}"
     codes(
-        f"words and numbers from {first}", [f"{WORDS_BEFORE},{counted}", *measured], sentence, times=FOUR, start=start
+        f"words and numbers from {first}",
+        [f"{WORDS_BEFORE},{counted}", *measured],
+        sentence,
+        times=FOUR,
+        start=start,
     )
 for title in (
-    " Frame Index: {n}, Measurement Time(sec): 0.{ms}", "Time [ms]: {ms}, n: {n}", "# Elapsed (us) = {ms}000",
-    "Frame {n} time: {ms} msec", "Sample {n} at time=0.{ms} sec",
-):  # fmt: skip
-    titled = [title.format(n=n, ms=250 * n + 100) + "\n" + "\n".join(lines(CODES[n])) for n in range(4)]
+    " Frame Index: {n}, Measurement Time(sec): 0.{ms}",
+    "Time [ms]: {ms}, n: {n}",
+    "# Elapsed (us) = {ms}000",
+    "Frame {n} time: {ms} msec",
+    "Sample {n} at time=0.{ms} sec",
+):
+    titled = [
+        title.format(n=n, ms=250 * n + 100) + "\n" + "\n".join(lines(CODES[n])) for n in range(4)
+    ]
     if "0." in title:
-        titled = [text.replace(f"0.{250 * n + 100}", f"{0.1 + n / 4:.3f}", 1) for n, text in enumerate(titled)]
+        titled = [
+            text.replace(f"0.{250 * n + 100}", f"{0.1 + n / 4:.3f}", 1)
+            for n, text in enumerate(titled)
+        ]
     codes(f"blocks below {title}", titled, "before each block", times=0.1 + FOUR / 4)
-for title in ("Measurement Time(sec),0.{ms},,,", "Frame {n} @ {ms} ms", "Measurement Time(sec): 0,{ms}"):
+for title in (
+    "Measurement Time(sec),0.{ms},,,",
+    "Frame {n} @ {ms} ms",
+    "Measurement Time(sec): 0,{ms}",
+):
     sign = ";" if "0,{ms}" in title else ","
-    titled = [title.format(n=n, ms=200 * n + 100) + "\n" + "\n".join(lines(CODES[n], sign)) for n in range(4)]
+    titled = [
+        title.format(n=n, ms=200 * n + 100) + "\n" + "\n".join(lines(CODES[n], sign))
+        for n in range(4)
+    ]
     codes(f"blocks below {title}", titled, "before each block", times=0.1 + FOUR / 5)
 CLOCKED = [f"Time: 12:00:0{n}.5\n" + "\n".join(lines(CODES[n])) for n in range(4)]
 codes("blocks below times of day", CLOCKED, "time of day", times=FOUR)
@@ -291,9 +496,16 @@ for bad in (b"\xff", b"\x80", b"\0", b"\xc3"):
     codes(f"{bad!r} in a serial log", bytes(content), gap, expected=with_nan(FIVE, (number, 0, 0)))
     comma = content.index(b",", place)
     content[place : place + 1], content[comma : comma + 1] = b"5", bad
-    codes(f"{bad!r} in place of a comma", bytes(content), gap, expected=with_nan(FIVE, (number, 0, [0, 1])))
+    codes(
+        f"{bad!r} in place of a comma",
+        bytes(content),
+        gap,
+        expected=with_nan(FIVE, (number, 0, [0, 1])),
+    )
 MUTED = "Zeit (s);" + ";".join(f"Fühler {n}" for n in range(15))
-WINDOWS = "\n".join([MUTED, *(f"0,{n};" + line for n, line in enumerate(lines(CODES, ";")))]).encode("cp1252")
+WINDOWS = "\n".join(
+    [MUTED, *(f"0,{n};" + line for n, line in enumerate(lines(CODES, ";")))]
+).encode("cp1252")
 codes("words of Windows-1252", WINDOWS, "Windows-1252", "column 'Zeit (s)' in s", times=FOUR / 10)
 
 # Columns that a layout skips.
@@ -315,16 +527,27 @@ codes("skipped columns beside rows", ROW_LAYOUT, "one row a line", layout="-,c0,
 NAMED = names("r{r}c{c}").split(",")
 ORDER = np.random.default_rng(3).permutation(ROWS * COLUMNS)
 for pattern, first in (
-    ("r{r}c{c}", 0), ("R{r}C{c}", 1), ("row {r} col {c}", 0), ("c{c}_r{r}", 0), ("Z{r}S{c}", 1),
-    ("cell_{r}_{c}", 1), ("[{r}][{c}]", 0), ("x{c}y{r}", 0), ("Row{r} / Column{c}", 1),
-    ("adc r{r} c{c}", 0), ("R{r}C{c} [ohm]", 1),
-):  # fmt: skip
+    ("r{r}c{c}", 0),
+    ("R{r}C{c}", 1),
+    ("row {r} col {c}", 0),
+    ("c{c}_r{r}", 0),
+    ("Z{r}S{c}", 1),
+    ("cell_{r}_{c}", 1),
+    ("[{r}][{c}]", 0),
+    ("x{c}y{r}", 0),
+    ("Row{r} / Column{c}", 1),
+    ("adc r{r} c{c}", 0),
+    ("R{r}C{c} [ohm]", 1),
+):
     header = ",".join(np.array(names(pattern, first).split(","))[ORDER])
     sentence = f"cells by their names, which count from {first}"
     accept(f"cells called {pattern}", [header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
 TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
 FEWER_CELLS = [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])]
-PANDAS = [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))]
+PANDAS = [
+    ",".join(["frame", *map(str, range(15))]),
+    *(f"{n},{line}" for n, line in enumerate(lines(FRAMES))),
+]
 accept("names of a transposed panel", TURNED, transpose=True)
 accept(
     "a cell without a column",
@@ -333,19 +556,45 @@ accept(
     expected=with_nan(FRAMES, (slice(None), 2, 4)),
 )
 accept("a data frame", PANDAS, "left out: frame", times=FOUR)
-UNITS_BELOW = [",".join(np.array(NAMED)[ORDER]), ",".join(["kOhm"] * 15), *lines(WIDE[:, ORDER] / 1000)]
-accept("units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above")
-UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
-accept("a data frame without its index", UNNAMED, "line 1 taken as header", "cells by their numbers from 0, row by row")
+UNITS_BELOW = [
+    ",".join(np.array(NAMED)[ORDER]),
+    ",".join(["kOhm"] * 15),
+    *lines(WIDE[:, ORDER] / 1000),
+]
 accept(
-    "readings that count", lines(np.arange(60).reshape(4, 15)), expected=np.arange(60).reshape(CODES.shape), unit="ohm"
+    "units below the names", UNITS_BELOW, "line 2 taken as header, with the names of the line above"
+)
+UNNAMED = [",".join(map(str, range(15))), *lines(WIDE)]
+accept(
+    "a data frame without its index",
+    UNNAMED,
+    "line 1 taken as header",
+    "cells by their numbers from 0, row by row",
+)
+accept(
+    "readings that count",
+    lines(np.arange(60).reshape(4, 15)),
+    expected=np.arange(60).reshape(CODES.shape),
+    unit="ohm",
 )
 for title in ("Resistance (kOhm)", "# all values in kΩ", "Unit: kOhm"):
-    accept(title, [title, "# 10 ohm in series", *lines(WIDE)], "unit kohm, as the header says", expected=1000 * FRAMES)
-CLOCKS = ["time,millis," + ",".join(NAMED), *(f"12:00:0{n},{7 * n},{line}" for n, line in enumerate(lines(WIDE)))]
+    accept(
+        title,
+        [title, "# 10 ohm in series", *lines(WIDE)],
+        "unit kohm, as the header says",
+        expected=1000 * FRAMES,
+    )
+CLOCKS = [
+    "time,millis," + ",".join(NAMED),
+    *(f"12:00:0{n},{7 * n},{line}" for n, line in enumerate(lines(WIDE))),
+]
 accept("two clocks, of which the first counts", CLOCKS, "column 'time'", times=FOUR)
 TWO_DIGITS = [",".join(np.array(names("R{r}{c}", 1).split(","))[ORDER]), *lines(WIDE[:, ORDER])]
-accept("cells of two digits", TWO_DIGITS, "by their numbers from 11, a digit for the row and one for the column")
+accept(
+    "cells of two digits",
+    TWO_DIGITS,
+    "by their numbers from 11, a digit for the row and one for the column",
+)
 accept(
     "unknown names",
     [names("{c}.{r}V"), *lines(WIDE)],
@@ -355,9 +604,14 @@ accept(
 for first in (0, 1):
     header = "," + ",".join(f"c{column + first}" for column in range(COLUMNS)[::-1])
     text = "\n\n".join(
-        "\n".join([header, *(f"r{row + first},{lines(frame[:, ::-1])[row]}" for row in (1, 2, 0))]) for frame in FRAMES
+        "\n".join([header, *(f"r{row + first},{lines(frame[:, ::-1])[row]}" for row in (1, 2, 0))])
+        for frame in FRAMES
     )
-    accept(f"named rows and columns from {first}", text, f"rows by their names, columns by their names from {first}")
+    accept(
+        f"named rows and columns from {first}",
+        text,
+        f"rows by their names, columns by their names from {first}",
+    )
     turned = text.replace("r", "?").replace("c", "r").replace("?", "c")
     refuse(f"named rows and columns from {first}, transposed", turned, "`transpose` swaps")
 
@@ -371,8 +625,12 @@ EXPORTED = "\ufeff# exported\r\n\r\n" + "\r\n".join(lines(FRAMES, ";", ","))
 accept("decimal commas without a header", EXPORTED, "decimal commas")
 accept("numbers in quotes", (line.replace(",", '","').join('""') for line in lines(FRAMES)))
 for written, number in (
-    ("1.234,5", 1234.5), ('"1,234.5"', 1234.5), ("1234,5", 1234.5), ("1.2345e3", 1234.5), ("12.345.678,5", 12345678.5),
-):  # fmt: skip
+    ("1.234,5", 1234.5),
+    ('"1,234.5"', 1234.5),
+    ("1234,5", 1234.5),
+    ("1.2345e3", 1234.5),
+    ("12.345.678,5", 12345678.5),
+):
     others = lines(FRAMES, ";", "," if written.endswith(",5") else ".")
     expected = np.concatenate([FRAMES, FRAMES[:1]])
     expected[4, 0, 0] = number
@@ -381,13 +639,26 @@ for written, number in (
 
 # One frame a line; single values.
 
-for sign, header, stamped in itertools.product((",", ";", "\t", " ", "   "), (False, True), (False, True)):
+for sign, header, stamped in itertools.product(
+    (",", ";", "\t", " ", "   "), (False, True), (False, True)
+):
     head = sign.join([*["time"] * stamped, *names("r{r}c{c}").split(",")])
     rows = np.column_stack([[0, 0.5, 1.25, 2], WIDE]) if stamped else WIDE
     text = [head] * header + lines(rows, sign)
     times = [0, 0.5, 1.25, 2] if stamped else FOUR
-    how = {"times": times, "role": [0, 1, 1, 1], "baseline_frames": 1, "absent": None if header else "header"}
-    accept(f"a frame a line: {sign!r}, {header}, {stamped}", text, "row by row", *["header"] * header, **how)
+    how = {
+        "times": times,
+        "role": [0, 1, 1, 1],
+        "baseline_frames": 1,
+        "absent": None if header else "header",
+    }
+    accept(
+        f"a frame a line: {sign!r}, {header}, {stamped}",
+        text,
+        "row by row",
+        *["header"] * header,
+        **how,
+    )
 
 
 def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.ndarray:
@@ -399,17 +670,26 @@ def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.nda
 
 for first, swap in itertools.product((0, 1), (False, True)):
     shuffled = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
-    accept(f"values from {first}, {swap}", lines(shuffled), f"indices count from {first}", transpose=swap)
+    accept(
+        f"values from {first}, {swap}",
+        lines(shuffled),
+        f"indices count from {first}",
+        transpose=swap,
+    )
     single = ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])]
     accept(f"values of a frame from {first}", single, expected=FRAMES[:1])
 REPEATED_TABLE = lines(np.delete(long_table(FRAMES)[:, :3], 22, axis=0))
 SENTENCE = "a new frame begins where a cell comes again"
-accept("single values without frames", REPEATED_TABLE, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2)))
+accept(
+    "single values without frames", REPEATED_TABLE, SENTENCE, expected=with_nan(FRAMES, (1, 1, 2))
+)
 SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
 OWN_ORDER = lines(long_table(FRAMES)[:, [3, 2, 0, 1]])
 SENTENCE = "one value a line as frame, value, row, column"
 accept("values in a layout of one's own", OWN_ORDER, SENTENCE, layout="frame, ohm, row, column")
-accept("frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
+accept(
+    "frames in a layout of one's own", lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]])
+)
 for header, line, times in (
     ("millis,row,col,R [ohm]", "{ms},{r},{c},{v}", FOUR / 10),
     ("timestamp;Zeile;Spalte;Widerstand", "2025-01-31 12:00:00,{f};R{r};C{c};{v}", FOUR / 10),
@@ -424,37 +704,69 @@ for header, line, times in (
     accept(header, text[:], times=times, start=start)
     del text[1 + 2 * 15 + 7]
     accept(f"{header} without one", text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
-    refuse(f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse")
+    refuse(
+        f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse"
+    )
 
 # Single values without a header: a counter or a time before row and column.
 
 for rows, columns in ((3, 4), (4, 3), (3, 5), (4, 4)):
     single = np.random.default_rng(rows).integers(200, 900, (6, rows, columns))
     small = replace(LOADED, panel=replace(LOADED.panel, rows=rows, columns=columns))
-    for before, first, times in (("{n}", 0, np.arange(6)), ("{n}", 1, np.arange(6)), ("{s}", 0, np.arange(6) / 50)):
+    for before, first, times in (
+        ("{n}", 0, np.arange(6)),
+        ("{n}", 1, np.arange(6)),
+        ("{s}", 0, np.arange(6) / 50),
+    ):
         text = [
             f"{before.format(n=f + first, s=f / 50)},{r + first},{c + first},{single[f, r, c]}"
             for f, r, c in np.ndindex(single.shape)
         ]
         accept(
-            f"{before} from {first} before row and column of {rows} × {columns}", text, "row, column, value",
-            expected=(single + 0.5) * 3.3 / 4096, times=times, rows=rows, columns=columns, scene=small,
-        )  # fmt: skip
+            f"{before} from {first} before row and column of {rows} × {columns}",
+            text,
+            "row, column, value",
+            expected=(single + 0.5) * 3.3 / 4096,
+            times=times,
+            rows=rows,
+            columns=columns,
+            scene=small,
+        )
 accept(
-    "one number a line", map(str, CODES.ravel()), "one number", absent="fields separated", expected=CODES, unit="ohm"
+    "one number a line",
+    map(str, CODES.ravel()),
+    "one number",
+    absent="fields separated",
+    expected=CODES,
+    unit="ohm",
 )
 
 # Panels whose lines have as many fields as single values, and tables that fit after a turn.
 
 SMALL = FRAMES[:, :2, :3]
-accept("three columns", "\n\n".join("\n".join(lines(frame)) for frame in SMALL), expected=SMALL, rows=2, columns=3)
+accept(
+    "three columns",
+    "\n\n".join("\n".join(lines(frame)) for frame in SMALL),
+    expected=SMALL,
+    rows=2,
+    columns=3,
+)
 WIDER = lines(np.full((14, 7), 0.5))
-refuse("a table of the panel's columns", WIDER, "7 fields; 7 × 5 cells need", "with `transpose` it would", rows=7)
+refuse(
+    "a table of the panel's columns",
+    WIDER,
+    "7 fields; 7 × 5 cells need",
+    "with `transpose` it would",
+    rows=7,
+)
 
 # Lines of a sketch.
 
 SKETCH = [*[line for frame in lines(FRAMES) for line in (frame, "DEBUG heap ok")] * 5, ""]
-SENTENCE = f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG heap ok')"
+SENTENCE = (
+    f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG "
+    "heap ok')"
+)
 accept("lines of a sketch between frames", SKETCH, SENTENCE, expected=np.tile(FRAMES, (5, 1, 1)))
 
 # Missing readings.
@@ -467,17 +779,30 @@ for word, sign in zip(WORDS, itertools.cycle((",", ";", "\t"))):
     name = f"{word!r} between {sign!r}"
     marked = "2 readings missing, in 2 of 4 frames: NaN in the recording"
     accept(name, text, marked, expected=with_nan(FRAMES, (1, 2, 3), (2, 0, 0)), baseline_frames=2)
-    how = {"expected": FRAMES[[0, 3]], "times": [0, 3], "role": [0, 1], "baseline_frames": 2, "missing": "skip-frame"}
+    how = {
+        "expected": FRAMES[[0, 3]],
+        "times": [0, 3],
+        "role": [0, 1],
+        "baseline_frames": 2,
+        "missing": "skip-frame",
+    }
     sentences = ("these frames are left out", "2 frames of 3 × 5 cells, the first 1 unloaded")
     accept(f"{name} without the frames", text, *sentences, **how)
     refuse(name, text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
 INFINITE = FRAMES.copy()
 INFINITE[1, 0, 0] = np.inf
 accept(
-    "infinity in ohm", lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER, unit="ohm"
+    "infinity in ohm",
+    lines(INFINITE),
+    "1 reading at or beyond a rail",
+    expected=INFINITE,
+    scene=DIVIDER,
+    unit="ohm",
 )
 OPEN_CELL = [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])]
-codes("infinity in codes", OPEN_CELL, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0)))
+codes(
+    "infinity in codes", OPEN_CELL, "1 reading missing", expected=with_nan(VOLT_OF_CODES, (1, 0, 0))
+)
 
 
 def lines_with(line: int, field: int, text: str) -> str:
@@ -489,19 +814,40 @@ def lines_with(line: int, field: int, text: str) -> str:
 REFUSED |= {
     name: given(text, message, missing="refuse")
     for name, text, message in (
-        ("two fields", "1,2\n3,4\n", ":1: 2 fields; 3 × 5 cells need 15, 16 with the time, or 3 or 4 for row, column"),
+        (
+            "two fields",
+            "1,2\n3,4\n",
+            ":1: 2 fields; 3 × 5 cells need 15, 16 with the time, or 3 or 4 for row, column",
+        ),
         ("a number with _", lines_with(1, 3, "1_000"), ":2:4: '1_000' is no number"),
-        ("a negative reading", lines_with(3, 14, "-2"), ":4:15: -2 must be a positive resistance in ohm"),
+        (
+            "a negative reading",
+            lines_with(3, 14, "-2"),
+            ":4:15: -2 must be a positive resistance in ohm",
+        ),
         ("two of 15 cells", "0,0,5\n0,1,6\n", "row 0, column 2 is missing"),
         ("a row beyond", "0,0,5\n3,0,6\n", ":2:1: row 3 is beyond the panel's 0 to 2"),
         ("a negative row", "-1,0,5\n", ":1:1: row -1 is beyond"),
-        ("one of 15 cells", "frame,row,column,value\n4,0,0,5\n", "the reading of row 0, column 1 is missing"),
-        ("equal times", ",".join(["1"] * 16) + "\n" + ",".join(["1"] * 16), ":2:1: times must be finite and grow"),
+        (
+            "one of 15 cells",
+            "frame,row,column,value\n4,0,0,5\n",
+            "the reading of row 0, column 1 is missing",
+        ),
+        (
+            "equal times",
+            ",".join(["1"] * 16) + "\n" + ",".join(["1"] * 16),
+            ":2:1: times must be finite and grow",
+        ),
     )
 }
 NEGATIVE = long_table(FRAMES, 1, swap=True)
 NEGATIVE[7, 2] = -1
-refuse("a negative transposed value", lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True)
+refuse(
+    "a negative transposed value",
+    lines(NEGATIVE),
+    "m.csv:8:3: -1 must be a positive",
+    transpose=True,
+)
 refuse("nothing but gaps", lines(np.full((2, 15), np.nan)), "all readings are missing")
 GAPPY = lines(with_nan(FRAMES, (slice(None), 0, 0)))
 SENTENCE = "no frame would be left; `missing='mark'` keeps them"
@@ -511,10 +857,14 @@ refuse("another word for missing", lines(FRAMES), SENTENCE, missing="drop", abse
 
 
 @pytest.mark.parametrize("file", TABLES.values(), ids=TABLES)
-def test_a_table_is_imported_with_its_frames_times_and_notes(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_a_table_is_imported_with_its_frames_times_and_notes(
+    file: SimpleNamespace, tmp_path: Path
+) -> None:
     imports.check_taken(file, tmp_path)
 
 
 @pytest.mark.parametrize("file", REFUSED.values(), ids=REFUSED)
-def test_an_unreadable_table_is_refused_with_the_place_of_its_fault(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_an_unreadable_table_is_refused_with_the_place_of_its_fault(
+    file: SimpleNamespace, tmp_path: Path
+) -> None:
     imports.check_refused(file, tmp_path)

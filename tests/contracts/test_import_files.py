@@ -1,4 +1,6 @@
-"""Arrays, sheets and archives, what no reader takes, scenes beside a file, bare arrays, and the command."""
+"""Arrays, sheets and archives, what no reader takes, scenes beside a file, bare arrays, and the
+command.
+"""
 
 import datetime
 import io
@@ -19,7 +21,18 @@ import openpyxl
 import pandas
 import pytest
 import scipy.io
-from contracts.imports import COLUMNS, DIVIDER, FRAMES, ROWS, check_refused, check_taken, given, imported, lines, names
+from contracts.imports import (
+    COLUMNS,
+    DIVIDER,
+    FRAMES,
+    ROWS,
+    check_refused,
+    check_taken,
+    given,
+    imported,
+    lines,
+    names,
+)
 
 from lampest import (
     Bounds,
@@ -49,12 +62,21 @@ def array(values: Any, *notes: str, **options: Any) -> SimpleNamespace:
     return given(lambda path: np.save(path, values), *notes, name="m.npy", **options)
 
 
-def matrices(*notes: str, packed: bool = False, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
+def matrices(
+    *notes: str, packed: bool = False, arrays: dict[str, Any], **options: Any
+) -> SimpleNamespace:
     """A .mat file of level 5."""
-    return given(lambda path: scipy.io.savemat(path, arrays, do_compression=packed), *notes, name="m.mat", **options)
+    return given(
+        lambda path: scipy.io.savemat(path, arrays, do_compression=packed),
+        *notes,
+        name="m.mat",
+        **options,
+    )
 
 
-def archive(save: Callable[..., None], *notes: str, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
+def archive(
+    save: Callable[..., None], *notes: str, arrays: dict[str, Any], **options: Any
+) -> SimpleNamespace:
     """An .npz file."""
     return given(lambda path: save(path, **arrays), *notes, name="m.npz", **options)
 
@@ -72,7 +94,9 @@ def matlab(path: Path, **arrays: np.ndarray) -> None:
     path.write_bytes(header + path.read_bytes()[len(header) :])
 
 
-def book(sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **options: Any) -> SimpleNamespace:
+def book(
+    sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **options: Any
+) -> SimpleNamespace:
     """An .xlsx file."""
     workbook = openpyxl.Workbook()
     workbook.remove(workbook.active)
@@ -83,17 +107,27 @@ def book(sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **options: Any
     return given(workbook.save, *notes, name="m.xlsx", **options)
 
 
-def sheet_of(frames: np.ndarray, changes: dict[tuple[int, int], Any] | None = None) -> list[list[Any]]:
-    rows: list[list[Any]] = [["Panel of Monday"], [], ["Time", *names("R{r}C{c} [kOhm]", 1).split(",")]]
+def sheet_of(
+    frames: np.ndarray, changes: dict[tuple[int, int], Any] | None = None
+) -> list[list[Any]]:
+    rows: list[list[Any]] = [
+        ["Panel of Monday"],
+        [],
+        ["Time", *names("R{r}C{c} [kOhm]", 1).split(",")],
+    ]
     for n, frame in enumerate(frames):
-        rows.append([T0 + datetime.timedelta(seconds=n / 2), *(float(x) / 1000 for x in frame.ravel())])
+        rows.append(
+            [T0 + datetime.timedelta(seconds=n / 2), *(float(x) / 1000 for x in frame.ravel())]
+        )
     for (row, column), value in (changes or {}).items():
         rows[row][column] = value
     return rows
 
 
 def amplifiers(**volts: float) -> Scene:
-    return Scene(Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts))
+    return Scene(
+        Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts)
+    )
 
 
 OWN_VOLTAGES = amplifiers(drive_volt=0.5, converter_volt=2.5)
@@ -111,9 +145,14 @@ HOLES = FRAMES.copy()
 HOLES[1, 2, 4] = HOLES[2, 0, 0] = np.nan
 GAPS = {(4, 15): "#DIV/0!", (5, 1): None}
 HALVES: dict[str, Any] = {"times": np.arange(4) / 2, "start": "2025-01-31T12:00:00"}
-CLOCK = [[T0.date(), datetime.time(12, 0, n), *map(float, frame.ravel())] for n, frame in enumerate(FRAMES)]
+CLOCK = [
+    [T0.date(), datetime.time(12, 0, n), *map(float, frame.ravel())]
+    for n, frame in enumerate(FRAMES)
+]
 DATED = [["Date", "Time", *names("R{r}C{c}", 1).split(",")], *CLOCK]
-MEAN = [[row[1], *row[2:]] for row in [DATED[0], *(["", n, *row[2:]] for n, row in enumerate(CLOCK))]]
+MEAN = [
+    [row[1], *row[2:]] for row in [DATED[0], *(["", n, *row[2:]] for n, row in enumerate(CLOCK))]
+]
 TWO_SHEETS = {"A": sheet_of(FRAMES), "B": sheet_of(2 * FRAMES)}
 FILES = {
     "frames, rows, columns": array(FRAMES, "read as (frames"),
@@ -124,17 +163,28 @@ FILES = {
     "lines with resistances of their own": array(
         FRAMES,
         f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm",
-        scene=Scene(Panel(ROWS, COLUMNS), None, SeriesPerLine(tuple(70.0 + line for line in range(ROWS)), 71.0)),
+        scene=Scene(
+            Panel(ROWS, COLUMNS),
+            None,
+            SeriesPerLine(tuple(70.0 + line for line in range(ROWS)), 71.0),
+        ),
         unit="ohm",
     ),
     "an archive": archive(
         np.savez_compressed,
         "array R_kohm read as (frames, rows, columns)",
         "time: array time_ms in ms",
-        arrays={"R_kohm": FRAMES / 1000, "time_ms": np.arange(4) * 250, "note": np.array("text"), "gain": np.ones(3)},
+        arrays={
+            "R_kohm": FRAMES / 1000,
+            "time_ms": np.arange(4) * 250,
+            "note": np.array("text"),
+            "gain": np.ones(3),
+        },
         times=np.arange(4) / 4,
     ),
-    "open cells, which an unloaded film has": array(mostly(0.0), scene=amplifiers(), unit="volt", expected=mostly(0.0)),
+    "open cells, which an unloaded film has": array(
+        mostly(0.0), scene=amplifiers(), unit="volt", expected=mostly(0.0)
+    ),
     "half floats": array(FRAMES.astype("f2"), "unit ohm", expected=FRAMES.astype("f2")),
     "times of NumPy": archive(
         np.savez,
@@ -156,12 +206,22 @@ FILES = {
         packed=True,
     ),
     "a sheet": book(
-        {"Notes": [["hello"]], "Data": sheet_of(FRAMES, GAPS)}, "sheet Data", "row 3 taken as", expected=HOLES, **HALVES
+        {"Notes": [["hello"]], "Data": sheet_of(FRAMES, GAPS)},
+        "sheet Data",
+        "row 3 taken as",
+        expected=HOLES,
+        **HALVES,
     ),
-    "dates beside times of day": book({"A": DATED}, times=np.arange(4), start="2025-01-31T12:00:00"),
-    "durations": book({"A": [MEAN[0], *([n * TEN_SECONDS, *row[2:]] for n, row in enumerate(CLOCK))]}, times=TENS),
+    "dates beside times of day": book(
+        {"A": DATED}, times=np.arange(4), start="2025-01-31T12:00:00"
+    ),
+    "durations": book(
+        {"A": [MEAN[0], *([n * TEN_SECONDS, *row[2:]] for n, row in enumerate(CLOCK))]}, times=TENS
+    ),
     "a chosen sheet": book(TWO_SHEETS, variable="B", expected=2 * FRAMES, **HALVES),
-    "blocks in a sheet": book({"A": [[float(x) for x in row] for frame in FRAMES for row in [*frame, []]]}),
+    "blocks in a sheet": book(
+        {"A": [[float(x) for x in row] for frame in FRAMES for row in [*frame, []]]}
+    ),
 }
 
 
@@ -176,13 +236,17 @@ def listed(values: np.ndarray) -> Any:
     return json.loads(json.dumps(values.tolist()).replace("NaN", "null"))
 
 
-def table_of(path: Path, frames: np.ndarray = FRAMES, write: str = "to_parquet", **columns: Any) -> None:
+def table_of(
+    path: Path, frames: np.ndarray = FRAMES, write: str = "to_parquet", **columns: Any
+) -> None:
     named = dict(zip(names("r{r}c{c}").split(","), frames.reshape(len(frames), -1).T, strict=True))
     getattr(pandas.DataFrame(columns | named), write)(path)
 
 
 def lists_of(path: Path) -> None:
-    pandas.DataFrame({"t": np.arange(4) / 2, "frame": [list(frame.ravel()) for frame in FRAMES]}).to_parquet(path)
+    pandas.DataFrame(
+        {"t": np.arange(4) / 2, "frame": [list(frame.ravel()) for frame in FRAMES]}
+    ).to_parquet(path)
 
 
 def folder(write: Callable[[Path, np.ndarray], object], suffix: str) -> Callable[[Path], None]:
@@ -220,55 +284,96 @@ def csv_of(path: Path, frame: np.ndarray) -> None:
 
 
 TRIPLED = np.concatenate([FRAMES, FRAMES, FRAMES])
-DATED_RECORDS = [{"time": f"2025-01-31T12:00:0{n}Z", "grid": listed(frame)} for n, frame in enumerate(FRAMES)]
-TIMED = [{"t": n / 2, "seq": 7 + n, "data": listed(frame.ravel())} for n, frame in enumerate(FRAMES)]
-LONG_RECORDS = [{"frame": f, "row": r, "col": c, "ohm": FRAMES[f, r, c]} for f, r, c in np.ndindex(FRAMES.shape)]
+DATED_RECORDS = [
+    {"time": f"2025-01-31T12:00:0{n}Z", "grid": listed(frame)} for n, frame in enumerate(FRAMES)
+]
+TIMED = [
+    {"t": n / 2, "seq": 7 + n, "data": listed(frame.ravel())} for n, frame in enumerate(FRAMES)
+]
+LONG_RECORDS = [
+    {"frame": f, "row": r, "col": c, "ohm": FRAMES[f, r, c]} for f, r, c in np.ndindex(FRAMES.shape)
+]
 NAMED_RECORDS = [
     {"ms": 250 * n} | dict(zip(names("r{r}c{c}").split(","), listed(frame.ravel()), strict=True))
     for n, frame in enumerate(FRAMES)
 ]
 FILES |= {
     "JSON: frames": records(listed(HOLES), "read as (frames, rows, columns)", expected=HOLES),
-    "JSON: a name beside times": records({"unit": "ohm", "t": [0, 1, 2, 3], "R": listed(FRAMES)}, "array R read as"),
-    "JSON: records": records(TIMED, "array data read as (frames, rows·columns)", times=np.arange(4) / 2),
-    "JSON: records below a name": records(
-        {"device": "mat", "frames": DATED_RECORDS}, "array grid", times=np.arange(4), start="2025-01-31T12:00:00Z"
+    "JSON: a name beside times": records(
+        {"unit": "ohm", "t": [0, 1, 2, 3], "R": listed(FRAMES)}, "array R read as"
     ),
-    "JSON: a record a value": records(LONG_RECORDS, "60 records", "one value a line as frame, row, column, value"),
+    "JSON: records": records(
+        TIMED, "array data read as (frames, rows·columns)", times=np.arange(4) / 2
+    ),
+    "JSON: records below a name": records(
+        {"device": "mat", "frames": DATED_RECORDS},
+        "array grid",
+        times=np.arange(4),
+        start="2025-01-31T12:00:00Z",
+    ),
+    "JSON: a record a value": records(
+        LONG_RECORDS, "60 records", "one value a line as frame, row, column, value"
+    ),
     "JSON: a record a frame": records(NAMED_RECORDS, "column 'ms' in ms", times=np.arange(4) / 4),
     "JSON lines: frames": records(listed(FRAMES), "read as (frames", name="m.jsonl"),
-    "JSON lines: flat frames": records(listed(FRAMES.reshape(4, -1)), "read as (frames", name="m.ndjson"),
-    "JSON lines: records": records(TIMED, "array data read as", name="m.jsonl", times=np.arange(4) / 2),
+    "JSON lines: flat frames": records(
+        listed(FRAMES.reshape(4, -1)), "read as (frames", name="m.ndjson"
+    ),
+    "JSON lines: records": records(
+        TIMED, "array data read as", name="m.jsonl", times=np.arange(4) / 2
+    ),
     "JSON lines: a frame's cells": records(NAMED_RECORDS, name="m.jsonl", times=np.arange(4) / 4),
     "JSON lines under the name of one value": given(
         "\n".join(map(json.dumps, TIMED)), name="m.json", times=np.arange(4) / 2
     ),
     "JSON lines: times by another name": records(
         [{"ts": 50 * n, "matrix": listed(frame)} for n, frame in enumerate(FRAMES)],
-        "array ts in ms", name="m.jsonl", times=np.arange(4) / 20,
+        "array ts in ms",
+        name="m.jsonl",
+        times=np.arange(4) / 20,
     ),
     "JSON lines that are cut": given(
-        "\n".join(map(json.dumps, listed(FRAMES)))[:-9], "left out: line 4, the last one, which is cut off",
-        name="m.jsonl", expected=FRAMES[:3],
+        "\n".join(map(json.dumps, listed(FRAMES)))[:-9],
+        "left out: line 4, the last one, which is cut off",
+        name="m.jsonl",
+        expected=FRAMES[:3],
     ),
     "JSON lines of a table that are cut": given(
-        "\n".join(map(json.dumps, NAMED_RECORDS))[:-9], "left out: line 4, the last one, which is cut off",
-        name="m.json", expected=FRAMES[:3], times=np.arange(3) / 4,
+        "\n".join(map(json.dumps, NAMED_RECORDS))[:-9],
+        "left out: line 4, the last one, which is cut off",
+        name="m.json",
+        expected=FRAMES[:3],
+        times=np.arange(3) / 4,
     ),
     "Parquet": given(table_of, "cells by their names", name="m.parquet"),
     "Parquet with dates": given(
-        lambda path: table_of(path, time=pandas.to_datetime([f"2025-01-31T12:00:0{n}" for n in range(4)])),
-        name="m.parquet", times=np.arange(4), start="2025-01-31T12:00:00",
+        lambda path: table_of(
+            path, time=pandas.to_datetime([f"2025-01-31T12:00:0{n}" for n in range(4)])
+        ),
+        name="m.parquet",
+        times=np.arange(4),
+        start="2025-01-31T12:00:00",
     ),
-    "Parquet of lists": given(lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2),
+    "Parquet of lists": given(
+        lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2
+    ),
     "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
-    "a folder of tables": given(folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=TRIPLED),
-    "a folder that a desktop has shown": given(shown, "12 frames of 12 files", name="m", expected=TRIPLED),
-    "a folder in two encodings": given(
-        in_two_encodings, "frame7.csv: fields separated by comma, UTF-16", name="m", expected=TRIPLED
+    "a folder of tables": given(
+        folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=TRIPLED
     ),
-    "a folder of arrays": given(folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=TRIPLED),
-}  # fmt: skip
+    "a folder that a desktop has shown": given(
+        shown, "12 frames of 12 files", name="m", expected=TRIPLED
+    ),
+    "a folder in two encodings": given(
+        in_two_encodings,
+        "frame7.csv: fields separated by comma, UTF-16",
+        name="m",
+        expected=TRIPLED,
+    ),
+    "a folder of arrays": given(
+        folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=TRIPLED
+    ),
+}
 for axes, values in (("last", FRAMES_LAST), ("first", FRAMES)):
     FILES[f"MATLAB 7.3 with frames {axes}"] = given(
         lambda path, values=values: matlab(path, R=values, t=np.arange(4.0)[None] / 2),
@@ -307,7 +412,9 @@ def bomb(path: Path) -> None:
 
 def claims(path: Path) -> None:
     with h5py.File(path, "w") as file:
-        file.create_dataset("R", (10**9, 3, 5), "f8", chunks=(1000, 3, 5), compression="gzip", fillvalue=1)
+        file.create_dataset(
+            "R", (10**9, 3, 5), "f8", chunks=(1000, 3, 5), compression="gzip", fillvalue=1
+        )
 
 
 def whole_sheet(path: Path) -> None:
@@ -341,14 +448,30 @@ def pickled(path: Path) -> None:
 
 
 REFUSED = [
-    *(given(pickled, "a pickle runs code when it is opened", name=f"m{end}") for end in (".pkl", ".pickle", ".p")),
-    *(given(pickled, "a pickle, which runs code when it is opened", name=name) for name in ("m.dat", "m.csv")),
-    given(b"\x81\x82\x83", "no text table (", ".parquet; `layout` names a layout of your own", name="m.dat"),
+    *(
+        given(pickled, "a pickle runs code when it is opened", name=f"m{end}")
+        for end in (".pkl", ".pickle", ".p")
+    ),
+    *(
+        given(pickled, "a pickle, which runs code when it is opened", name=name)
+        for name in ("m.dat", "m.csv")
+    ),
+    given(
+        b"\x81\x82\x83",
+        "no text table (",
+        ".parquet; `layout` names a layout of your own",
+        name="m.dat",
+    ),
     given(b"\x89HDF\r\n", "no text table, but HDF5; save the array as .npy", name="m.dat"),
-    given('{"t": 0, "R": [1, 2]}\n' * 3, "m.log:1: lines of JSON; save them as .jsonl", name="m.log"),
+    given(
+        '{"t": 0, "R": [1, 2]}\n' * 3, "m.log:1: lines of JSON; save them as .jsonl", name="m.log"
+    ),
     given(b"PK", "unpack it first", name="m.zip"),
     records([[1, 2], [3]], "m.json[1]: 1 values, where others have 2"),
-    records({"R": [["a", 2], ["b", 3]]}, "m.json: R: its lists differ in length, or hold what is no number"),
+    records(
+        {"R": [["a", 2], ["b", 3]]},
+        "m.json: R: its lists differ in length, or hold what is no number",
+    ),
     records({"R": [1, 2]}, "no array fits 3 × 5 cells; the numeric arrays are: R (2)"),
     given('{"R": [1, 2}', "no readable .json file", name="m.json"),
     given("[1, 2]\n[1, 2\n[3]", "m.jsonl:2: no JSON", name="m.jsonl"),
@@ -364,15 +487,28 @@ REFUSED = [
     given(sparse, "more than 500000000 are not imported", name="m.csv"),
     given(Path.mkdir, "no file in this folder", name="m.csv"),
     given(lambda path: None, "No such file", name="m.csv"),
-    given(b"1," * 14 + b"1", "holds nothing by name", "`variable` is for .mat, .npz", variable="R", name="m.csv"),
+    given(
+        b"1," * 14 + b"1",
+        "holds nothing by name",
+        "`variable` is for .mat, .npz",
+        variable="R",
+        name="m.csv",
+    ),
     *(given(GARBAGE, f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "mat")),
     *(given(b"", f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "mat", "xlsx")),
     *(given(boastful, f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "xlsx")),
     given(truncated, "no readable .npy file", name="m.npy"),
-    given(lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "pickled objects", name="m.npy"),
+    given(
+        lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True),
+        "pickled objects",
+        name="m.npy",
+    ),
     given(boastful, "values, more than 62500000 are not imported", name="m.npz"),
     given(b"PK\x03\x04 no zip", "no readable .npz file", name="m.npz"),
-    *(given(bomb, "unpacks to 600000000 bytes, more than 500000000", name=f"m.{kind}") for kind in ("npz", "xlsx")),
+    *(
+        given(bomb, "unpacks to 600000000 bytes, more than 500000000", name=f"m.{kind}")
+        for kind in ("npz", "xlsx")
+    ),
     given(b"MATLAB 7.3 MAT-file".ljust(600), "save it with the option -v7", name="m.mat"),
     given(claims, "claims", name="m.mat"),
     given(b"\xd0\xcf", "save it as .xlsx", name="m.xls"),
@@ -382,18 +518,41 @@ REFUSED = [
     array(FRAMES.astype(complex), "no plain array of real numbers"),
     array(FRAMES.transpose(0, 2, 1), "with `transpose` it would"),
     array(FRAMES[:, :2], "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
-    array(with_value(FRAMES, -1, 3, 2, 1).transpose(1, 2, 0), "m.npy[2, 1, 3]: -1 must be a positive resistance"),
-    array(BEYOND_CONVERTER, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"),
+    array(
+        with_value(FRAMES, -1, 3, 2, 1).transpose(1, 2, 0),
+        "m.npy[2, 1, 3]: -1 must be a positive resistance",
+    ),
+    array(
+        BEYOND_CONVERTER, "m.npy[0, 1, 2]: 1024 is no code of a 10-bit", scene=DIVIDER, unit="code"
+    ),
     array(FRAMES, "volt values need a scene with a readout", unit="volt"),
     array(FRAMES, "`layout` is for tables", layout="row,column,value"),
-    array(FRAMES, "the scene's panel has 3 × 5 cells, not 5 × 3", scene=DIVIDER, rows=5, columns=3, absent="m.npy"),
-    array(FRAMES, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code; write volt", unit="V", absent="m.npy"),
+    array(
+        FRAMES,
+        "the scene's panel has 3 × 5 cells, not 5 × 3",
+        scene=DIVIDER,
+        rows=5,
+        columns=3,
+        absent="m.npy",
+    ),
+    array(
+        FRAMES,
+        "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code; write volt",
+        unit="V",
+        absent="m.npy",
+    ),
     array(FRAMES, "code; write kohm", unit="kΩ", absent="m.npy"),
     array(FRAMES, "code; write code", unit="ADC", absent="m.npy"),
     array(FRAMES, "; did you mean ohm?", unit="ohn", absent="m.npy"),
     array(FRAMES, "5 baseline frames asked for, but the file holds 4 frames", baseline_frames=5),
     array(FRAMES, "a panel needs at least one row", rows=0, columns=3, absent="m.npy"),
-    given(lines(with_value(VOLTS, 5.5, 2, 1, 3)), "m.csv:3:9: ", "lies outside 0 to 5 V", scene=DIVIDER, unit="volt"),
+    given(
+        lines(with_value(VOLTS, 5.5, 2, 1, 3)),
+        "m.csv:3:9: ",
+        "lies outside 0 to 5 V",
+        scene=DIVIDER,
+        unit="volt",
+    ),
     array(
         OWN_VOLTAGES.circuit.exact_reading(np.full((2, ROWS, COLUMNS), 2000.0)),
         "fit none of volt, mV, code in this scene, whose converter ends at 0.5 V",
@@ -408,7 +567,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("file", FILES.values(), ids=FILES)
-def test_an_array_or_a_sheet_is_imported_with_its_frames_times_and_notes(file: SimpleNamespace, tmp_path: Path) -> None:
+def test_an_array_or_a_sheet_is_imported_with_its_frames_times_and_notes(
+    file: SimpleNamespace, tmp_path: Path
+) -> None:
     check_taken(file, tmp_path)
 
 
@@ -420,24 +581,34 @@ def test_a_fault_in_a_file_gives_one_sentence(file: SimpleNamespace, tmp_path: P
 # Scenes beside a file.
 
 
-def test_a_folder_has_at_most_20_notes_on_single_files_and_the_number_of_the_others(tmp_path: Path) -> None:
+def test_a_folder_has_at_most_20_notes_on_single_files_and_the_number_of_the_others(
+    tmp_path: Path,
+) -> None:
     each_with_a_cut_block(tmp_path / "m")
     _, notes = import_file(tmp_path / "m", rows=ROWS, columns=COLUMNS, unit="ohm")
     single = [note for note in notes if note.startswith("frame")]
     assert len(single) == 19, "one of the 20 is on all files"
-    assert single[2] == "frame2.csv: fields separated by comma, the last number of line 7 is cut off and missing"
+    assert (
+        single[2]
+        == "frame2.csv: fields separated by comma, the last number of line 7 is cut off and missing"
+    )
     assert "6 more notes on single files" in notes
 
 
 def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     for text, scene in (
-        ("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", Scene(Panel(3, 5), None, 140.0)),
+        (
+            "panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n",
+            Scene(Panel(3, 5), None, 140.0),
+        ),
         ("seed: 1\nscene:\n  panel: {rows: 3, columns: 5}\n", Scene(Panel(3, 5))),
     ):
         path.write_text(text, encoding="utf-8")
         assert read_scene(path) == scene
-    path.write_text("panel: {rows: 3, columns: 5}\nreadout: {kind: two_point, adc_bits: 12, readings: 5}\n")
+    path.write_text(
+        "panel: {rows: 3, columns: 5}\nreadout: {kind: two_point, adc_bits: 12, readings: 5}\n"
+    )
     text = "pitch_mm: 10, supply_volt: 5, reference_ohm: 1000, measured_across: reference"
     assert read_scene(path).assumed_text == text
     path.write_text("seed: 1\nscene:\n  panel: {rows: 3, colums: 5}\n", encoding="utf-8")
@@ -471,7 +642,9 @@ def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path
     (tmp_path / "v.csv").write_text("\n".join(lines(volts)))
     recording, notes = import_file(tmp_path / "v.csv", ROWS, COLUMNS, OWN_VOLTAGES)
     assert any(note.startswith("unit volt, guessed") for note in notes)
-    estimate = reconstruct(recording, [Misfit()], formulation="reduced", bounds=Bounds("none", "none"))
+    estimate = reconstruct(
+        recording, [Misfit()], formulation="reduced", bounds=Bounds("none", "none")
+    )
     np.testing.assert_allclose(estimate.cell_resistance, truth, rtol=1e-2)
     np.save(tmp_path / "c.npy", np.floor(volts / 2.5 * 1024).astype(int))
     recorded = import_file(tmp_path / "c.npy", scene=OWN_VOLTAGES)[0].recorded
@@ -487,7 +660,9 @@ def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path
 
 def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "howto" / "import.md").read_text(encoding="utf-8")
-    typed = re.split(r"^\$ ", page.partition("```console\n")[2].partition("```")[0], flags=re.MULTILINE)[1:]
+    typed = re.split(
+        r"^\$ ", page.partition("```console\n")[2].partition("```")[0], flags=re.MULTILINE
+    )[1:]
     answers = {line: answer for line, _, answer in (part.partition("\n") for part in typed)}
     for line, answer in answers.items():
         if line.startswith("cat "):
@@ -497,10 +672,15 @@ def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
     assert (completed.returncode, completed.stderr, completed.stdout) == (0, "", answers[call])
 
 
-def test_info_prints_the_start_of_a_recording(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
+def test_info_prints_the_start_of_a_recording(
+    tmp_path: Path, lampest: Callable[..., SimpleNamespace]
+) -> None:
     recording = Recording.from_array(FRAMES)
     replace(recording, start_time="2025-01-31T12:00:00+01:00").save(tmp_path / "m.h5")
-    assert "start      2025-01-31T12:00:00+01:00 at 0 s" in lampest("info", tmp_path / "m.h5").out.splitlines()
+    assert (
+        "start      2025-01-31T12:00:00+01:00 at 0 s"
+        in lampest("info", tmp_path / "m.h5").out.splitlines()
+    )
 
 
 def test_an_imported_signalling_nan_becomes_quiet(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""What a notebook asks of lampest: tables and labelled arrays in, pictures in its own axes, short lines of objects."""
+"""What a notebook asks of lampest: tables and labelled arrays in, pictures in its own axes, short
+lines of objects.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -90,7 +92,9 @@ def test_the_table_of_an_estimate_gives_its_recording_back(estimate: Reconstruct
 
 def test_an_inconsistent_table_is_refused_with_its_place() -> None:
     table = long_table()
-    with pytest.raises(InputError, match="table: line 10, column 'row': row 2 is beyond the panel's 0 to 1"):
+    with pytest.raises(
+        InputError, match="table: line 10, column 'row': row 2 is beyond the panel's 0 to 1"
+    ):
         Recording.from_dataframe(table, rows=2, columns=5)
     with pytest.raises(InputError, match=r"needs a pandas.DataFrame, not a ndarray"):
         Recording.from_dataframe(VALUES, rows=3, columns=5)
@@ -98,22 +102,32 @@ def test_an_inconsistent_table_is_refused_with_its_place() -> None:
         Recording.from_dataframe(table)
     with pytest.raises(InputError, match=r"table: the header says 'kPa'"):
         Recording.from_dataframe(
-            pandas.DataFrame({f"{name} [kPa]": VALUES[:, 0, 0] for name in NAMES}), rows=3, columns=5
+            pandas.DataFrame({f"{name} [kPa]": VALUES[:, 0, 0] for name in NAMES}),
+            rows=3,
+            columns=5,
         )
 
 
 def test_a_labelled_array_becomes_a_recording_in_any_order_of_dimensions() -> None:
     dates = np.datetime64("2025-01-31T12:00:00") + (1000 * TIMES).astype("m8[ms]")
-    for dims, times in ((("time", "row", "column"), TIMES), (("t", "y", "x"), dates), (("frame", "row", "col"), None)):
+    for dims, times in (
+        (("time", "row", "column"), TIMES),
+        (("t", "y", "x"), dates),
+        (("frame", "row", "col"), None),
+    ):
         coordinates = {} if times is None else {dims[0]: times}
-        data = xarray.DataArray(VALUES / 1000, dims=dims, coords=coordinates, attrs={"units": "kohm"})
+        data = xarray.DataArray(
+            VALUES / 1000, dims=dims, coords=coordinates, attrs={"units": "kohm"}
+        )
         for turned in (data, data.transpose(*dims[::-1])):
             recording = Recording.from_xarray(turned, baseline=2)
             np.testing.assert_allclose(recording.recorded, VALUES)
             np.testing.assert_allclose(recording.time, np.arange(4) if times is None else TIMES)
     with pytest.raises(InputError, match="must be time, row and column, not a, row, column"):
         Recording.from_xarray(xarray.DataArray(VALUES, dims=("a", "row", "column")))
-    with pytest.raises(InputError, match=r"needs an xarray.DataArray, not a Dataset; of a Dataset name a variable"):
+    with pytest.raises(
+        InputError, match=r"needs an xarray.DataArray, not a Dataset; of a Dataset name a variable"
+    ):
         Recording.from_xarray(data.to_dataset(name="R"))
 
 
@@ -121,7 +135,9 @@ def test_a_labelled_array_becomes_a_recording_in_any_order_of_dimensions() -> No
 
 
 @pytest.mark.slow
-def test_readings_and_times_of_an_estimate_equal_those_of_its_file(estimate: Reconstruction) -> None:
+def test_readings_and_times_of_an_estimate_equal_those_of_its_file(
+    estimate: Reconstruction,
+) -> None:
     case = estimate.result()
     np.testing.assert_array_equal(estimate.reading_model, case.reading_model)
     np.testing.assert_array_equal(estimate.solve_time, case.solve_time)
@@ -130,7 +146,9 @@ def test_readings_and_times_of_an_estimate_equal_those_of_its_file(estimate: Rec
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_picture_fits_into_given_axes_with_given_ends(kind: str, estimate: Reconstruction, axes: Any) -> None:
+def test_a_picture_fits_into_given_axes_with_given_ends(
+    kind: str, estimate: Reconstruction, axes: Any
+) -> None:
     figure = estimate.plot(kind, ax=axes, vmin=1.0, vmax=7.0)
     assert figure is axes.figure
     bar = figure.axes[-1]
@@ -141,7 +159,9 @@ def test_a_picture_fits_into_given_axes_with_given_ends(kind: str, estimate: Rec
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_new_picture_has_the_given_size_and_is_shown_in_notebooks(kind: str, estimate: Reconstruction) -> None:
+def test_a_new_picture_has_the_given_size_and_is_shown_in_notebooks(
+    kind: str, estimate: Reconstruction
+) -> None:
     figure = estimate.plot(kind, figsize=(5.0, 4.0))
     assert tuple(figure.get_size_inches()) == (5.0, 4.0)
     assert figure._repr_png_().startswith(b"\x89PNG")
@@ -151,7 +171,9 @@ def test_a_recording_draws_its_readings(recording: Recording, axes: Any) -> None
     assert recording.plot(ax=axes, vmin=-5.0, vmax=5.0) is axes.figure
     assert "readings of frame" in axes.get_title()
     assert tuple(recording.plot(frame=1, figsize=(3, 3)).get_size_inches()) == (3, 3)
-    loaded = Recording(recording.scene, recording.recorded[4:], recording.time[4:], recording.role[4:])
+    loaded = Recording(
+        recording.scene, recording.recorded[4:], recording.time[4:], recording.role[4:]
+    )
     assert "frame 0" in loaded.plot().axes[0].get_title()
     with pytest.raises(InputError, match="there is no frame 6; there are 0 to 5"):
         recording.plot(frame=6)
@@ -171,12 +193,18 @@ def test_wrong_options_of_a_picture_are_refused(estimate: Reconstruction, axes: 
 
 
 @pytest.mark.slow
-def test_the_map_of_a_wrong_circuit_has_a_warning(recording: Recording, estimate: Reconstruction, axes: Any) -> None:
+def test_the_map_of_a_wrong_circuit_has_a_warning(
+    recording: Recording, estimate: Reconstruction, axes: Any
+) -> None:
     words = "wrong circuit: it does not explain the readings"
-    wrong = Scene(recording.scene.panel, TwoPointReadout(reference_ohm=10_000.0, readings=1, noise_lsb=1.0))
+    wrong = Scene(
+        recording.scene.panel, TwoPointReadout(reference_ohm=10_000.0, readings=1, noise_lsb=1.0)
+    )
     readout = recording.scene.readout
     assert readout is not None and wrong.readout is not None
-    misread = replace(recording, scene=wrong, recorded=wrong.readout.recorded_from_volt(recording.recorded))
+    misread = replace(
+        recording, scene=wrong, recorded=wrong.readout.recorded_from_volt(recording.recorded)
+    )
     misread_estimate = reconstruct(misread, [Misfit(weighting="noise"), LogGradient(weight=1.0)])
     assert misread_estimate.model_check.mark == "no"
     for kind in KINDS:
@@ -191,36 +219,60 @@ def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, estimate: Reco
     figure = estimate.plot(kind)
     figure.canvas.draw()
     drawn = figure.get_window_extent()
-    for text in (figure._supxlabel, figure._supylabel, figure._suptitle, *(axes.title for axes in figure.axes)):
+    for text in (
+        figure._supxlabel,
+        figure._supylabel,
+        figure._suptitle,
+        *(axes.title for axes in figure.axes),
+    ):
         box = text.get_window_extent() if text is not None and text.get_text() else drawn
-        assert drawn.x0 - 1 <= box.x0 and box.x1 <= drawn.x1 + 1 and drawn.y0 - 1 <= box.y0 and box.y1 <= drawn.y1 + 1
+        assert (
+            drawn.x0 - 1 <= box.x0
+            and box.x1 <= drawn.x1 + 1
+            and drawn.y0 - 1 <= box.y0
+            and box.y1 <= drawn.y1 + 1
+        )
 
 
 @pytest.mark.slow
 def test_titles_break_only_between_words(recording: Recording, tmp_path: Path) -> None:
     name = "LSR-gradient_of_log.weight 0.0001 and more"
     estimate = reconstruct(recording, [Misfit(weighting="noise")])
-    lampest.write_results(tmp_path / "r.h5", [estimate.result(name), estimate.result("b"), estimate.result("c")])
+    lampest.write_results(
+        tmp_path / "r.h5", [estimate.result(name), estimate.result("b"), estimate.result("c")]
+    )
     from lampest import ChangePlot, read_results
 
     figure = ChangePlot().draw(read_results(tmp_path / "r.h5").cases)
     title = next(axes.get_title() for axes in figure.axes if axes.get_title().startswith("LSR"))
     pieces = title.split("\n")[:-1]
-    assert len(pieces) > 1 and all(piece[-1] in "_.-" or piece in name.split() or " " in piece for piece in pieces[:-1])
+    assert len(pieces) > 1 and all(
+        piece[-1] in "_.-" or piece in name.split() or " " in piece for piece in pieces[:-1]
+    )
     assert "".join(pieces).replace(" ", "") in name.replace(" ", "")
 
 
 # Lines of objects.
 
 
-def test_objects_print_one_short_line(recording: Recording, estimate: Reconstruction, tmp_path: Path) -> None:
+def test_objects_print_one_short_line(
+    recording: Recording, estimate: Reconstruction, tmp_path: Path
+) -> None:
     estimate.save(tmp_path / "r.h5")
     stream = lampest.Stream.begin(estimate.estimator, recording.scene, 1.0, recording.readings()[0])
     for item in (
-        recording.readings(), lampest.read_results(tmp_path / "r.h5"), estimate.result(), estimate.steps[0],
-        estimate.steps[0].solution, stream,
-    ):  # fmt: skip
-        assert len(repr(item)) < 400 and "\n" not in repr(item) and repr(item).startswith(type(item).__name__)
+        recording.readings(),
+        lampest.read_results(tmp_path / "r.h5"),
+        estimate.result(),
+        estimate.steps[0],
+        estimate.steps[0].solution,
+        stream,
+    ):
+        assert (
+            len(repr(item)) < 400
+            and "\n" not in repr(item)
+            and repr(item).startswith(type(item).__name__)
+        )
     assert repr(recording.readings()).startswith("Readings(value=6 × 12 × 4, sigma=6 × 12 × 4")
 
 
@@ -231,9 +283,11 @@ def test_objects_print_one_short_line(recording: Recording, estimate: Reconstruc
 def test_the_last_line_of_an_example_shows_a_picture(script: Path) -> None:
     last = ast.parse(script.read_text(encoding="utf-8")).body[-1]
     drawn = "pyplot" in script.read_text(encoding="utf-8")
-    assert drawn or "figure" not in script.read_text(encoding="utf-8") or (
-        isinstance(last, ast.Expr) and ast.unparse(last) == "figure"
-    )  # fmt: skip
+    assert (
+        drawn
+        or "figure" not in script.read_text(encoding="utf-8")
+        or (isinstance(last, ast.Expr) and ast.unparse(last) == "figure")
+    )
 
 
 @pytest.mark.slow
@@ -243,6 +297,8 @@ def test_a_notebook_of_the_first_example_shows_a_picture(tmp_path: Path) -> None
 
     script = EXAMPLES[0].read_text(encoding="utf-8")
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(script)])
-    NotebookClient(book, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(
+        book, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     outputs = book.cells[0].outputs
     assert any("image/png" in output.get("data", {}) for output in outputs)

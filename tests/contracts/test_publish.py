@@ -1,4 +1,6 @@
-"""`lampest live` without a board: each way of `--publish` is heard by its own library, and nobody holds up frames."""
+"""`lampest live` without a board: each way of `--publish` is heard by its own library, and nobody
+holds up frames.
+"""
 
 import gc
 import json
@@ -26,7 +28,9 @@ TOKEN = "0123456789abcdef"
 Run = Callable[..., SimpleNamespace]
 # paho leaves the two sockets by which its threads wake each other to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto here: apt-get install mosquitto")
+needs_broker = pytest.mark.skipif(
+    MOSQUITTO is None, reason="there is no mosquitto here: apt-get install mosquitto"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -49,10 +53,14 @@ def listens(port: int) -> bool:
 
 
 @contextmanager
-def broker(folder: Path, port: int, further: str = "allow_anonymous true") -> Iterator["subprocess.Popen[bytes]"]:
+def broker(
+    folder: Path, port: int, further: str = "allow_anonymous true"
+) -> Iterator["subprocess.Popen[bytes]"]:
     """A real broker."""
     (folder / "broker.conf").write_text(f"listener {port} 127.0.0.1\n{further}\n")
-    with subprocess.Popen([MOSQUITTO, "-c", folder / "broker.conf"], stderr=subprocess.DEVNULL) as running:
+    with subprocess.Popen(
+        [MOSQUITTO, "-c", folder / "broker.conf"], stderr=subprocess.DEVNULL
+    ) as running:
         try:
             until(lambda: listens(port))
             yield running
@@ -82,7 +90,9 @@ def subscribed(port: int) -> Iterator[list[dict[str, Any]]]:
         client.loop_stop()
 
 
-def replayed(lampest: Run, receiver: str, frames: int = 6, speed: float = 10.0, *words: str) -> SimpleNamespace:
+def replayed(
+    lampest: Run, receiver: str, frames: int = 6, speed: float = 10.0, *words: str
+) -> SimpleNamespace:
     """A published recording."""
     source = ("--recording", LAMPREY, "--speed", speed, "--count", frames)
     return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", receiver, *words)
@@ -107,8 +117,12 @@ def check_message(message: dict[str, Any]) -> None:
     assert message["health"]["solved"] and message["health"]["arrived"] <= message["health"]["sent"]
     pressed = sum(min(kpa, 40.0) for kpa in message["pressure"] if kpa > 0)
     assert 0 < message["force"] <= pressed * 1e-1 + 0.02, "kPa on 10 mm × 10 mm"
-    assert message["force_saturated"] <= len(message["health"]["saturated"]), "a cell that sucks adds no force"
-    assert (message["force_saturated"] > 0) == (max(message["pressure"]) > 40.0), "the response's curve ends at 40 kPa"
+    assert message["force_saturated"] <= len(message["health"]["saturated"]), (
+        "a cell that sucks adds no force"
+    )
+    assert (message["force_saturated"] > 0) == (max(message["pressure"]) > 40.0), (
+        "the response's curve ends at 40 kPa"
+    )
     assert message["verdict"].startswith("pressing"), "the rim of a mouth presses"
 
 
@@ -123,11 +137,17 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
     numbers = [message["sequence"] for message in messages]
     assert numbers == sorted(numbers) and numbers[0] > UNLOADED, "in order, unloaded ones first"
     signs = [
-        (message["sequence"], message["detection"] and message["detection"]["sentence"], message["alarm"])
+        (
+            message["sequence"],
+            message["detection"] and message["detection"]["sentence"],
+            message["alarm"],
+        )
         for message in messages
     ]
     assert len(set(signs)) == len(signs), "again only once the answer or the alarm has changed"
-    assert messages[-1]["detection"]["answer"] == "sucks", "the last answer comes after the last frame"
+    assert messages[-1]["detection"]["answer"] == "sucks", (
+        "the last answer comes after the last frame"
+    )
     for message in messages:
         check_message(message)
 
@@ -177,7 +197,10 @@ def test_websocket_carries_the_message_to_clients_with_the_token(lampest: Run) -
 
     def listening() -> None:
         until(lambda: listens(port))
-        with connect(f"ws://127.0.0.1:{port}/?token={TOKEN}") as connection, suppress(ConnectionClosed):
+        with (
+            connect(f"ws://127.0.0.1:{port}/?token={TOKEN}") as connection,
+            suppress(ConnectionClosed),
+        ):
             while True:
                 messages.append(json.loads(connection.recv()))
 
@@ -206,10 +229,19 @@ def test_lsl_outlet_describes_its_stream(lampest: Run) -> None:
         assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
     info = received["info"]
     sample = np.array(received["sample"])
-    assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 315, pylsl.cf_float32)
+    assert (info.type(), info.channel_count(), info.channel_format()) == (
+        "Pressure",
+        315,
+        pylsl.cf_float32,
+    )
     labels = info.get_channel_labels()
     units = info.get_channel_units()
-    assert (labels[1], labels[4], units[1], units[4]) == ("force", "change_0_0", "newton", "percent")
+    assert (labels[1], labels[4], units[1], units[4]) == (
+        "force",
+        "change_0_0",
+        "newton",
+        "percent",
+    )
     cell = info.desc().child("channels").first_child()
     while cell.child_value("label") != "pressure_3_4":
         cell = cell.next_sibling()
@@ -220,13 +252,23 @@ def test_lsl_outlet_describes_its_stream(lampest: Run) -> None:
 
 
 @pytest.mark.slow
-def test_an_unavailable_port_gives_one_sentence_and_live_ends_after_its_frames(lampest: Run) -> None:
+def test_an_unavailable_port_gives_one_sentence_and_live_ends_after_its_frames(
+    lampest: Run,
+) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         completed = replayed(lampest, f"websocket://127.0.0.1:{taken.getsockname()[1]}")
-    assert completed.code == 2 and "cannot listen at 127.0.0.1" in completed.err and completed.err.count("\n") == 1
+    assert (
+        completed.code == 2
+        and "cannot listen at 127.0.0.1" in completed.err
+        and completed.err.count("\n") == 1
+    )
     completed = lampest("live", "--port", "/nowhere/port", "--http", "127.0.0.1:0")
-    assert completed.code == 2 and "/nowhere/port: cannot be opened" in completed.err and completed.err.count("\n") == 1
+    assert (
+        completed.code == 2
+        and "/nowhere/port: cannot be opened" in completed.err
+        and completed.err.count("\n") == 1
+    )
     completed = replayed(lampest, f"osc://127.0.0.1:{free_port(socket.SOCK_DGRAM)}", 4, 1e6)
     assert completed.code == 0 and completed.out.startswith("http://127.0.0.1:")

@@ -1,4 +1,6 @@
-"""The results file: what goes in comes out, other programs open it, texts beside numbers, faults in one sentence."""
+"""The results file: what goes in comes out, other programs open it, texts beside numbers, faults in
+one sentence.
+"""
 
 import dataclasses
 import os
@@ -39,7 +41,11 @@ PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
 @pytest.fixture
 def written(tmp_path: Path) -> Path:
     path = tmp_path / "results.h5"
-    cases = [invented_case(name, recording, (4, 5, 7), failed=(1,)) for recording in ("b", "a") for name in METHODS]
+    cases = [
+        invented_case(name, recording, (4, 5, 7), failed=(1,))
+        for recording in ("b", "a")
+        for name in METHODS
+    ]
     write_results(path, cases, PUBLISHED)
     return path
 
@@ -48,21 +54,31 @@ def written(tmp_path: Path) -> Path:
 def test_written_results_are_read_unchanged(tmp_path: Path, shape: tuple[int, int, int]) -> None:
     """Names out of alphabetical order: the order of the configuration must survive."""
     known = {"z": {"truth": True, "start_time": "2026-05-04T09:30:00+02:00"}, "b": {"truth": False}}
-    cases = [invented_case(name, stem, shape, **known[stem]) for stem in known for name in reversed(METHODS)]
-    cases[0] = dataclasses.replace(cases[0], costs={"misfit": np.ones(shape[0]), "gradient": np.zeros(shape[0])})
+    cases = [
+        invented_case(name, stem, shape, **known[stem])
+        for stem in known
+        for name in reversed(METHODS)
+    ]
+    cases[0] = dataclasses.replace(
+        cases[0], costs={"misfit": np.ones(shape[0]), "gradient": np.zeros(shape[0])}
+    )
     write_results(tmp_path / "r.h5", cases, PUBLISHED)
     results = read_results(tmp_path / "r.h5")
     assert results.recordings() == ("z", "b") and results.published == PUBLISHED
     for stored, expected in zip(results.cases, cases, strict=True):
         for item in dataclasses.fields(CaseResult):
-            np.testing.assert_equal(getattr(stored, item.name), getattr(expected, item.name), err_msg=item.name)
+            np.testing.assert_equal(
+                getattr(stored, item.name), getattr(expected, item.name), err_msg=item.name
+            )
 
 
 def test_a_failed_frame_holds_nan_and_a_sentence(written: Path) -> None:
     case = read_results(written).cases[0]
     assert np.isnan(case.cell_resistance[1]).all()
     assert case.status[1] == "stopped: too many iterations"
-    with pytest.raises(InputError, match="/entry/b/LSM/cell_resistance must be numbers where solved is 1, and NaN"):
+    with pytest.raises(
+        InputError, match="/entry/b/LSM/cell_resistance must be numbers where solved is 1, and NaN"
+    ):
         dataclasses.replace(case, solved=np.ones(4, dtype=bool))
 
 
@@ -74,7 +90,10 @@ def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
         "write_results(sys.argv[2], [invented_case(name, failed=(1,)) for name in METHODS])"
     )
     for name in ("one.h5", "two.h5"):
-        subprocess.run([sys.executable, "-c", code, str(Path(__file__).parents[1]), tmp_path / name], check=True)
+        subprocess.run(
+            [sys.executable, "-c", code, str(Path(__file__).parents[1]), tmp_path / name],
+            check=True,
+        )
     assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
 
 
@@ -97,7 +116,9 @@ def test_xarray_opens_it_unchanged(written: Path, engine: str) -> None:
 
 
 def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) -> None:
-    assert written.read_bytes()[8] == 3, "superblock of the format 1.10, the oldest with checksums of its own"
+    assert written.read_bytes()[8] == 3, (
+        "superblock of the format 1.10, the oldest with checksums of its own"
+    )
     names = []
 
     def look(name: str, node: h5py.Group | h5py.Dataset) -> None:
@@ -106,7 +127,10 @@ def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) ->
             if attribute in ("DIMENSION_LIST", "REFERENCE_LIST"):
                 continue  # how HDF5 attaches axes
             kind = node.attrs.get_id(attribute).dtype
-            assert h5py.check_vlen_dtype(kind) is None and h5py.check_string_dtype(kind) != "O", (name, attribute)
+            assert h5py.check_vlen_dtype(kind) is None and h5py.check_string_dtype(kind) != "O", (
+                name,
+                attribute,
+            )
             assert kind.kind in "Siuf", (name, attribute, kind)
         if isinstance(node, h5py.Dataset):
             assert node.dtype.kind in "Siuf", name
@@ -117,7 +141,9 @@ def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) ->
     with h5py.File(written) as file:
         file.visititems(look)
     assert "entry/a/LSM/cost/misfit" in names
-    assert len(names) > 20 and all(part.isidentifier() for name in names for part in name.replace("-", "_").split("/"))
+    assert len(names) > 20 and all(
+        part.isidentifier() for name in names for part in name.replace("-", "_").split("/")
+    )
 
 
 def test_a_full_disk_leaves_no_fragment_and_keeps_the_older_file(
@@ -126,14 +152,33 @@ def test_a_full_disk_leaves_no_fragment_and_keeps_the_older_file(
     original = written.read_bytes()
     full = mock.Mock(side_effect=OSError(28, "No space left on device"))
     for place, name in ((os, "fsync"), (Path, "write_bytes")):
-        with monkeypatch.context() as patch, pytest.raises(InputError, match="No space left on device"):
+        with (
+            monkeypatch.context() as patch,
+            pytest.raises(InputError, match="No space left on device"),
+        ):
             patch.setattr(place, name, full)
             write_results(tmp_path / "new.h5" if place is os else written, [invented_case()])
         assert written.read_bytes() == original and list(tmp_path.iterdir()) == [written]
 
 
 @pytest.mark.parametrize(
-    "name", ["", ".", "..", "../x", "a/b", "/etc", " a", "a ", "x\n", "λ", "tab\t", "a\0b", "\x1b[31m", "x" * 201]
+    "name",
+    [
+        "",
+        ".",
+        "..",
+        "../x",
+        "a/b",
+        "/etc",
+        " a",
+        "a ",
+        "x\n",
+        "λ",
+        "tab\t",
+        "a\0b",
+        "\x1b[31m",
+        "x" * 201,
+    ],
 )
 def test_names_that_cannot_be_groups_are_refused(name: str) -> None:
     for place in ("estimator", "recording"):
@@ -154,7 +199,9 @@ def test_inconsistent_cases_are_refused(tmp_path: Path) -> None:
     }
     for name, value in changes.items():
         conflicting = invented_case("LSR-CR", **{name: value})
-        with pytest.raises(InputError, match=rf"different recordings of the name mouth \({name} differs\)"):
+        with pytest.raises(
+            InputError, match=rf"different recordings of the name mouth \({name} differs\)"
+        ):
             write_results(tmp_path / "r.h5", [case, conflicting])
     assert list(tmp_path.iterdir()) == []
 
@@ -164,7 +211,10 @@ def test_results_hold_the_whole_scene(tmp_path: Path) -> None:
     water = Water(70.0)
     further = (faults, water, Temperature(-0.003, 20.0, 12.0), Systematic(0.01, 3.0))
     subject = MeasuredSubject("L7", "Petromyzon marinus", 420.0, 150.0)
-    people = {"subject": subject, "experiment": Experiment("attachment", water_temperature_celsius=12.5)}
+    people = {
+        "subject": subject,
+        "experiment": Experiment("attachment", water_temperature_celsius=12.5),
+    }
     scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.5), 140.0, *further, **people)
     dataclasses.replace(Recording.load(LAMPREY), scene=scene).save(tmp_path / "recording.h5")
     assert Recording.load(tmp_path / "recording.h5").scene == scene
@@ -173,7 +223,9 @@ def test_results_hold_the_whole_scene(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "r.h5") as file:
         group = file["entry/mouth/recording"]
         assert group["scene"].shape == () and group["scene"].dtype.kind == "S"
-    with pytest.raises(InputError, match=r"/entry/mouth/recording/resistance does not have the 4 × 5 cells"):
+    with pytest.raises(
+        InputError, match=r"/entry/mouth/recording/resistance does not have the 4 × 5 cells"
+    ):
         invented_case(scene=Scene(Panel(4, 5)))
 
 

@@ -1,4 +1,6 @@
-"""A run from end to end: what is skipped, resumed, overridden and kept, in this process and in others."""
+"""A run from end to end: what is skipped, resumed, overridden and kept, in this process and in
+others.
+"""
 
 import fcntl
 import os
@@ -32,10 +34,15 @@ def test_a_run_writes_its_estimates(disk: SimpleNamespace, lampest: Command) -> 
     assert "3 cases solved, 0 were done before, 0 failed" in completed.out
     written = cases(out)
     names = ("LSM", "LSR-CR", "LSR-dCR")
-    assert [(case.recording, case.estimator) for case in written] == [("small", name) for name in names]
+    assert [(case.recording, case.estimator) for case in written] == [
+        ("small", name) for name in names
+    ]
     for case in written:
         assert case.status == ("optimum verified",) * 2 and not case.joint_start
-        assert case.frame.tolist() == case.time.tolist() == [1, 2] and case.scene.series_resistance_ohm == 140
+        assert (
+            case.frame.tolist() == case.time.tolist() == [1, 2]
+            and case.scene.series_resistance_ohm == 140
+        )
         assert np.all(case.solve_time > 0) and np.all(case.kkt_residual < 1e-6)
         assert case.objective == pytest.approx(sum(case.costs.values()))
         np.testing.assert_allclose(disk.exact(case.cell_resistance), case.reading_model, rtol=1e-9)
@@ -53,9 +60,14 @@ def test_a_second_run_solves_nothing_unless_fresh(disk: SimpleNamespace, lampest
     out = disk.folder / "out"
     lampest("run", run, "--out", out, "--jobs", "1")
     first_times = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
-    assert "0 cases solved, 3 were done before" in lampest("run", run, "--out", out, "--jobs", "1").out
+    assert (
+        "0 cases solved, 3 were done before" in lampest("run", run, "--out", out, "--jobs", "1").out
+    )
     assert {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()} == first_times
-    assert "3 cases solved, 0 were done before" in lampest("run", run, "--out", out, "--jobs", "1", "--fresh").out
+    assert (
+        "3 cases solved, 0 were done before"
+        in lampest("run", run, "--out", out, "--jobs", "1", "--fresh").out
+    )
     fresh_times = {path: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     assert fresh_times.keys() == first_times.keys()
     assert all(fresh_times[path] > first_times[path] for path in first_times)
@@ -63,31 +75,55 @@ def test_a_second_run_solves_nothing_unless_fresh(disk: SimpleNamespace, lampest
 
 @pytest.mark.slow
 def test_changed_cases_are_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
-    """Another weight: one case. Another recording of that name: all. A damaged result, or another case's: that one."""
+    """Another weight: one case. Another recording of that name: all. A damaged result, or another
+    case's: that one.
+    """
     out = disk.folder / "out"
     lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
     path = disk.run(disk.text.replace("weight: 1e-3", "weight: 2e-3"))
-    assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    assert (
+        "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    )
     assert len(cases(out)) == 3
     disk.recording(disk.folder / "small.h5", time=np.array([0.0, 1.0, 5.0]))
-    assert "3 cases solved, 0 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+    assert (
+        "3 cases solved, 0 were done before"
+        in lampest("run", path, "--out", out, "--jobs", "1").out
+    )
     first, damaged, _ = (out / "cases" / f"{case.case_id}.h5" for case in cases(out))
     for content in (damaged.read_bytes()[:2000], first.read_bytes()):
         damaged.write_bytes(content)
-        assert "1 case solved, 2 were done before" in lampest("run", path, "--out", out, "--jobs", "1").out
+        assert (
+            "1 case solved, 2 were done before"
+            in lampest("run", path, "--out", out, "--jobs", "1").out
+        )
 
 
-def test_a_failed_frame_holds_nan_and_stops_nothing(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_failed_frame_holds_nan_and_stops_nothing(
+    disk: SimpleNamespace, lampest: Command
+) -> None:
     """One iteration is too few: NaN and a sentence, in a finished case."""
     terms = "verify: {frames: none}, terms: {misfit: {}, cell_resistance: {weight: 0.1}}"
-    limited = f"  penalised: {{solver: {{max_iterations: 1, starts: 1}}, formulation: reduced, {terms}}}\n  LSM: {{"
+    limited = (
+        "  penalised: {solver: {max_iterations: 1, starts: 1}, formulation: reduced, "
+        f"{terms}}}\n  LSM: {{"
+    )
     path = disk.run(disk.text.replace("  LSM: {", limited))
     completed = lampest("run", path, "--out", disk.folder / "out", "--jobs", "1")
     assert (completed.code, completed.err) == (0, "")
     failed, *fine = cases(disk.folder / "out")
     assert set(failed.status) == {"the iteration limit was reached before an optimum"}
-    assert not np.any(failed.solved) and not np.any(failed.open_cell) and all(np.all(case.solved) for case in fine)
-    for values in (failed.cell_resistance, failed.relative_change, failed.reading_model, failed.objective):
+    assert (
+        not np.any(failed.solved)
+        and not np.any(failed.open_cell)
+        and all(np.all(case.solved) for case in fine)
+    )
+    for values in (
+        failed.cell_resistance,
+        failed.relative_change,
+        failed.reading_model,
+        failed.objective,
+    ):
         assert np.all(np.isnan(values))
 
 
@@ -97,14 +133,23 @@ def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Comma
     with (out / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         busy = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
-        assert (busy.code, busy.out, busy.err) == (2, "", f"lampest: {out}: another run is using this folder\n")
+        assert (busy.code, busy.out, busy.err) == (
+            2,
+            "",
+            f"lampest: {out}: another run is using this folder\n",
+        )
         assert [path.name for path in out.iterdir()] == [".lock"]
     assert lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1").code == 0
 
 
 def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampest: Command) -> None:
     arguments = ("--set", "formulation=per_pixel", "--set", "estimators.LSM.terms.misfit.weight=3")
-    assert lampest("run", disk.run(disk.text), "--out", disk.folder / "out", "--jobs", "1", *arguments).code == 0
+    assert (
+        lampest(
+            "run", disk.run(disk.text), "--out", disk.folder / "out", "--jobs", "1", *arguments
+        ).code
+        == 0
+    )
     first, second, _ = cases(disk.folder / "out")
     assert "formulation: per_pixel" in second.case_yaml and "weight: 3" in first.case_yaml
 
@@ -113,9 +158,14 @@ def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figu
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And the results where the command is called, in results/<name of the file>."""
-    figures = "published: {LSM: {all: {time_s: 16.45, error_percent: 1.33}}, LSR-dCR: {initial: {time_s: 58.63}}}\n"
+    figures = (
+        "published: {LSM: {all: {time_s: 16.45, error_percent: 1.33}}, LSR-dCR: {initial: "
+        "{time_s: 58.63}}}\n"
+    )
     (disk.folder / "configs").mkdir()
-    (disk.folder / "configs" / "mine.yaml").write_text(disk.text.replace("small.h5", "../small.h5") + figures)
+    (disk.folder / "configs" / "mine.yaml").write_text(
+        disk.text.replace("small.h5", "../small.h5") + figures
+    )
     monkeypatch.chdir(disk.folder)
     completed = lampest("run", "configs/mine.yaml", "--jobs", "1")
     assert (completed.code, completed.err) == (0, "")
@@ -127,8 +177,13 @@ def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figu
 
 def test_the_schema_equals_the_shipped_one_and_has_every_term(lampest: Command) -> None:
     shipped = (ROOT / "configs" / "lampest.schema.json").read_text(encoding="utf-8")
-    assert lampest("show", "schema").out == shipped, "lampest show schema > configs/lampest.schema.json"
-    assert all(f'"{word}"' in shipped for word in (*term_types(), "huber", "per_pixel", "sweep", "published"))
+    assert lampest("show", "schema").out == shipped, (
+        "lampest show schema > configs/lampest.schema.json"
+    )
+    assert all(
+        f'"{word}"' in shipped
+        for word in (*term_types(), "huber", "per_pixel", "sweep", "published")
+    )
 
 
 @pytest.mark.parametrize("name", ["table1", "all_scenes"])
@@ -141,7 +196,10 @@ def test_shipped_runs_are_valid(name: str) -> None:
     text = path.read_text(encoding="utf-8")
     assert text.startswith("# yaml-language-server: $schema=lampest.schema.json\n")
     assert re.search(r"^formulation: (nodal$|\{kind: nodal, joint: true\})", text, re.MULTILINE)
-    weights = {case.name: [(type(term).__name__, term.weight) for term in case.estimator.terms] for case in run.cases}
+    weights = {
+        case.name: [(type(term).__name__, term.weight) for term in case.estimator.terms]
+        for case in run.cases
+    }
     assert weights == {
         "LSM": [("Misfit", 1)],
         "LSR-CR": [("Misfit", 1), ("CellResistance", 1e-3)],
@@ -158,13 +216,18 @@ def test_a_missing_library_gives_one_sentence(
     path = disk.run(disk.text + "executor: {kind: dask}\n")
     completed = lampest("run", path, "--out", disk.folder / "out")
     assert (completed.code, completed.out) == (2, "")
-    assert completed.err == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
+    assert (
+        completed.err
+        == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
+    )
     assert not (disk.folder / "out").exists()
     assert lampest("run", path, "--out", disk.folder / "out", "--jobs", "1").code == 0
 
 
 def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:
-    """Return code, output and errors of a run that Ctrl-C reaches, in all processes, once so many files exist."""
+    """Return code, output and errors of a run that Ctrl-C reaches, in all processes, once so many
+    files exist.
+    """
     run = Batch(path, count).start(out)
     until(lambda: len(list((out / "cases").glob(pattern))) >= count)
     os.killpg(run.pid, signal.SIGINT)
@@ -181,7 +244,13 @@ def large(disk: SimpleNamespace, frames: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "executor",
-    ["serial", *(pytest.param(f"{kind}, workers: 2", marks=pytest.mark.slow) for kind in ("processes", "dask"))],
+    [
+        "serial",
+        *(
+            pytest.param(f"{kind}, workers: 2", marks=pytest.mark.slow)
+            for kind in ("processes", "dask")
+        ),
+    ],
 )
 def test_an_interrupt_keeps_finished_cases(executor: str, disk: SimpleNamespace) -> None:
     large(disk, 9)
@@ -190,22 +259,36 @@ def test_an_interrupt_keeps_finished_cases(executor: str, disk: SimpleNamespace)
     out = disk.folder / "out"
     settings = f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"
     path = disk.run(disk.text + sweep + settings)
-    assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", "lampest: interrupted; what was finished is kept\n")
+    assert interrupted(path, out, "[!.]*.h5", 3) == (
+        130,
+        "",
+        "lampest: interrupted; what was finished is kept\n",
+    )
     finished = read_results(out / "results.h5").cases
     assert 3 <= len(finished) < 302 and all(case.solved.all() for case in finished)
-    assert {path.stem for path in (out / "cases").glob("[!.]*.h5")} >= {case.case_id for case in finished}
+    assert {path.stem for path in (out / "cases").glob("[!.]*.h5")} >= {
+        case.case_id for case in finished
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
-def test_an_interrupted_case_keeps_its_finished_frames(executor: str, disk: SimpleNamespace) -> None:
+def test_an_interrupted_case_keeps_its_finished_frames(
+    executor: str, disk: SimpleNamespace
+) -> None:
     large(disk, 1502)
-    text = disk.text[: disk.text.index("  LSR-CR")] + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
+    text = (
+        disk.text[: disk.text.index("  LSR-CR")]
+        + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
+    )
     out = disk.folder / "out"
     assert interrupted(disk.run(text), out, ".*_unfinished.h5", 1)[0] == 130
     (case,) = read_results(out / "results.h5").cases
     count = int(case.solved.sum())
     assert 0 < count < len(case.solved) and case.solved[:count].all()
-    assert np.isnan(case.cell_resistance[count:]).all() and np.isfinite(case.cell_resistance[:count]).all()
+    assert (
+        np.isnan(case.cell_resistance[count:]).all()
+        and np.isfinite(case.cell_resistance[:count]).all()
+    )
     assert set(case.status[count:]) == {"the run was broken off before this frame"}
     assert not list((out / "cases").iterdir()), "an unfinished case is solved anew"

@@ -1,4 +1,6 @@
-"""Sentences on what a beginner types, and on what a file leaves open: each names the mistake and what to write."""
+"""Sentences on what a beginner types, and on what a file leaves open: each names the mistake and
+what to write.
+"""
 
 import re
 from collections.abc import Callable
@@ -16,7 +18,8 @@ Command = Callable[..., SimpleNamespace]
 
 PANEL = "panel: {rows: 3, columns: 5, pitch_mm: 10}\n"
 LOADED = (
-    "{kind: loaded_columns, driven: rows, supply_volt: 3.3, load_ohm: 3300, drive_ohm: 70, adc_bits: 12, readings: 1}"
+    "{kind: loaded_columns, driven: rows, supply_volt: 3.3, load_ohm: 3300, drive_ohm: 70, "
+    "adc_bits: 12, readings: 1}"
 )
 CODES = np.random.default_rng(1).integers(200, 900, (4, 3, 5))
 
@@ -45,7 +48,10 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
 @pytest.mark.parametrize(
     ("assigned", "sentence"),
     [
-        ("readout.load_ohm=3.3k", "readout.load_ohm: must be a number or a list, not '3.3k': write 3300"),
+        (
+            "readout.load_ohm=3.3k",
+            "readout.load_ohm: must be a number or a list, not '3.3k': write 3300",
+        ),
         ("readout.load_ohm='3300'", "not '3300': write 3300, without quotation marks"),
         ("readout.load_ohm='1e3'", "not '1e3': write 1000, without quotation marks"),
         ("readout.load_ohm=4k7", "not '4k7': write 4700"),
@@ -59,22 +65,31 @@ def starter(tmp_path: Path, lampest: Command) -> Path:
         ("readout.noise_lsb=estimatd", "'estimated', not 'estimatd'; did you mean estimated?"),
         ("purpose=matt", "purpose: must be 'mat', not 'matt'; did you mean mat?"),
         ("systematic=typcal", "not 'typcal'; did you mean typical?"),
-        ("series_resistance_ohm=140 ohm", "must be a number or a mapping, not '140 ohm': write 140"),
+        (
+            "series_resistance_ohm=140 ohm",
+            "must be a number or a mapping, not '140 ohm': write 140",
+        ),
         ("readout=5", "readout: must be a mapping with a 'kind', not 5"),
     ],
 )
 def test_the_error_of_a_wrong_value_names_valid_ones(
     assigned: str, sentence: str, codes: Path, scene: Path, lampest: Command
 ) -> None:
-    completed = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    completed = lampest(
+        "import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5")
+    )
     assert completed.code == 2 and sentence in completed.err and "Input should" not in completed.err
 
 
-@pytest.mark.parametrize("assigned", ["readout.driven=diagonals", "readout.kind=bridge", "purpose=insole"])
+@pytest.mark.parametrize(
+    "assigned", ["readout.driven=diagonals", "readout.kind=bridge", "purpose=insole"]
+)
 def test_a_word_that_resembles_no_known_one_has_no_suggestion(
     assigned: str, codes: Path, scene: Path, lampest: Command
 ) -> None:
-    completed = lampest("import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5"))
+    completed = lampest(
+        "import", codes, "--scene", scene, "--set", assigned, "--out", codes.with_suffix(".h5")
+    )
     assert completed.code == 2 and "did you mean" not in completed.err
 
 
@@ -85,7 +100,9 @@ def test_import_says_that_it_replaced_a_file(codes: Path, scene: Path, lampest: 
     assert second.out.splitlines()[-1] == f"{out} (in place of the file that had this name)"
 
 
-def test_import_calls_only_undetermined_entries_assumed(codes: Path, scene: Path, lampest: Command) -> None:
+def test_import_calls_only_undetermined_entries_assumed(
+    codes: Path, scene: Path, lampest: Command
+) -> None:
     output = lampest("import", codes, "--scene", scene, "--out", codes.with_suffix(".h5")).out
     assert "polarity" not in output
     scene.write_text(f"{PANEL}readout: {LOADED.replace('adc_bits: 12, ', '')}\n")
@@ -98,22 +115,31 @@ def test_import_calls_only_undetermined_entries_assumed(codes: Path, scene: Path
 def test_infinite_resistances_without_a_readout_are_not_at_a_rail(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", np.where(CODES.max() == CODES, np.inf, CODES))
     _, notes = lampest.import_file(tmp_path / "m.npy", 3, 5, unit="ohm")
-    assert any("zero or infinite: kept as bounds" in note for note in notes) and not any("rail" in n for n in notes)
+    assert any("zero or infinite: kept as bounds" in note for note in notes) and not any(
+        "rail" in n for n in notes
+    )
 
 
 def test_the_error_names_an_unknown_estimator_of_a_setting(starter: Path, lampest: Command) -> None:
-    completed = lampest("run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1")
+    completed = lampest(
+        "run", starter / "run.yaml", "--set", "estimators.smoth.terms.log_gradient.weight=1"
+    )
     assert completed.code == 2
     assert "there is no estimator 'smoth'; did you mean smooth?" in completed.err
     unlike = lampest("run", starter / "run.yaml", "--set", "estimators.x.error_bars=false")
     assert "there is no estimator 'x'; there are no_penalty, smooth, few_changes" in unlike.err
 
 
-def test_numbers_that_a_recording_determines_are_information_and_no_warning(tmp_path: Path, lampest: Command) -> None:
-    scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), 140.0, gain="estimated", ripple="estimated")
+def test_numbers_that_a_recording_determines_are_information_and_no_warning(
+    tmp_path: Path, lampest: Command
+) -> None:
+    scene = Scene(
+        Panel(3, 4), TwoPointReadout(noise_lsb=0.7), 140.0, gain="estimated", ripple="estimated"
+    )
     simulate(Simulation(1, 1, scene, baseline_frames=5, frames=2)).save(tmp_path / "mine.h5")
     (tmp_path / "run.yaml").write_text(
-        "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}, error_bars: false}}\n"
+        "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}, error_bars: "
+        "false}}\n"
     )
     number = r"[\d.e-]+ ± [\d.e-]+"
     ran = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", 1)
@@ -128,14 +154,20 @@ def test_numbers_that_a_recording_determines_are_information_and_no_warning(tmp_
 def test_info_says_in_words_what_single_modules_have(tmp_path: Path, lampest: Command) -> None:
     (tmp_path / "plan.yaml").write_text(
         "schema: 1\nseed: 1\noutput: image.h5\nscene:\n"
-        "  panel: {modules: {rows: 1, columns: 2, each: {rows: 3, columns: 3, pitch_mm: 10}, seam_mm: 3}}\n"
-        "  readout: {kind: two_point, reference_ohm: 1000, adc_bits: 12, readings: 1, noise_lsb: 1}\n"
+        "  panel: {modules: {rows: 1, columns: 2, each: {rows: 3, columns: 3, pitch_mm: 10}, "
+        "seam_mm: 3}}\n"
+        "  readout: {kind: two_point, reference_ohm: 1000, adc_bits: 12, readings: 1, noise_lsb: "
+        "1}\n"
         "  series_resistance_ohm: 140\n"
-        "  modules: [{at: [0, 0], series_resistance_ohm: 150}, {at: [0, 1], faults: {dead_rows: [2]}}]\n"
+        "  modules: [{at: [0, 0], series_resistance_ohm: 150}, {at: [0, 1], faults: {dead_rows: "
+        "[2]}}]\n"
     )
     assert lampest("simulate", tmp_path / "plan.yaml").code == 0
     info = lampest("info", tmp_path / "image.h5").out
-    assert "\nmodules    at [0, 0], series_resistance_ohm 150; at [0, 1], faults dead_rows [2]\n" in info
+    assert (
+        "\nmodules    at [0, 0], series_resistance_ohm 150; at [0, 1], faults dead_rows [2]\n"
+        in info
+    )
 
 
 @pytest.mark.parametrize(
@@ -146,7 +178,10 @@ def test_info_says_in_words_what_single_modules_have(tmp_path: Path, lampest: Co
             "sweep: {estimators.smoth.terms.log_gradient.weight: [1]}",
             "no such place in this document; did you mean smooth?",
         ),
-        ("sweep: {estimators.smooth.terms.log_gradint.weight: [1]}", "no such key; did you mean log_gradient?"),
+        (
+            "sweep: {estimators.smooth.terms.log_gradint.weight: [1]}",
+            "no such key; did you mean log_gradient?",
+        ),
     ],
 )
 def test_a_misspelt_word_of_a_run_file_is_answered_with_the_word_to_write(
@@ -166,7 +201,10 @@ def test_a_pattern_without_quotation_marks_is_explained_and_the_starter_file_sho
     assert '"*.h5"' in text
     run.write_text(text.replace("[example.h5]", "[*.h5]"))
     completed = lampest("run", run)
-    assert completed.code == 2 and "in YAML a * begins an alias: write such a text in quotation marks" in completed.err
+    assert (
+        completed.code == 2
+        and "in YAML a * begins an alias: write such a text in quotation marks" in completed.err
+    )
     run.write_text(text.replace("[example.h5]", '["*.h5"]'))
     assert len(lampest_cases(run)) == 3
 
@@ -188,9 +226,12 @@ def test_info_of_the_starter_recording_reports_no_touching_lines(
 
         recording = Recording.load(path)
         loaded = recording.role == 1
-        Recording(recording.scene, recording.recorded[loaded], recording.time[loaded], recording.role[loaded]).save(
-            path
-        )
+        Recording(
+            recording.scene,
+            recording.recorded[loaded],
+            recording.time[loaded],
+            recording.role[loaded],
+        ).save(path)
     completed = lampest("info", path)
     assert (
         completed.code == 0
@@ -206,9 +247,14 @@ def test_info_names_the_reference_of_the_changes(tmp_path: Path, lampest: Comman
 
     values = np.random.default_rng(2).uniform(500, 600, (3, 4, 4))
     scene = Scene(Panel(4, 4), TwoPointReadout(), 0.0)
-    for baseline, words in ((0, "change against the first measured frame:"), (1, "change against the unloaded panel:")):
+    for baseline, words in (
+        (0, "change against the first measured frame:"),
+        (1, "change against the unloaded panel:"),
+    ):
         recording = Recording.from_array(values, unit="ohm", baseline=baseline, scene=scene)
-        reconstruct(recording, [Misfit(weighting="noise"), LogGradient(weight=1.0)]).save(tmp_path / "results.h5")
+        reconstruct(recording, [Misfit(weighting="noise"), LogGradient(weight=1.0)]).save(
+            tmp_path / "results.h5"
+        )
         assert words in lampest("info", tmp_path / "results.h5").out
 
 
@@ -218,7 +264,9 @@ def test_noise_that_agrees_with_the_scene_is_not_reported(tmp_path: Path, lampes
 
     readout = LoadedColumnsReadout(load_ohm=3300.0, readings=1, noise_lsb=0.0)
     constant = np.tile(CODES[:1], (8, 1, 1)).astype(float)
-    recording = Recording.from_array(constant, unit="code", baseline=6, scene=Scene(Panel(3, 5), readout))
+    recording = Recording.from_array(
+        constant, unit="code", baseline=6, scene=Scene(Panel(3, 5), readout)
+    )
     recording.save(tmp_path / "m.h5")
     assert "noise 0 LSB, measured" not in lampest("info", tmp_path / "m.h5").out
 
@@ -250,29 +298,60 @@ def test_the_error_names_the_command_for_a_file_of_another_kind(
         (starter / name).write_bytes(contents.get(name, b"1,2,3\n"))
     for command in ("info", "plot"):
         completed = lampest(command, starter / name)
-        assert completed.code == 2 and kind in completed.err and "synchronously" not in completed.err, completed.err
+        assert (
+            completed.code == 2 and kind in completed.err and "synchronously" not in completed.err
+        ), completed.err
 
 
 def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Command) -> None:
-    assert "a recording, lampest run computes results of it" in lampest("plot", starter / "example.h5").err
-    assert "HDF5, a recording or results; lampest info describes it" in lampest("run", starter / "example.h5").err
+    assert (
+        "a recording, lampest run computes results of it"
+        in lampest("plot", starter / "example.h5").err
+    )
+    assert (
+        "HDF5, a recording or results; lampest info describes it"
+        in lampest("run", starter / "example.h5").err
+    )
     assert "a folder; name a file in it" in lampest("info", starter).err
 
 
-CIRCUITS = ["two_mux", "parallel_mux", "pull_ups", "pull_downs", "grounded", "grounded_one", "amplifiers", "diodes"]
+CIRCUITS = [
+    "two_mux",
+    "parallel_mux",
+    "pull_ups",
+    "pull_downs",
+    "grounded",
+    "grounded_one",
+    "amplifiers",
+    "diodes",
+]
 
 
 @pytest.mark.parametrize(
-    "circuit", ["grounded", *(pytest.param(circuit, marks=pytest.mark.slow) for circuit in CIRCUITS)]
+    "circuit",
+    ["grounded", *(pytest.param(circuit, marks=pytest.mark.slow) for circuit in CIRCUITS)],
 )
 def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_errors(
     circuit: str, tmp_path: Path, lampest: Command
 ) -> None:
-    """Cells that differ by 5 % pass for errors of the readings where crosstalk is small; pressed ones, for outliers.
+    """Cells that differ by 5 % pass for errors of the readings where crosstalk is small; pressed
+    ones, for outliers.
 
-    With amplifiers nothing but the cells' scatter tells such errors from cells, and changes do not depend on them.
+    With amplifiers nothing but the cells' scatter tells such errors from cells, and changes do not
+    depend on them.
     """
-    assert lampest("init", tmp_path / "mine", "--readout", circuit, "--rows", 24, "--columns", 8, "--purpose", "mat")
+    assert lampest(
+        "init",
+        tmp_path / "mine",
+        "--readout",
+        circuit,
+        "--rows",
+        24,
+        "--columns",
+        8,
+        "--purpose",
+        "mat",
+    )
     path = tmp_path / "mine" / "example.h5"
     shown = re.search(r"reading_error: (\S+) ± (\S+) \(relative\)", lampest("info", path).out)
     assert shown is not None

@@ -1,4 +1,6 @@
-"""The contract of every study: a table, samples with units and pictures; one sentence for a mistake in its file."""
+"""The contract of every study: a table, samples with units and pictures; one sentence for a mistake
+in its file.
+"""
 
 import csv
 import os
@@ -20,7 +22,8 @@ ROOT = Path(__file__).parents[2]
 BENCH = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nlimits: {nodal: 3}\n"
 EXTREMES = "schema: 1\ngrid: {sizes: [[2, 3]], decades: [1], noise: [0]}\nstructured: {sizes: []}\n"
 WEIGHTS = (
-    "schema: 1\nrecordings: [small.h5]\nestimators:\n  g: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
+    "schema: 1\nrecordings: [small.h5]\nestimators:\n  g: {terms: {misfit: {}, gradient: {weight: "
+    "auto}}}\n"
     "  d: {terms: {misfit: {weighting: noise}, relative_change: {weight: 10}}}\n"
 )
 GRADIENT_ALONE = WEIGHTS.split("  d:")[0]
@@ -48,27 +51,36 @@ SETTINGS = {
     "extremes": EXTREMES + "estimators: {mine: {terms: {misfit: {}}}}\n",
     "tradeoff": "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
     "formulations: [scaled, reduced]\nframes: 2\nrepeats: 1\nmemory: LSM\n",
-    "weights": WEIGHTS + "  both: {terms: {misfit: {}, gradient: {weight: auto}, cell_resistance: {weight: auto}}}\n",
+    "weights": WEIGHTS
+    + "  both: {terms: {misfit: {}, gradient: {weight: auto}, cell_resistance: {weight: auto}}}\n",
     "audit": AUDIT,
 }
 UNKNOWN_NOISE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nseries_resistance_ohm: 140\n"
 GROUPS = {  # of the measurements in the HDF5 file
-    "bench": "frames", "extremes": "solves", "tradeoff": "frames", "weights": "small/g", "audit": "recordings",
-}  # fmt: skip
+    "bench": "frames",
+    "extremes": "solves",
+    "tradeoff": "frames",
+    "weights": "small/g",
+    "audit": "recordings",
+}
 
 
 def started(folder: Path, *words: str) -> SimpleNamespace:
     """Run Python as a user does; return code, out and err."""
     environment = {**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *words]
-    completed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
+    completed = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment
+    )
     return SimpleNamespace(code=completed.returncode, out=completed.stdout, err=completed.stderr)
 
 
 def studied(
     lampest: Command, disk: SimpleNamespace, study: str, text: str, *words: str
 ) -> tuple[SimpleNamespace, Path]:
-    """Run a study, or the script of a page, on a file of that text; return how it ended, and its folder."""
+    """Run a study, or the script of a page, on a file of that text; return how it ended, and its
+    folder.
+    """
     file = disk.run(text, f"{study}.yaml")
     out = disk.folder / "out"
     if study == "audit":
@@ -98,19 +110,28 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     stem = out / {"weights": "tune"}.get(study, study)
     with h5py.File(stem.with_suffix(".h5")) as file:
         group = file[f"entry/{GROUPS[study]}"]
-        datasets = {name: values for name, values in group.items() if isinstance(values, h5py.Dataset)}
+        datasets = {
+            name: values for name, values in group.items() if isinstance(values, h5py.Dataset)
+        }
         for name, values in datasets.items():
             assert values.attrs["units"] and values.attrs["long_name"], name
         assert len({len(values) for values in datasets.values()}) == 1
         if study == "audit":
             undisturbed, noisy = table_of(stem.with_suffix(".csv"))
-            assert (undisturbed["effect"], undisturbed["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
-            assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(noisy["cells"]) > 80
+            assert (undisturbed["effect"], undisturbed["verdict"]) in (
+                ("nothing", "covered"),
+                ("nothing", "wide"),
+            )
+            assert (noisy["reported"], noisy["verdict"]) == ("3", "reported") and float(
+                noisy["cells"]
+            ) > 80
             assert float(noisy["chi_square"]) > 5 > 2 > float(undisturbed["chi_square"])
             assert "measured in unloaded frames; the scene specifies" in completed.out
             held = group["cells_covered"][3:].sum()
             cells = group["cells"][3:].sum()
-            assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
+            assert cells == 3 * 2 * 30 and 100 * held / cells == pytest.approx(
+                float(noisy["cells"]), rel=1e-4
+            )
         assert ("memory_mb" in group) == (study in ("bench", "tradeoff"))
         assert "memory_mb" not in group or np.all(np.abs(group["memory_mb"][()] - 1000) < 990)
     pictures = [*out.glob("*.png")]
@@ -123,7 +144,9 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     [
         ("noise_factor", "noise_facto", "audit.yaml:17:"),
         pytest.param("seeds: 3", "seeds: 0", "audit.yaml", marks=pytest.mark.slow),
-        pytest.param("baseline_frames: 5", "baseline_frames: 1", "audit.yaml", marks=pytest.mark.slow),
+        pytest.param(
+            "baseline_frames: 5", "baseline_frames: 1", "audit.yaml", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_mistake_in_the_file_of_a_script_gives_one_sentence(
@@ -138,13 +161,19 @@ def test_a_mistake_in_the_file_of_a_script_gives_one_sentence(
     )
 
 
-def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespace, lampest: Command) -> None:
+def test_weights_without_noise_and_truth_are_chosen_by_risk(
+    disk: SimpleNamespace, lampest: Command
+) -> None:
     path = disk.recording(disk.folder / "small.h5", scene=UNKNOWN_NOISE)
     with h5py.File(path, "a") as file:
         del file["entry/truth"]
     text = GRADIENT_ALONE + "bounds: {upper: none}\n"
     completed, out = studied(lampest, disk, "weights", text + "auto_weight: {rule: evidence}\n")
-    assert completed.code == 2 and "auto_weight.rule: evidence needs the noise" in completed.err and not out.exists()
+    assert (
+        completed.code == 2
+        and "auto_weight.rule: evidence needs the noise" in completed.err
+        and not out.exists()
+    )
     completed, out = studied(lampest, disk, "weights", text)
     assert completed.code == 0, completed.err
     rules = {row["rule"]: row for row in table_of(out / "tune.csv")}
@@ -154,7 +183,9 @@ def test_weights_without_noise_and_truth_are_chosen_by_risk(disk: SimpleNamespac
 
 
 @pytest.mark.slow
-def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamespace, lampest: Command) -> None:
+def test_settings_of_the_command_override_the_file_of_a_study(
+    disk: SimpleNamespace, lampest: Command
+) -> None:
     setting = ("--set", "estimators.g.terms.gradient.weight=0.002")
     completed, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)
     assert completed.code == 0, completed.err
@@ -171,12 +202,24 @@ def test_the_papers_page_is_self_contained_and_its_scenes_give_its_numbers(tmp_p
     assert all((tmp_path / line).is_file() for line in completed.out.splitlines())
     page = (folder / "paper.html").read_text(encoding="utf-8")
     text = re.sub(r"base64,[\w+/=]+", "", page)  # whose letters may spell anything
-    assert "http" not in text.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
-    assert all(part in page for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I"))
-    assert {file.stem.split("_")[0] for file in folder.glob("*.png")} == {"fig1e", "fig2", "fig6", "fig8", "fig9"}
+    assert (
+        "http" not in text.replace("https://www.w3.org", "")
+        and page.count("data:image/png;base64,") >= 5
+    )
+    assert all(
+        part in page for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I")
+    )
+    assert {file.stem.split("_")[0] for file in folder.glob("*.png")} == {
+        "fig1e",
+        "fig2",
+        "fig6",
+        "fig8",
+        "fig9",
+    }
     rows = table_of(folder / "numbers.csv")
     simulated = {(row["figure"], row["quantity"]): float(row["clean scenes"]) for row in rows}
-    # The two mouths cover as many cells as published; plain least squares follows its readings far more closely.
+    # The two mouths cover as many cells as published; plain least squares follows its readings far
+    # more closely.
     assert [simulated[key] for key in simulated if key[0].startswith("Fig. 9")] == [4, 4, 3, 3]
     assert simulated["Table I", "LSM, all steps: data error"] < 0.05 < 1.33
     assert simulated["Fig. 8-a", "measured, smallest change"] == pytest.approx(-63, abs=1.5), (

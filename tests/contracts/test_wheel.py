@@ -1,4 +1,6 @@
-"""What a stranger gets: the wheel, the sdist with all that proves it, and what lampest is built from."""
+"""What a stranger gets: the wheel, the sdist with all that proves it, and what lampest is built
+from.
+"""
 
 import os
 import re
@@ -38,7 +40,18 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
     site = tmp_path / "site"
     empty = tmp_path / "empty"
     empty.mkdir()
-    pip = (sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(site), str(wheel))
+    pip = (
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        str(site),
+        str(wheel),
+    )
     subprocess.run(pip, check=True, capture_output=True, timeout=60)
 
     def run(*command: object) -> str:
@@ -57,7 +70,10 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
     assert (empty / picture).read_bytes().startswith(b"\x89PNG")
     with h5py.File(empty / "results" / "run" / "results.h5") as file:
         assert set(file["entry/example"]) >= {"no_penalty", "smooth", "few_changes"}
-    code = "from lampest import datasets as data; print(data.load('rod').recorded.ndim, data.folder(), sep=';')"
+    code = (
+        "from lampest import datasets as data; print(data.load('rod').recorded.ndim, "
+        "data.folder(), sep=';')"
+    )
     shape, place = run(sys.executable, "-c", code).strip().split(";")
     shipped = Path(place)
     assert shipped.is_relative_to(site) and shape == "3"
@@ -66,7 +82,9 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
         assert {path.name for path in (shipped / folder).iterdir()} == files
     assert read_run(shipped / "configs" / "table1.yaml").cases
     entries = ("sizes=[2]", "frames=1", "repeats=1", "recordings=1", "memory=[]")
-    table = run(*lampest, "study", "bench", *(word for entry in entries for word in ("--set", entry)))
+    table = run(
+        *lampest, "study", "bench", *(word for entry in entries for word in ("--set", entry))
+    )
     assert "nodal" in table and "results/bench/bench.csv" in table
 
 
@@ -76,12 +94,22 @@ def test_the_package_page_has_no_dead_links_and_the_sdist_holds_tests_and_pages(
     with ZipFile(wheel) as held:
         (name,) = (name for name in held.namelist() if name.endswith(".dist-info/METADATA"))
         text = held.read(name).decode()
-    assert "removes crosstalk" in text and "Quick overview" in text and "heel, arch and ball" in text
+    assert (
+        "removes crosstalk" in text and "Quick overview" in text and "heel, arch and ball" in text
+    )
     assert all(link.startswith("http") for link in re.findall(r"\]\(([^)]*)\)", text))
     with tarfile.open(archive) as held:
         names = {name.partition("/")[2] for name in held.getnames()}
-    files = ("tests/contracts/test_wheel.py", "docs/index.md", "configs/table1.yaml", "data/rod.h5", "Makefile")
-    assert names.issuperset(files) and not any(name.startswith(("results/", ".venv/", ".git/")) for name in names)
+    files = (
+        "tests/contracts/test_wheel.py",
+        "docs/index.md",
+        "configs/table1.yaml",
+        "data/rod.h5",
+        "Makefile",
+    )
+    assert names.issuperset(files) and not any(
+        name.startswith(("results/", ".venv/", ".git/")) for name in names
+    )
 
 
 def test_init_replaces_no_file(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
@@ -97,7 +125,9 @@ def test_datasets_load_by_name() -> None:
     for name in datasets.names():
         simulated = not name.startswith("insole")
         assert (datasets.load(name).truth_cell_resistance is not None) == simulated
-    with pytest.raises(InputError, match=r"there is no recording 'lamprey'.*lamprey_25mm, lamprey_35mm"):
+    with pytest.raises(
+        InputError, match=r"there is no recording 'lamprey'.*lamprey_25mm, lamprey_35mm"
+    ):
         datasets.load("lamprey")
 
 
@@ -109,7 +139,9 @@ def test_the_lock_pins_all_requirements_within_the_constraints_with_hashes(name:
     further = (text for extra in EXTRAS[name] for text in PROJECT["optional-dependencies"][extra])
     for requirement in map(Requirement, [*PROJECT["dependencies"], *further]):
         assert plain(requirement.name) in pinned, f"{requirement}: run make lock"
-        assert pinned[plain(requirement.name)] in requirement.specifier, f"{requirement}: run make lock"
+        assert pinned[plain(requirement.name)] in requirement.specifier, (
+            f"{requirement}: run make lock"
+        )
     for package, version in pinned.items():
         versions = {str(each.specifier) for each in constraints if plain(each.name) == package}
         assert not versions or f"=={version}" in versions, f"{package}: run make lock"
@@ -118,27 +150,44 @@ def test_the_lock_pins_all_requirements_within_the_constraints_with_hashes(name:
     for block in blocks:
         first, *hashes = [line.strip().removesuffix("\\").strip() for line in block.splitlines()]
         assert re.fullmatch(r"[A-Za-z0-9_.\[\]-]+==\S+( ;.*)?", first), first
-        assert hashes and all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", digest) for digest in hashes), first
+        assert hashes and all(
+            re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", digest) for digest in hashes
+        ), first
 
 
 def test_set_up_installs_only_packages_with_a_hash() -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
-    recipes = re.search(r"\$\(VENV\)/\.installed: .*?(?=\$\(VENV\)/\.installed-supply)", text, re.DOTALL)
-    installs = [line for line in recipes[0].splitlines() if "pip install" in line or "$(LOCKED)" in line]
+    recipes = re.search(
+        r"\$\(VENV\)/\.installed: .*?(?=\$\(VENV\)/\.installed-supply)", text, re.DOTALL
+    )
+    installs = [
+        line for line in recipes[0].splitlines() if "pip install" in line or "$(LOCKED)" in line
+    ]
     assert len(installs) == 3
-    assert all("$(LOCKED)" in line or "--no-deps --no-build-isolation --editable" in line for line in installs)
+    assert all(
+        "$(LOCKED)" in line or "--no-deps --no-build-isolation --editable" in line
+        for line in installs
+    )
     assert "LOCKED = $(BIN)/python -m pip install $(QUIETLY) --require-hashes" in text
 
 
 def test_licences_are_listed_and_none_is_copyleft_for_users() -> None:
-    rows = re.findall(r"^\| (\S+) \| (\S+) \| (.+?) \|", LICENCES.read_text(encoding="utf-8"), re.MULTILINE)
-    listed = {plain(name): licence for name, _, licence in rows if name != "Name" and not name.startswith("-")}
+    rows = re.findall(
+        r"^\| (\S+) \| (\S+) \| (.+?) \|", LICENCES.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    listed = {
+        plain(name): licence
+        for name, _, licence in rows
+        if name != "Name" and not name.startswith("-")
+    }
     # What one platform alone or the set-up needs is not always there where the list is made.
     missing = set(locked(ROOT / "requirements.lock")) - set(listed)
     assert missing <= {"setuptools", "colorama", "tzdata"}, "run make licences"
     for name, licence in listed.items():
         weak = "Lesser" in licence or "LGPL" in licence
-        assert weak or not re.search(r"GPL|GNU General|Affero|UNKNOWN", licence), f"{name}: {licence}"
+        assert weak or not re.search(r"GPL|GNU General|Affero|UNKNOWN", licence), (
+            f"{name}: {licence}"
+        )
 
 
 @pytest.mark.slow
@@ -146,9 +195,16 @@ def test_the_wheel_holds_only_the_package_and_no_gpl(dist: Path) -> None:
     (wheel,) = dist.glob("*.whl")
     with ZipFile(wheel) as archive:
         names = archive.namelist()
-        assert {name.split("/")[0] for name in names} == {"lampest", f"lampest-{PROJECT['version']}.dist-info"}
+        assert {name.split("/")[0] for name in names} == {
+            "lampest",
+            f"lampest-{PROJECT['version']}.dist-info",
+        }
         for name in names:
-            text = archive.read(name).partition(b"\n\n")[0] if name.endswith("/METADATA") else archive.read(name)
+            text = (
+                archive.read(name).partition(b"\n\n")[0]
+                if name.endswith("/METADATA")
+                else archive.read(name)
+            )
             assert not re.search(rb"GNU General Public|GPL-[23]|simavr\.h", text), name
 
 
@@ -164,5 +220,8 @@ def test_an_audit_names_unchecked_packages(capsys: pytest.CaptureFixture[str]) -
         ([fine, strange], 1, "not in the database, so not checked: odd"),
         ([fine, bad], 1, "bad 2: CVE-1, mended in 3"),
     ):
-        assert audit_verdict(None if packages is None else {"dependencies": packages}, "no route") == code
+        assert (
+            audit_verdict(None if packages is None else {"dependencies": packages}, "no route")
+            == code
+        )
         assert sentence in capsys.readouterr().out

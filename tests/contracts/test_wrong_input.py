@@ -1,4 +1,6 @@
-"""Words of commands that cannot be, and a full disk: exit code 2, one sentence, nothing of it written."""
+"""Words of commands that cannot be, and a full disk: exit code 2, one sentence, nothing of it
+written.
+"""
 
 import errno
 import gc
@@ -19,11 +21,20 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 COMMANDS = (
     ("calibrate LAMPREY --tolerance 0.6", "--tolerance must lie between 0 and 0.5"),
     ("live --recording nowhere.h5", "nowhere.h5"),
-    ("live --recording LAMPREY --port /dev/null", "--recording: --port, --scene, --period and --out are for a board"),
-    ("live --recording LAMPREY --publish mqtt://127.0.0.1:1/x", "mqtt://127.0.0.1:1/x: no broker answers"),
+    (
+        "live --recording LAMPREY --port /dev/null",
+        "--recording: --port, --scene, --period and --out are for a board",
+    ),
+    (
+        "live --recording LAMPREY --publish mqtt://127.0.0.1:1/x",
+        "mqtt://127.0.0.1:1/x: no broker answers",
+    ),
     ("live --recording LAMPREY --publish mqtt://localhost/#", "is no topic to publish to"),
     ("live --recording LAMPREY --publish websocket://example.org", "'example.org' is no address"),
-    ("live --recording LAMPREY --publish osc://nowhere.invalid", "osc://nowhere.invalid:9000/lampest: "),
+    (
+        "live --recording LAMPREY --publish osc://nowhere.invalid",
+        "osc://nowhere.invalid:9000/lampest: ",
+    ),
 )
 
 
@@ -54,17 +65,28 @@ def full(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     monkeypatch.setattr(Path, "write_bytes", failing)
 
 
-def test_a_full_disk_keeps_what_fits(disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cases that do not fit have failed. If only all of them together do not, they are collected once there is room."""
+def test_a_full_disk_keeps_what_fits(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cases that do not fit have failed. If only all of them together do not, they are collected
+    once there is room.
+    """
     run = disk.folder / "run.yaml"
     out = disk.folder / "out"
     for suffix, codes in ((".h5", (2, 3)), ("results.h5", (2,))):
         with monkeypatch.context() as patch:
             full(patch, suffix)
             completed = lampest("run", run, "--out", out, "--jobs", "1")
-        assert completed.code in codes and "No space left" in completed.err and "Traceback" not in completed.err
+        assert (
+            completed.code in codes
+            and "No space left" in completed.err
+            and "Traceback" not in completed.err
+        )
         assert not list(out.rglob(f"*{suffix}*"))
     assert (completed.out, completed.err.count("\n")) == ("", 1) and "results.h5" in completed.err
     completed = lampest("run", run, "--out", out, "--jobs", "1")
-    assert (completed.code, completed.err) == (0, "") and "0 cases solved, 3 were done before" in completed.out
+    assert (completed.code, completed.err) == (
+        0,
+        "",
+    ) and "0 cases solved, 3 were done before" in completed.out
     assert (out / "results.h5").is_file()

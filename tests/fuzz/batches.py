@@ -43,8 +43,20 @@ class Batch:
 
         Shells start background jobs with Ctrl-C ignored, and children inherit that.
         """
-        command = [COMMAND, "run", self.path, "--out", out, *([] if jobs is None else ["--jobs", str(jobs)])]
-        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+        command = [
+            COMMAND,
+            "run",
+            self.path,
+            "--out",
+            out,
+            *([] if jobs is None else ["--jobs", str(jobs)]),
+        ]
+        options = {
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.PIPE,
+            "text": True,
+            "start_new_session": True,
+        }
         options |= {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
         return subprocess.Popen(command, **options)
 
@@ -58,7 +70,11 @@ class Batch:
 
 def without_progress(stderr: str) -> list[str]:
     """Lines on standard error; a slow machine prints lines of progress, too."""
-    return [line for line in stderr.splitlines() if not re.match(r"lampest: (\d+ cases? to solve|\d+ of \d+)", line)]
+    return [
+        line
+        for line in stderr.splitlines()
+        if not re.match(r"lampest: (\d+ cases? to solve|\d+ of \d+)", line)
+    ]
 
 
 def batch(folder: Path, frames: int = 6, weights: tuple[float, ...] = (1e-4, 1e-2)) -> Batch:
@@ -66,7 +82,10 @@ def batch(folder: Path, frames: int = 6, weights: tuple[float, ...] = (1e-4, 1e-
     for number, name in enumerate(("one", "two")):
         write_recording(folder / f"{name}.h5", frames, number)
     path = folder / "run.yaml"
-    path.write_text(RUN + f"sweep: {{solver.tolerance: [1e-8, 1e-9], bounds.upper: {[1e6 / w for w in weights]}}}\n")
+    path.write_text(
+        RUN
+        + f"sweep: {{solver.tolerance: [1e-8, 1e-9], bounds.upper: {[1e6 / w for w in weights]}}}\n"
+    )
     return Batch(path, 2 * 3 * 2 * len(weights))
 
 
@@ -78,7 +97,9 @@ def write_recording(path: Path, frames: int, seed: int) -> None:
     volt = 5 * 1000 / (1000 + 140 + two_point_resistance(cells))
     resistance = TwoPointReadout().recorded_from_volt(np.round(volt * 4096) / 4096)
     role = (np.arange(frames + 1) > 0).astype(np.uint8)
-    Recording(scene, resistance, np.arange(frames + 1.0), role, truth_cell_resistance=cells).save(path)
+    Recording(scene, resistance, np.arange(frames + 1.0), role, truth_cell_resistance=cells).save(
+        path
+    )
 
 
 def session(leader: int) -> list[int]:
@@ -86,7 +107,10 @@ def session(leader: int) -> list[int]:
     living = []
     for process in psutil.process_iter(["status"]):
         with suppress(ProcessLookupError):
-            if os.getsid(process.pid) == leader and process.info["status"] not in ("zombie", "dead"):
+            if os.getsid(process.pid) == leader and process.info["status"] not in (
+                "zombie",
+                "dead",
+            ):
                 living.append(process.pid)
     return living
 
@@ -99,7 +123,8 @@ def content(path: Path) -> dict[str, Any]:
         if isinstance(node, h5py.Dataset) and name.rpartition("/")[2] not in TIMES:
             values[name] = node[()]
         for key, value in node.attrs.items():
-            if key not in (*TIMES, "REFERENCE_LIST", "DIMENSION_LIST", BLOCKS, DATASETS):  # digests of times, too
+            # Digests of times, too.
+            if key not in (*TIMES, "REFERENCE_LIST", "DIMENSION_LIST", BLOCKS, DATASETS):
                 values[f"{name}@{key}"] = value
 
     with h5py.File(path) as file:
@@ -109,7 +134,9 @@ def content(path: Path) -> dict[str, Any]:
 
 
 def same(actual: dict[str, Any], reference: dict[str, Any], tolerance: float = 0.0) -> None:
-    """Assert equality bit by bit, or to the tolerance of a solver that a cached factor saves some iterations."""
+    """Assert equality bit by bit, or to the tolerance of a solver that a cached factor saves some
+    iterations.
+    """
     assert set(actual) == set(reference)
     for name, value in actual.items():
         if tolerance and name.endswith(("/iterations", "/starts", "/kkt_residual", "@model_check")):
@@ -118,7 +145,9 @@ def same(actual: dict[str, Any], reference: dict[str, Any], tolerance: float = 0
         expected = np.asarray(reference[name])
         assert value.dtype == expected.dtype, name
         if value.dtype.kind == "f":
-            np.testing.assert_allclose(value, expected, rtol=tolerance, atol=tolerance, err_msg=name)
+            np.testing.assert_allclose(
+                value, expected, rtol=tolerance, atol=tolerance, err_msg=name
+            )
         else:
             assert np.array_equal(value, expected), name
 
@@ -129,7 +158,9 @@ def finished(out: Path) -> int:
 
 
 def killed_again_and_again(tmp_path: Path, cases: Batch, kills: int) -> None:
-    """Kill the command, all its processes or a worker so often, resume each time, and compare every complete folder."""
+    """Kill the command, all its processes or a worker so often, resume each time, and compare every
+    complete folder.
+    """
     rng = np.random.default_rng(kills)
     count = 0
     folder = 0

@@ -24,7 +24,15 @@ from ruamel.yaml import YAML
 from support import invented_case
 from unclosed import unclosed_recording
 
-from lampest import Panel, PublishedFigures, Recording, Scene, StepFigures, TwoPointReadout, write_results
+from lampest import (
+    Panel,
+    PublishedFigures,
+    Recording,
+    Scene,
+    StepFigures,
+    TwoPointReadout,
+    write_results,
+)
 from lampest.files import hdf5
 from lampest.recording.acquisition import Acquisition
 
@@ -79,44 +87,179 @@ CONTENT: dict[str, Any] = YAML(typ="safe").load(DOCUMENTS)
 CONTENT["simulation"]["scene"] = CONTENT["scene"]
 RUN = CONTENT["run"]
 SCENE = CONTENT["scene"]
-SETTINGS = ("solver.tolerance=1e-6", "estimators.LSM.bounds.lower=none", "recordings=[small.h5]", "bounds={upper: 1e9}")
+SETTINGS = (
+    "solver.tolerance=1e-6",
+    "estimators.LSM.bounds.lower=none",
+    "recordings=[small.h5]",
+    "bounds={upper: 1e9}",
+)
 
 NASTY_TEXTS = (
-    "!!python/object/apply:os.system [touch owned]", "!!python/name:os.system", "!!binary aGk=", "!tag {a: 1}",
+    "!!python/object/apply:os.system [touch owned]",
+    "!!python/name:os.system",
+    "!!binary aGk=",
+    "!tag {a: 1}",
     "!!set {a}",
-    "&a [*a, *a]", "*a", "&a {b: *a}", "<<: *a", "<<: {a: 1}", "- - - -", "? ", ": ", "{", "}", "[", "]", "'",
-    '"', "|", ">",
-    "%YAML 1.1", "---", "...", "\t", "\0", "\ufeff", "\x1b[31m", "\u2028", "\U0001f600", "\\ud800",
-    '"\\ud800"', '"a\\nb"',
-    "'a: b'", "null", "~", "true", "yes", ".nan", ".inf", "-.inf", "1e999", "-1e999", "1e-999",
-    "0x" + "f" * 5000, "9" * 5000,
-    "9" * 300, "0b101", "0o777", "1_000", "2001-01-01", "12:30:45", "-0.0", "1e3.5", "../../../../etc/passwd",
+    "&a [*a, *a]",
+    "*a",
+    "&a {b: *a}",
+    "<<: *a",
+    "<<: {a: 1}",
+    "- - - -",
+    "? ",
+    ": ",
+    "{",
+    "}",
+    "[",
+    "]",
+    "'",
+    '"',
+    "|",
+    ">",
+    "%YAML 1.1",
+    "---",
+    "...",
+    "\t",
+    "\0",
+    "\ufeff",
+    "\x1b[31m",
+    "\u2028",
+    "\U0001f600",
+    "\\ud800",
+    '"\\ud800"',
+    '"a\\nb"',
+    "'a: b'",
+    "null",
+    "~",
+    "true",
+    "yes",
+    ".nan",
+    ".inf",
+    "-.inf",
+    "1e999",
+    "-1e999",
+    "1e-999",
+    "0x" + "f" * 5000,
+    "9" * 5000,
+    "9" * 300,
+    "0b101",
+    "0o777",
+    "1_000",
+    "2001-01-01",
+    "12:30:45",
+    "-0.0",
+    "1e3.5",
+    "../../../../etc/passwd",
     "/dev/zero",
-    "**", "**/*", "~root", "small.h5\\0", "[" * 2000, "{a: " * 800, "-\n" * 300, "a" * 3000, "con", ".", "..",
-    "a/b", "#",
-    "{uniform: [1, 2]}", "{uniform: [2, 1]}", "{uniform: .inf}", "{seed}", "{0.__class__}", "{seed:09d}",
-    "%s%n", "$(id)",
-)  # fmt: skip
+    "**",
+    "**/*",
+    "~root",
+    "small.h5\\0",
+    "[" * 2000,
+    "{a: " * 800,
+    "-\n" * 300,
+    "a" * 3000,
+    "con",
+    ".",
+    "..",
+    "a/b",
+    "#",
+    "{uniform: [1, 2]}",
+    "{uniform: [2, 1]}",
+    "{uniform: .inf}",
+    "{seed}",
+    "{0.__class__}",
+    "{seed:09d}",
+    "%s%n",
+    "$(id)",
+)
 NASTY_VALUES: tuple[Any, ...] = (
-    None, True, False, 0, 1, -1, 2**31, 2**63, -(2**63) - 1, 10**30, 1e300, -1e300, 1e-300, 0.5, float("nan"),
+    None,
+    True,
+    False,
+    0,
+    1,
+    -1,
+    2**31,
+    2**63,
+    -(2**63) - 1,
+    10**30,
+    1e300,
+    -1e300,
+    1e-300,
+    0.5,
+    float("nan"),
     float("inf"),
-    "", " ", "nodal", "none", "measured", "NaN", "a\nb", "a/b", "..", "../x", "x" * 500, "\x00", "\x1b[2J",
-    "\ud800", "*", "**",
-    "/dev/zero", "/proc/self/mem", "small.h5", "{case}", [], [[]], [0], [1, 2, 3],
-    {}, {"": 1}, {"kind": "rod"}, {"uniform": [0, 1]},
-    {"a.b": 1}, [None], {"misfit": {}}, {"uniform": [1e11, 9e11]},
-)  # fmt: skip
+    "",
+    " ",
+    "nodal",
+    "none",
+    "measured",
+    "NaN",
+    "a\nb",
+    "a/b",
+    "..",
+    "../x",
+    "x" * 500,
+    "\x00",
+    "\x1b[2J",
+    "\ud800",
+    "*",
+    "**",
+    "/dev/zero",
+    "/proc/self/mem",
+    "small.h5",
+    "{case}",
+    [],
+    [[]],
+    [0],
+    [1, 2, 3],
+    {},
+    {"": 1},
+    {"kind": "rod"},
+    {"uniform": [0, 1]},
+    {"a.b": 1},
+    [None],
+    {"misfit": {}},
+    {"uniform": [1e11, 9e11]},
+)
 MAX_VALUES_READ = 100_000
 BYTES = (
-    b"\0", b"\xff", b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff", struct.pack("<Q", 10**9), struct.pack("<I", 2**31),
-)  # fmt: skip
+    b"\0",
+    b"\xff",
+    b"\xff" * 8,
+    b"\0" * 8,
+    b"\x7f\xff\xff\xff",
+    struct.pack("<Q", 10**9),
+    struct.pack("<I", 2**31),
+)
 ATTRIBUTES: tuple[Any, ...] = (
-    None, 0, -1, 2**63, 1e308, np.nan, "text", "é", np.bytes_(b"\xff\xfe"), [1, 2], ["a", "b"],
-    np.zeros((2, 2)), h5py.Empty("f8"),
-    "{}", "[]", '{"LSM": 5}', '{"LSM": {"all": {"time_s": -1}}}', '{"LSM": {"none": {}}}',
-    "[" * 1000, True, 1 + 1j, "x" * 60_000,
-    np.array([b"a"], dtype=h5py.string_dtype()), np.zeros(2, [("a", "f8")]), "9" * 5000,
-)  # fmt: skip
+    None,
+    0,
+    -1,
+    2**63,
+    1e308,
+    np.nan,
+    "text",
+    "é",
+    np.bytes_(b"\xff\xfe"),
+    [1, 2],
+    ["a", "b"],
+    np.zeros((2, 2)),
+    h5py.Empty("f8"),
+    "{}",
+    "[]",
+    '{"LSM": 5}',
+    '{"LSM": {"all": {"time_s": -1}}}',
+    '{"LSM": {"none": {}}}',
+    "[" * 1000,
+    True,
+    1 + 1j,
+    "x" * 60_000,
+    np.array([b"a"], dtype=h5py.string_dtype()),
+    np.zeros(2, [("a", "f8")]),
+    "9" * 5000,
+)
 
 
 class Mutant(NamedTuple):
@@ -132,7 +275,9 @@ class Corpus(NamedTuple):
     files: dict[str, tuple[bytes, ...]]
 
     def mutant(self, number: int, kind: str) -> Mutant:
-        """Input number `number` of a kind, the same one in every process: one to four changes of one style."""
+        """Input number `number` of a kind, the same one in every process: one to four changes of
+        one style.
+        """
         rng = np.random.default_rng([number, list(KINDS).index(kind)])
         seeds = self.files[kind]
         style = str(rng.choice(KINDS[kind][1]))
@@ -141,7 +286,9 @@ class Corpus(NamedTuple):
         if style == "meaning":
             return Mutant(kind, changed_tree(CONTENT[kind], count, rng))
         if style in ("nodes", "parts"):
-            return Mutant(kind, (changed_nodes if style == "nodes" else changed_parts)(content, count, rng))
+            return Mutant(
+                kind, (changed_nodes if style == "nodes" else changed_parts)(content, count, rng)
+            )
         for _ in range(count):
             content = (changed_text if style == "text" else changed_bytes)(content, seeds, rng)
         return Mutant(kind, content)
@@ -154,7 +301,10 @@ def corpus(folder: Path) -> Corpus:
     return Corpus(
         {kind: good_imports(folder, kind) for kind in IMPORTED}
         | {
-            "run": (text(RUN), text({**RUN, "recordings": ["*.h5"], "sweep": {"bounds.lower": [1, "none"]}})),
+            "run": (
+                text(RUN),
+                text({**RUN, "recordings": ["*.h5"], "sweep": {"bounds.lower": [1, "none"]}}),
+            ),
             "scene": (text(SCENE), text({"scene": SCENE})),
             "simulation": (text(CONTENT["simulation"]),),
             "setting": tuple(setting.encode() for setting in SETTINGS),
@@ -166,7 +316,9 @@ def corpus(folder: Path) -> Corpus:
 
 def text(content: Any) -> bytes:
     """YAML as a person may write it."""
-    return "".join(f"{key}: {json.dumps(value)}\n".replace('"', "'") for key, value in content.items()).encode()
+    return "".join(
+        f"{key}: {json.dumps(value)}\n".replace('"', "'") for key, value in content.items()
+    ).encode()
 
 
 def good_recordings(folder: Path) -> tuple[bytes, bytes]:
@@ -188,7 +340,9 @@ def good_recordings(folder: Path) -> tuple[bytes, bytes]:
         raw_readings=20,
         name="small",
         simulation="seed: 1\n",
-        acquisition=Acquisition(count * 1.0, count, count, *[0 * count] * 3, np.array([0.5]), ("mark",)),
+        acquisition=Acquisition(
+            count * 1.0, count, count, *[0 * count] * 3, np.array([0.5]), ("mark",)
+        ),
     ).save(folder / "good.h5")
     unclosed_recording(folder / "killed.h5", scene, 3, 1)
     contents = [(folder / name).read_bytes() for name in ("good.h5", "killed.h5")]
@@ -200,22 +354,33 @@ def good_recordings(folder: Path) -> tuple[bytes, bytes]:
 def good_results(folder: Path) -> bytes:
     """Two estimators, one of them with a frame that failed, and published figures."""
     shape = (2, 3, 4)
-    cases = [invented_case("LSM", "small", shape), invented_case("LSR-dCR", "small", shape, failed=(1,))]
-    write_results(folder / "good.h5", cases, {"LSM": PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))})
+    cases = [
+        invented_case("LSM", "small", shape),
+        invented_case("LSR-dCR", "small", shape, failed=(1,)),
+    ]
+    write_results(
+        folder / "good.h5", cases, {"LSM": PublishedFigures(all=StepFigures(0.3, 0.1, 0.2, None))}
+    )
     content = bytes((folder / "good.h5").read_bytes())
     (folder / "good.h5").unlink()
     return content
 
 
 def without_checksums(make: Callable[[Path], Any], folder: Path) -> Any:
-    """What `make` writes in a folder, in the format of older versions or as other programs have it."""
+    """What `make` writes in a folder, in the format of older versions or as other programs have
+    it.
+    """
     with patch.object(hdf5, "FORMAT", ("earliest", "v110")):
         return make(folder)
 
 
 def good_imports(folder: Path, kind: str) -> tuple[bytes, ...]:
     """The files of the import's tests that need no option, of one kind."""
-    files = [file for file in (*TABLES.values(), *FILES.values()) if not file.how and file.name == f"m{KINDS[kind][0]}"]
+    files = [
+        file
+        for file in (*TABLES.values(), *FILES.values())
+        if not file.how and file.name == f"m{KINDS[kind][0]}"
+    ]
     contents = []
     for path in (written(folder, file) for file in files):
         if kind not in ("matlab", "matlab_hdf5") or h5py.is_hdf5(path) == (kind == "matlab_hdf5"):
@@ -230,7 +395,9 @@ def choose(choices: Any, rng: np.random.Generator) -> Any:
 
 
 def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand, or a turned bit."""
+    """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand,
+    or a turned bit.
+    """
     at = int(rng.integers(len(content) + 1))
     length = int(rng.integers(1, 64))
     donor = choose(seeds, rng)
@@ -240,7 +407,10 @@ def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Gener
         return content[:at] + content[at + (length if kind else len(content)) :]
     if kind == 2:
         places = rng.integers(0, max(len(content), 1), 8).tolist()
-        return bytes(int(rng.integers(256)) if place in places else byte for place, byte in enumerate(content))
+        return bytes(
+            int(rng.integers(256)) if place in places else byte
+            for place, byte in enumerate(content)
+        )
     if kind == 3:
         at = at // 8 * 8
         piece = choose(BYTES, rng)
@@ -267,7 +437,9 @@ def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes
 
 
 def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """A line twice, gone or moved; a word for another; a nasty text somewhere; or a change of bytes."""
+    """A line twice, gone or moved; a word for another; a nasty text somewhere; or a change of
+    bytes.
+    """
     lines = content.split(b"\n")
     kind = rng.integers(7)
     words = [match.span() for match in re.finditer(rb"[^\s,:;\[\]{}']+", content)]
@@ -292,7 +464,9 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
 
 
 def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
-    """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML too."""
+    """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML
+    too.
+    """
     tree = json.loads(json.dumps(tree))
     for _ in range(count):
         node, place = _somewhere(tree, rng)
@@ -302,14 +476,18 @@ def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
         if kind == 0:
             node[place] = json.loads(json.dumps(second_node[second_place]))
         elif kind == 1 and isinstance(node, dict):
-            node[str(value)[:40] if isinstance(value, str | float) else str(second_place)] = node.pop(place)
+            node[str(value)[:40] if isinstance(value, str | float) else str(second_place)] = (
+                node.pop(place)
+            )
         elif kind == 2:
             del node[place]
         else:
             node[place] = value
         if not tree:
             break
-    return json.dumps(tree, indent=int(rng.integers(3)), ensure_ascii=bool(rng.integers(2))).encode("utf-8", "replace")
+    return json.dumps(tree, indent=int(rng.integers(3)), ensure_ascii=bool(rng.integers(2))).encode(
+        "utf-8", "replace"
+    )
 
 
 def _somewhere(tree: Any, rng: np.random.Generator) -> tuple[Any, Any]:
@@ -348,7 +526,9 @@ def _replaced(file: Any, name: str, data: Any = None, **options: Any) -> None:
     attributes = dict(file[name].attrs) if name in file else {}
     del file[name]
     dataset = file.create_dataset(name, data=data, **options)
-    dataset.attrs.update({key: attributes[key] for key in ("units", "long_name") if key in attributes})
+    dataset.attrs.update(
+        {key: attributes[key] for key in ("units", "long_name") if key in attributes}
+    )
 
 
 def _values(file: Any, name: str) -> Any:
@@ -367,15 +547,31 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
         values = _values(file, name)
         types = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
         dtype = choose(types, rng)
-        _replaced(file, name, values.astype(dtype) if dtype != "V8" else np.zeros(values.shape, dtype))
+        _replaced(
+            file, name, values.astype(dtype) if dtype != "V8" else np.zeros(values.shape, dtype)
+        )
     elif kind == 1:  # one axis more, less, longer or empty; a scalar; nothing at all
         values = _values(file, name)
-        shapes = (values[None], values[:0], values.ravel()[:1].reshape(()), np.concatenate([values, values]), values.T)
+        shapes = (
+            values[None],
+            values[:0],
+            values.ravel()[:1].reshape(()),
+            np.concatenate([values, values]),
+            values.T,
+        )
         _replaced(file, name, choose((*shapes, values[..., 0], h5py.Empty("f8")), rng))
     elif kind == 2:  # a thousand million frames that are not there
         shape = (10 ** int(rng.integers(3, 13)), *shape[1:])
         dtype = choose(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else node.dtype
-        _replaced(file, name, shape=shape, dtype=dtype, chunks=(1024, *shape[1:]), compression="gzip", fillvalue=1)
+        _replaced(
+            file,
+            name,
+            shape=shape,
+            dtype=dtype,
+            chunks=(1024, *shape[1:]),
+            compression="gzip",
+            fillvalue=1,
+        )
     elif (
         kind == 3 and node.size <= MAX_VALUES_READ
     ):  # no number, infinite, zero, negative, huge or tiny: once or everywhere
@@ -383,15 +579,35 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
         index = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
         node[index] = np.asarray(value).astype(node.dtype)
     elif kind == 4:  # a text: of variable length, long, not ASCII, nested YAML
-        options = ("text", "é" * 10, "x" * 100_000, "\n", "{" * 1000, "a: &a [*a]", json.dumps(SCENE))
-        chosen = choose((*options, "!!python/object:os.system {}", choose(NASTY_TEXTS, rng).replace("\0", "")), rng)
-        _replaced(file, name, chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")))
-    elif kind == 5:  # a link to nowhere, to itself, to an ancestor, to another file or to the machine's files
+        options = (
+            "text",
+            "é" * 10,
+            "x" * 100_000,
+            "\n",
+            "{" * 1000,
+            "a: &a [*a]",
+            json.dumps(SCENE),
+        )
+        chosen = choose(
+            (*options, "!!python/object:os.system {}", choose(NASTY_TEXTS, rng).replace("\0", "")),
+            rng,
+        )
+        _replaced(
+            file,
+            name,
+            chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")),
+        )
+    # a link to nowhere, to itself, to an ancestor, to another file or to the machine's files
+    elif kind == 5:
         layout = h5py.VirtualLayout(shape=shape, dtype="f8")
         layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
-        outside = h5py.ExternalLink(choose(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}")
+        outside = h5py.ExternalLink(
+            choose(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}"
+        )
         soft = map(h5py.SoftLink, ("/nowhere", f"/{name}", "/"))
-        target = choose((*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng)
+        target = choose(
+            (*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng
+        )
         if target is None:
             _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
             return
@@ -402,7 +618,9 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
             file[name] = target
     elif kind == 6:  # a group in place of a dataset, or a number in place of a group
         del file[name]
-        file.create_group(name) if isinstance(node, h5py.Dataset) else file.create_dataset(name, data=5.0)
+        file.create_group(name) if isinstance(node, h5py.Dataset) else file.create_dataset(
+            name, data=5.0
+        )
     elif kind == 7 and rng.random() < 0.5:
         del file[name]
     elif kind == 7:
@@ -410,8 +628,17 @@ def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
         file.move(name, f"{name.rpartition('/')[0]}/{new_name}")
     else:  # an attribute that is gone, or something else
         parts = name.split("/")
-        holder = choose([file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng)
-        further = ("readings", "order", "published", "lampest_unfinished", "lampest_format", "joint_start")
+        holder = choose(
+            [file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng
+        )
+        further = (
+            "readings",
+            "order",
+            "published",
+            "lampest_unfinished",
+            "lampest_format",
+            "joint_start",
+        )
         chosen = choose([*holder.attrs, *further], rng)
         value = choose(ATTRIBUTES, rng)
         if value is None:

@@ -13,7 +13,15 @@ from typing import Any
 from attack.attack import MAX_SENTENCE, called
 from fuzz.mutants import IMPORTED, KINDS, RUN, Mutant, text
 
-from lampest import InputError, Recording, import_file, read_results, read_run, read_scene, read_simulations
+from lampest import (
+    InputError,
+    Recording,
+    import_file,
+    read_results,
+    read_run,
+    read_scene,
+    read_simulations,
+)
 from lampest.recording.simulation import run as simulate
 
 TAKEN = "taken"
@@ -108,7 +116,10 @@ def _setting(path: Path) -> None:
 
 def _simulations(path: Path) -> None:
     planned = read_simulations(path)
-    readings = max(simulation.scene.readout.readings if simulation.scene.readout else 1 for _, simulation in planned)
+    readings = max(
+        simulation.scene.readout.readings if simulation.scene.readout else 1
+        for _, simulation in planned
+    )
     if sum(simulation.values for _, simulation in planned) * readings < SMALL_SIMULATION:
         out = path.parent / "made"
         try:
@@ -119,7 +130,8 @@ def _simulations(path: Path) -> None:
             shutil.rmtree(out, ignore_errors=True)
 
 
-# How a file of each kind is read in Python, and the words of a command, without those that name the file.
+# How a file of each kind is read in Python, and the words of a command, without those that name the
+# file.
 READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "run": (read_run, "run {} --out {}/never"),
     "scene": (read_scene, ""),
@@ -129,4 +141,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "results": (read_results, "compare {}"),
 }
 for _kind in IMPORTED:
-    READERS[_kind] = (lambda path: import_file(path, 3, 5)), "import {} --rows 3 --columns 5 --out {}/never.h5"
+    READERS[_kind] = (
+        (lambda path: import_file(path, 3, 5)),
+        "import {} --rows 3 --columns 5 --out {}/never.h5",
+    )

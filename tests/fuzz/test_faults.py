@@ -1,4 +1,6 @@
-"""Recordings that go or change during a run, and runs that are killed: finished cases stay, are right, and resume."""
+"""Recordings that go or change during a run, and runs that are killed: finished cases stay, are
+right, and resume.
+"""
 
 from pathlib import Path
 
@@ -12,8 +14,12 @@ from lampest import Recording, read_results
 
 @pytest.mark.slow
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_recording_lost_or_changed_during_a_run_costs_only_its_own_cases(tmp_path: Path, replaced: bool) -> None:
-    """Cases of a deleted recording fail with a sentence each. No result of a replaced one holds the new numbers."""
+def test_a_recording_lost_or_changed_during_a_run_costs_only_its_own_cases(
+    tmp_path: Path, replaced: bool
+) -> None:
+    """Cases of a deleted recording fail with a sentence each. No result of a replaced one holds the
+    new numbers.
+    """
     cases = batch(tmp_path, 12)
     out = tmp_path / "out"
     previous = Recording.load(tmp_path / "two.h5").readings().value[1:]

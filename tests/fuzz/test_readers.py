@@ -22,28 +22,97 @@ from lampest.files.document import MAX_SIZE, parse_document
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.runs.case import check_name
 
-TEXTS = ("run", "scene", "simulation", "setting", "table")  # other files contain the time at which they were written
+# Other files contain the time at which they were written.
+TEXTS = ("run", "scene", "simulation", "setting", "table")
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)
 FIELDS = (
-    "ovf", "nan", "inf", "-", "OL", "", "x3", "time", "t [ms]", "r0c0", "R1C1", "row", "col", "value",
-    "frame", "cell", "R [kOhm]", "12:34:56.789", "2025-01-31T12:00:00", "24.12.2025", "1,5", "1.234,5", "1e5",
-    "-3", "0", "1", "2", "512", "0.3", "#", "% c", "Frame 3", "t=5", "c1", "r2", "MΩ", "[V]", '"a"', '"',
-    "1_0", "0x1", "9" * 30, "1e999", "--", "a b", "\t", ";", "->", "[12:00:00] 5", "date", "2025-13-45",
-    "(0, 3)", "k", "timestamp", "1700000000", "1e300", "4294967295", "[1, 2]", "\u2028", "\x1b",
-)  # fmt: skip
+    "ovf",
+    "nan",
+    "inf",
+    "-",
+    "OL",
+    "",
+    "x3",
+    "time",
+    "t [ms]",
+    "r0c0",
+    "R1C1",
+    "row",
+    "col",
+    "value",
+    "frame",
+    "cell",
+    "R [kOhm]",
+    "12:34:56.789",
+    "2025-01-31T12:00:00",
+    "24.12.2025",
+    "1,5",
+    "1.234,5",
+    "1e5",
+    "-3",
+    "0",
+    "1",
+    "2",
+    "512",
+    "0.3",
+    "#",
+    "% c",
+    "Frame 3",
+    "t=5",
+    "c1",
+    "r2",
+    "MΩ",
+    "[V]",
+    '"a"',
+    '"',
+    "1_0",
+    "0x1",
+    "9" * 30,
+    "1e999",
+    "--",
+    "a b",
+    "\t",
+    ";",
+    "->",
+    "[12:00:00] 5",
+    "date",
+    "2025-13-45",
+    "(0, 3)",
+    "k",
+    "timestamp",
+    "1700000000",
+    "1e300",
+    "4294967295",
+    "[1, 2]",
+    "\u2028",
+    "\x1b",
+)
 odd_rows = st.lists(st.sampled_from(FIELDS), max_size=9)
-numbers = st.floats(200, 900).map("{:.2f}".format) | st.integers(200, 900).map(str) | st.sampled_from(FIELDS)
+numbers = (
+    st.floats(200, 900).map("{:.2f}".format)
+    | st.integers(200, 900).map(str)
+    | st.sampled_from(FIELDS)
+)
 tables = st.sampled_from([1, 3, 4, 6, 7, 12]).flatmap(
     lambda width: st.lists(st.lists(numbers, min_size=width, max_size=width) | odd_rows, max_size=9)
 )
-KNOWN = (None, Scene(Panel(2, 3), TwoPointReadout()), Scene(Panel(2, 3), LoadedColumnsReadout(load_ohm=10_000.0)))
+KNOWN = (
+    None,
+    Scene(Panel(2, 3), TwoPointReadout()),
+    Scene(Panel(2, 3), LoadedColumnsReadout(load_ohm=10_000.0)),
+)
 HOSTILE = {
     "object": "schema: !!python/object/apply:os.system ['touch owned']",
     "object in a list": "recordings: [!!python/name:os.system ]",
     "laughs": "a: &a [1,1,1,1,1,1,1,1,1,1]\n"
-    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 10)}]\n" for i in range(9)),
+    + "".join(
+        f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 10)}]\n" for i in range(9)
+    ),
     "merges": "a: &a {x: 1}\n"
-    + "".join(f"{chr(98 + i)}: &{chr(98 + i)} {{<<: [{','.join(['*' + chr(97 + i)] * 10)}]}}\n" for i in range(9)),
+    + "".join(
+        f"{chr(98 + i)}: &{chr(98 + i)} {{<<: [{','.join(['*' + chr(97 + i)] * 10)}]}}\n"
+        for i in range(9)
+    ),
     "itself": "&a {schema: *a}",
     "brackets": "a: " + "[" * 50_000,
     "braces": "{a: " * 20_000,
@@ -87,7 +156,9 @@ def test_good_files_are_accepted(good: Corpus, folder: Path, kind: str) -> None:
     "count", [pytest.param(40, marks=pytest.mark.slow), pytest.param(2500, marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("kind", KINDS)
-def test_mutated_files_are_accepted_or_refused(good: Corpus, folder: Path, kind: str, count: int) -> None:
+def test_mutated_files_are_accepted_or_refused(
+    good: Corpus, folder: Path, kind: str, count: int
+) -> None:
     """The number of an input stands for the same one in every process."""
     second_corpus = corpus(folder)
     cleared(folder)
@@ -140,7 +211,9 @@ def test_any_name_is_usable_in_a_path_or_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
-def test_hostile_yaml_is_refused(good: Corpus, folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_yaml_is_refused(
+    good: Corpus, folder: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder)
     assert receive(Mutant("run", text.encode()), folder) == REFUSED
     assert not (folder / "owned").exists()
@@ -165,7 +238,9 @@ def test_a_recording_that_claims_many_frames_is_refused(
             kind = file[name].dtype
             shape = (frames, 3, 4) if file[name].ndim > 1 else (frames,)
             del file[name]
-            file.create_dataset(name, shape, kind, chunks=(1000, *shape[1:]), compression="gzip", fillvalue=1)
+            file.create_dataset(
+                name, shape, kind, chunks=(1000, *shape[1:]), compression="gzip", fillvalue=1
+            )
     assert receive(Mutant("recording", stream.getvalue()), folder) == REFUSED
 
 
@@ -182,8 +257,12 @@ OUTSIDE = {
 
 
 @pytest.mark.parametrize("link", OUTSIDE.values(), ids=OUTSIDE)
-@pytest.mark.parametrize("name", ["/entry/two_point/resistance", "/entry/scene", "/entry/acquisition"])
-def test_readers_read_nothing_outside_the_file(good: Corpus, tmp_path: Path, link: Any, name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["/entry/two_point/resistance", "/entry/scene", "/entry/acquisition"]
+)
+def test_readers_read_nothing_outside_the_file(
+    good: Corpus, tmp_path: Path, link: Any, name: str
+) -> None:
     path = tmp_path / "linked.h5"
     path.write_bytes(good.files["recording"][0])
     (tmp_path / "other.h5").write_bytes(good.files["recording"][0])

@@ -16,17 +16,22 @@ SAMPLE_SIZE = 16
 # of a number, and of the largest of its array
 RELATIVE_TOLERANCE = 1e-6
 ABSOLUTE_TOLERANCE = 1e-7
-TOLERANCE_FACTOR = 100.0  # factor on the differences between processors, as others differ from these
+# Factor on the differences between processors, as others differ from these.
+TOLERANCE_FACTOR = 100.0
 
 
 def content(value: Any) -> Any:
-    """Return a result as JSON has it; of a long array some numbers, its mean and the count of what is not finite."""
+    """Return a result as JSON has it; of a long array some numbers, its mean and the count of what
+    is not finite.
+    """
     if sparse.issparse(value):
         value = value.toarray()
     if isinstance(value, np.ndarray | np.generic | float):
         return of_array(np.asarray(value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: content(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {
+            field.name: content(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Mapping):
@@ -34,8 +39,14 @@ def content(value: Any) -> Any:
     if isinstance(value, list | tuple | set | frozenset | Iterator):
         values = sorted(value) if isinstance(value, set | frozenset) else list(value)
         plain = bool(values) and all(isinstance(each, int | float | np.number) for each in values)
-        return of_array(np.array(values, dtype=float)) if plain else [content(inner) for inner in values]
-    assert value is None or isinstance(value, str | int), f"{type(value).__name__} has no golden form"
+        return (
+            of_array(np.array(values, dtype=float))
+            if plain
+            else [content(inner) for inner in values]
+        )
+    assert value is None or isinstance(value, str | int), (
+        f"{type(value).__name__} has no golden form"
+    )
     return value
 
 
@@ -49,7 +60,11 @@ def of_array(values: np.ndarray[Any, Any]) -> Any:
         return [rounded(number) for number in flat]
     finite = np.isfinite(flat)
     sample = flat[np.linspace(0, flat.size - 1, SAMPLE_SIZE).astype(int)]
-    summary = {"shape": str(values.shape), "unknown": int((~finite).sum()), "mean": rounded(flat[finite].mean())}
+    summary = {
+        "shape": str(values.shape),
+        "unknown": int((~finite).sum()),
+        "mean": rounded(flat[finite].mean()),
+    }
     return summary | {"some": [rounded(number) for number in sample]}
 
 
@@ -58,13 +73,18 @@ def rounded(number: float) -> float:
 
 
 def shortened(value: Any) -> Any:
-    """Return a text with its long numbers rounded, since their last digits are rounding; anything else as it is."""
+    """Return a text with its long numbers rounded, since their last digits are rounding; anything
+    else as it is.
+    """
     if not isinstance(value, str):
         return value
-    return re.sub(r"\d+\.\d{9,}(e[+-]?\d+)?", lambda number: f"{float(number[0]):.{DIGITS - 3}g}", value)
+    return re.sub(
+        r"\d+\.\d{9,}(e[+-]?\d+)?", lambda number: f"{float(number[0]):.{DIGITS - 3}g}", value
+    )
 
 
-Tolerances = Mapping[str, float | None]  # place, with [] for any index → share of an array's largest number, or None
+# place, with [] for any index → share of an array's largest number, or None
+Tolerances = Mapping[str, float | None]
 
 
 def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = "") -> str:
@@ -77,11 +97,17 @@ def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = 
         return ""
     if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
         pairs = ((stored[key], computed[key], f"{place}.{key}") for key in stored)
-        return next(filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), "")
+        return next(
+            filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), ""
+        )
     if isinstance(stored, list) and isinstance(computed, list) and len(stored) == len(computed):
         if not is_numbers(stored + computed):
-            pairs = ((*two, f"{place}[{k}]") for k, two in enumerate(zip(stored, computed, strict=True)))
-            return next(filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), "")
+            pairs = (
+                (*two, f"{place}[{k}]") for k, two in enumerate(zip(stored, computed, strict=True))
+            )
+            return next(
+                filter(None, (difference(*two, tolerances, inner) for *two, inner in pairs)), ""
+            )
     elif not is_numbers([stored, computed]):
         if shortened(stored) == shortened(computed):
             return ""
@@ -98,7 +124,9 @@ def difference(stored: Any, computed: Any, tolerances: Tolerances, place: str = 
     if not far.any():
         return ""
     first = int(np.argmax(far))
-    return f"{place}[{first}]: {reference[first]:.10g} was stored, {current[first]:.10g} is computed"
+    return (
+        f"{place}[{first}]: {reference[first]:.10g} was stored, {current[first]:.10g} is computed"
+    )
 
 
 def is_numbers(values: Sequence[Any]) -> bool:
@@ -110,7 +138,9 @@ def largest(values: np.ndarray[Any, Any]) -> float:
 
 
 def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str, float | None]]:
-    """Yield the places at which two computations of the same differ, each with the tolerance that it takes."""
+    """Yield the places at which two computations of the same differ, each with the tolerance that
+    it takes.
+    """
     if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
         for key in stored:
             yield from unsteady(stored[key], computed[key], f"{place}.{key}")
@@ -127,6 +157,10 @@ def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str,
         return
     reference = np.atleast_1d(np.array(stored, dtype=float))
     current = np.atleast_1d(np.array(computed, dtype=float))
-    share = TOLERANCE_FACTOR * largest(current - reference) / max(largest(reference), np.finfo(float).tiny)
+    share = (
+        TOLERANCE_FACTOR
+        * largest(current - reference)
+        / max(largest(reference), np.finfo(float).tiny)
+    )
     alike = np.array_equal(np.isfinite(reference), np.isfinite(current))
     yield place, 10.0 ** np.ceil(np.log10(share)) if alike and share < 0.1 else None

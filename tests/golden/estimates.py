@@ -55,59 +55,106 @@ from lampest.studies.common import CONFIGS, paper_methods
 # Recordings
 
 ROD = lp.Rod(centre_mm=(12.0, 13.0), diameter_mm=24.0, mass_g=500.0)
-MOUTH = lp.OralDisc(centre_mm=(24.0, 18.0), diameter_mm=30.0, rim_width_mm=6.0, pressure_kpa=-9.0, rim_kpa=50.0)
+MOUTH = lp.OralDisc(
+    centre_mm=(24.0, 18.0), diameter_mm=30.0, rim_width_mm=6.0, pressure_kpa=-9.0, rim_kpa=50.0
+)
 COURSE = lp.Course(
-    approach_s=1.0, attachment_s=1.5, breathing_hz=0.31, breathing_depth=0.1, release_at_s=5.0, release_s=1.0,
-)  # fmt: skip
+    approach_s=1.0,
+    attachment_s=1.5,
+    breathing_hz=0.31,
+    breathing_depth=0.1,
+    release_at_s=5.0,
+    release_s=1.0,
+)
 PUMPS = replace(COURSE, release_at_s=None, pump_s=2.0, pump_loss=0.3)
 EFFECTS_OF = {
-    "series_resistance_ohm": {"series_resistance_ohm": 90.0}, "channel_spread_ohm": {"channel_spread_ohm": 4.0},
-    "reference_tolerance": {"reference_tolerance": 0.03}, "drift_per_minute": {"drift_per_minute": 0.2},
-    "common_drift_per_minute": {"common_drift_per_minute": 0.4}, "leak_ohm": {"leak_ohm": 2e3},
-    "contact_ohm": {"contact_ohm": 300.0, "begins_s": 4.0}, "begins_s": {"leak_ohm": 9e3, "begins_s": 3.0},
-    "saturation": {"saturation": 0.4}, "outlier_probability": {"outlier_probability": 0.002},
-    "noise_factor": {"noise_factor": 4.0}, "supply_ripple_lsb": {"supply_ripple_lsb": 3.0, "supply_ripple_hz": 7.0},
-    "supply_ripple_hz": {"supply_ripple_lsb": 3.0}, "gain_spread": {"gain_spread": 0.004},
-    "load_speed_mm_s": {"load_speed_mm_s": 9.0}, "inl_lsb": {"inl_lsb": 4.0},
-    "wire_ohm_per_cell": {"wire_ohm_per_cell": 9.0}, "reading_error": {"reading_error": 0.03},
-    "response_loss": {"response_loss": 0.3}, "response_spread": {"response_spread": 0.3},
-}  # fmt: skip
+    "series_resistance_ohm": {"series_resistance_ohm": 90.0},
+    "channel_spread_ohm": {"channel_spread_ohm": 4.0},
+    "reference_tolerance": {"reference_tolerance": 0.03},
+    "drift_per_minute": {"drift_per_minute": 0.2},
+    "common_drift_per_minute": {"common_drift_per_minute": 0.4},
+    "leak_ohm": {"leak_ohm": 2e3},
+    "contact_ohm": {"contact_ohm": 300.0, "begins_s": 4.0},
+    "begins_s": {"leak_ohm": 9e3, "begins_s": 3.0},
+    "saturation": {"saturation": 0.4},
+    "outlier_probability": {"outlier_probability": 0.002},
+    "noise_factor": {"noise_factor": 4.0},
+    "supply_ripple_lsb": {"supply_ripple_lsb": 3.0, "supply_ripple_hz": 7.0},
+    "supply_ripple_hz": {"supply_ripple_lsb": 3.0},
+    "gain_spread": {"gain_spread": 0.004},
+    "load_speed_mm_s": {"load_speed_mm_s": 9.0},
+    "inl_lsb": {"inl_lsb": 4.0},
+    "wire_ohm_per_cell": {"wire_ohm_per_cell": 9.0},
+    "reading_error": {"reading_error": 0.03},
+    "response_loss": {"response_loss": 0.3},
+    "response_spread": {"response_spread": 0.3},
+}
 
 
 @cache
 def simulated(effect: str = "", scene: lp.Scene | None = None, **known: Any) -> lp.Recording:
     """A rod on a panel for a while, with one effect that the scene does not name."""
     scene = scene or lp.Scene(
-        PANEL, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, response=lp.PublishedResponse(),
-    )  # fmt: skip
+        PANEL,
+        lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12),
+        140.0,
+        response=lp.PublishedResponse(),
+    )
     unmodelled = lp.Unmodelled(**EFFECTS_OF.get(effect, {}))
-    given = {"baseline_frames": 4, "frames": 7, "loads": (ROD,), "course": COURSE, "unmodelled": unmodelled} | known
+    given = {
+        "baseline_frames": 4,
+        "frames": 7,
+        "loads": (ROD,),
+        "course": COURSE,
+        "unmodelled": unmodelled,
+    } | known
     return lp.simulate(lp.Simulation(schema=1, seed=5, scene=scene, **given), effect or "rod")
 
 
 def recording_row(recording: lp.Recording) -> dict[str, Any]:
-    row = {"recorded": recording.recorded, "cells": recording.truth_cell_resistance, "sums": recording.raw_sums}
-    return row | {"pressure": recording.truth_pressure, "role": recording.role, "time": recording.time}
+    row = {
+        "recorded": recording.recorded,
+        "cells": recording.truth_cell_resistance,
+        "sums": recording.raw_sums,
+    }
+    return row | {
+        "pressure": recording.truth_pressure,
+        "role": recording.role,
+        "time": recording.time,
+    }
 
 
 def readings_row() -> dict[str, Any]:
     scene = scenes()["noisy"]
     recorded = simulated().recorded[:3].copy()
-    recorded[0, 1, 2], recorded[1, 0], recorded[2, 3, 4], recorded[:, 2, 2] = np.nan, 100.0, np.inf, recorded[:, 3, 2]
+    recorded[0, 1, 2], recorded[1, 0], recorded[2, 3, 4], recorded[:, 2, 2] = (
+        np.nan,
+        100.0,
+        np.inf,
+        recorded[:, 3, 2],
+    )
     readings = Readings.of(scene, recorded)
     known = readings.plain[0]
     value = 100 + np.array([[0.0, 9, 0.1, 0, 3], [0.1, 0, 0.2, 4, 3], [0.2, 0, 0, 9, 3]])[:, None]
     side = np.array([[-1.0, -1, 1, 1, 1], [0, 0, 1, -1, 1], [0, 0, 0, 0, 0]])[:, None]
     bounds = lp.Readings(value, np.full(value.shape, 0.1), side, np.ones(value.shape))
     return {
-        "mean": [readings.mean(), bounds.mean()], "missing": readings.missing(scene), "shown": readings.shown,
-        "enough": readings.enough(scene), "sigma": readings.sigma_of_values, "bounds": readings.bounds,
-        "stand in": stand_in(readings.value[0], known), "spread": stand_in_spread(readings.value[0], known),
-        "rows": touching_rows(readings), "columns": touching_columns(readings),
+        "mean": [readings.mean(), bounds.mean()],
+        "missing": readings.missing(scene),
+        "shown": readings.shown,
+        "enough": readings.enough(scene),
+        "sigma": readings.sigma_of_values,
+        "bounds": readings.bounds,
+        "stand in": stand_in(readings.value[0], known),
+        "spread": stand_in_spread(readings.value[0], known),
+        "rows": touching_rows(readings),
+        "columns": touching_columns(readings),
         "change": mean_change(readings.value, readings.value[0]),
         "strongest": strongest_frame(readings.value, readings.value[0], np.arange(3)),
-        "memory": Readings.of(replace(scene, converter_memory=0.03), np.where(recorded == 100.0, 1e5, recorded)),
-    }  # fmt: skip
+        "memory": Readings.of(
+            replace(scene, converter_memory=0.03), np.where(recorded == 100.0, 1e5, recorded)
+        ),
+    }
 
 
 def ohms(separator: str, decimal: str = ".", count: int = 3) -> list[str]:
@@ -118,7 +165,10 @@ def ohms(separator: str, decimal: str = ".", count: int = 3) -> list[str]:
 
 FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
     "commas": ("\n".join(ohms(",")), {}),
-    "decimal commas": ("3,050;3,100;2,900;3,000;3,250;3,125\n3,150;3,200;2,950;3,010;3,260;3,130\n", {"unit": "kohm"}),
+    "decimal commas": (
+        "3,050;3,100;2,900;3,000;3,250;3,125\n3,150;3,200;2,950;3,010;3,260;3,130\n",
+        {"unit": "kohm"},
+    ),
     "stamped": (
         "\n".join(f"2025-01-31 12:00:0{n};{line}" for n, line in enumerate(ohms(";", ","))),
         {"baseline_frames": 1},
@@ -132,7 +182,9 @@ FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
     ),
     "blocks": (
         "boot...\n"
-        + "\n\n".join(line.replace(";", ",", 2).replace(";", "\n", 1).replace(";", ",") for line in ohms(";")),
+        + "\n\n".join(
+            line.replace(";", ",", 2).replace(";", "\n", 1).replace(";", ",") for line in ohms(";")
+        ),
         {},
     ),
     "codes": (
@@ -143,11 +195,19 @@ FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
     ),
     "values": (
         "row,column,R [ohm],frame\n"
-        + "\n".join(f"{j},{k},{300 + 9 * j + k + f},{f}" for f in (0, 1) for j in (0, 1) for k in (0, 1, 2)),
+        + "\n".join(
+            f"{j},{k},{300 + 9 * j + k + f},{f}" for f in (0, 1) for j in (0, 1) for k in (0, 1, 2)
+        ),
         {"transpose": False},
     ),
-    "words": ("time,a,b,c,d,e,f\n0,1000,OL,3,4,5,6\n1,1000,-,3,4,5,6\n", {"unit": "ohm", "missing": "mark"}),
-    "skipped": ("0,1000,OL,3,4,5,6\n1,1000,2,3,4,5,6\n2,1001,2,3,4,5,6\n", {"unit": "ohm", "missing": "skip-frame"}),
+    "words": (
+        "time,a,b,c,d,e,f\n0,1000,OL,3,4,5,6\n1,1000,-,3,4,5,6\n",
+        {"unit": "ohm", "missing": "mark"},
+    ),
+    "skipped": (
+        "0,1000,OL,3,4,5,6\n1,1000,2,3,4,5,6\n2,1001,2,3,4,5,6\n",
+        {"unit": "ohm", "missing": "skip-frame"},
+    ),
     "named": ("r1c2,r0c0,r0c1,r0c2,r1c0,r1c1\n" + "\n".join(ohms(",")), {"period": 0.5}),
     "transposed": ("\n".join(ohms(" ")), {"transpose": True, "unit": "ohm"}),
     "volt": (
@@ -168,40 +228,67 @@ def import_row(text: str, options: dict[str, Any]) -> dict[str, Any]:
         recording, notes = lp.import_file(path, 2, 3, **options)
     understood = [line.replace(folder, "") for line in understood_lines(recording, notes)]
     return {
-        "recorded": recording.recorded, "time": recording.time, "role": recording.role, "start": recording.start_time,
+        "recorded": recording.recorded,
+        "time": recording.time,
+        "role": recording.role,
+        "start": recording.start_time,
         "lines": understood,
-    }  # fmt: skip
+    }
 
 
 def killed_row() -> list[Any]:
     """What a killed recorder leaves, and date and time at 0 s by a board's clock of the host."""
     with tempfile.TemporaryDirectory() as folder:
-        path = unclosed_recording(Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3)
+        path = unclosed_recording(
+            Path(folder) / "r.h5", lp.Scene(PANEL, lp.TwoPointReadout(noise_lsb=0.7)), 6, 3
+        )
         recording = lp.Recording.load(path)
     board = recording.acquisition
     assert board is not None
-    hosts = [replace(board, host_time=board.host_time + moved) for moved in (3600.5, -1.7e9, np.inf, 1e15)]
-    return [recording.recorded, recording.start_time, vars(board), [host.start(0.25) for host in hosts]]
+    hosts = [
+        replace(board, host_time=board.host_time + moved)
+        for moved in (3600.5, -1.7e9, np.inf, 1e15)
+    ]
+    return [
+        recording.recorded,
+        recording.start_time,
+        vars(board),
+        [host.start(0.25) for host in hosts],
+    ]
 
 
 def of_recording() -> Rows:
     assert {field.name for field in fields(lp.Unmodelled)} == EFFECTS_OF.keys()
     kinds = {f"of {name}": scene for name, scene in scenes().items() if scene.panel.modules is None}
     film = lp.Scene(
-        PANEL, lp.TwoPointReadout(adc_bits=12), film=FILM, water=lp.Water(50.0), temperature=COLD,
+        PANEL,
+        lp.TwoPointReadout(adc_bits=12),
+        film=FILM,
+        water=lp.Water(50.0),
+        temperature=COLD,
         response=RESPONSES["table"],
-    )  # fmt: skip
+    )
     return (
-        {f"effect {effect}": lambda effect=effect: recording_row(simulated(effect)) for effect in EFFECTS_OF}
-        | {name: lambda scene=scene: recording_row(simulated(scene=scene)) for name, scene in kinds.items()}
+        {
+            f"effect {effect}": lambda effect=effect: recording_row(simulated(effect))
+            for effect in EFFECTS_OF
+        }
+        | {
+            name: lambda scene=scene: recording_row(simulated(scene=scene))
+            for name, scene in kinds.items()
+        }
         | {f"import {name}": partial(import_row, *given) for name, given in FOREIGN.items()}
         | {
             "of a film": lambda: recording_row(
                 simulated(scene=film, film=replace(FILM, hysteresis=0.3), water=lp.Water(70.0))
             ),
-            "of pumps": lambda: recording_row(simulated(scene=lp.Scene(PANEL), loads=(MOUTH,), course=PUMPS)),
+            "of pumps": lambda: recording_row(
+                simulated(scene=lp.Scene(PANEL), loads=(MOUTH,), course=PUMPS)
+            ),
             "of modules": lambda: recording_row(simulated(scene=scenes()["modules"])),
-            "course": lambda: [course.contact_and_suction(np.linspace(-1, 8, 40)) for course in (COURSE, PUMPS)],
+            "course": lambda: [
+                course.contact_and_suction(np.linspace(-1, 8, 40)) for course in (COURSE, PUMPS)
+            ],
             "readings": readings_row,
             "killed recorder": killed_row,
         }
@@ -211,44 +298,67 @@ def of_recording() -> Rows:
 # Estimates
 
 OMITTED_FIELDS = (
-    "case_id", "case_yaml", "versions", "iterations", "starts", "solve_time", "error_bar_time", "baseline_solve_time",
-    "kkt_residual", "scene",
-)  # fmt: skip
+    "case_id",
+    "case_yaml",
+    "versions",
+    "iterations",
+    "starts",
+    "solve_time",
+    "error_bar_time",
+    "baseline_solve_time",
+    "kkt_residual",
+    "scene",
+)
 AUTO = lp.LogGradient(weight="auto")
 PAPER = {"total_variation": (lp.Misfit(), lp.TotalVariation(weight=0.5))}
 PAPER |= {name: method.parts for name, method in paper_methods().items() if name != "LSM"}
 ESTIMATORS: dict[str, Estimator] = {
-    **{name: Estimator(terms, OptimalMethod("reduced", joint=True)) for name, terms in PAPER.items()},
     **{
-        f"by {word}": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), word) for word in get_args(
-            MethodName
-        ) if word != "smoother"
+        name: Estimator(terms, OptimalMethod("reduced", joint=True))
+        for name, terms in PAPER.items()
+    },
+    **{
+        f"by {word}": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), word)
+        for word in get_args(MethodName)
+        if word != "smoother"
     },
     "bare": Estimator((lp.Misfit(),), "reduced"),
-    "joint": Estimator((lp.Misfit(), lp.RelativeChange(weight=10.0)), OptimalMethod("reduced", joint=True)),
+    "joint": Estimator(
+        (lp.Misfit(), lp.RelativeChange(weight=10.0)), OptimalMethod("reduced", joint=True)
+    ),
     "following": Estimator(
         (lp.Misfit(weighting="noise"), lp.Arrival(), lp.LogRatio(weight=0.1, reference="previous"))
     ),
     "auto": Estimator((lp.Misfit(weighting="noise"), AUTO), "reduced"),
     "auto per frame": Estimator(
-        (lp.Misfit(weighting="noise"), AUTO), "reduced", auto_weight=lp.AutoWeight(per="frame"),
+        (lp.Misfit(weighting="noise"), AUTO),
+        "reduced",
+        auto_weight=lp.AutoWeight(per="frame"),
     ),
     "evidence": Estimator(
-        (lp.Misfit(weighting="noise"), AUTO, lp.LogRatio()), "reduced", auto_weight=lp.AutoWeight(rule="evidence"),
+        (lp.Misfit(weighting="noise"), AUTO, lp.LogRatio()),
+        "reduced",
+        auto_weight=lp.AutoWeight(rule="evidence"),
     ),
     "several": Estimator((lp.Misfit(weighting="noise"), AUTO, lp.CellResistance()), "reduced"),
     "bounds": Estimator((lp.Misfit(),), "reduced", bounds=lp.Bounds(lower=900.0, upper=4000.0)),
-    "smoother": Estimator((lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),), lp.SmootherMethod(lag=3)),
+    "smoother": Estimator(
+        (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),), lp.SmootherMethod(lag=3)
+    ),
     "smoother at bounds": Estimator(
-        (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),), lp.SmootherMethod(lag=3),
+        (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),),
+        lp.SmootherMethod(lag=3),
         bounds=lp.Bounds(lower=2000.0),
     ),
     "truncated": Estimator((lp.Misfit(), lp.LogGradient(weight=0.05)), lp.TruncatedMethod(steps=4)),
     "tared": Estimator((lp.Misfit(),), "reduced", tare=lp.Tare(frames=5)),
-}  # fmt: skip
+}
 SHARED_ERRORS = lp.Scene(
-    PANEL, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, systematic=lp.Systematic(0.01, 3.0),
-)  # fmt: skip
+    PANEL,
+    lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12),
+    140.0,
+    systematic=lp.Systematic(0.01, 3.0),
+)
 
 
 def case_row(case: lp.CaseResult) -> dict[str, Any]:
@@ -267,14 +377,21 @@ def prepared() -> Any:
 
 def estimate_row(recording: Callable[[], Any], estimator: Estimator) -> dict[str, Any]:
     progress: list[tuple[int, int]] = []
-    estimates = Reconstruction.of(recording(), estimator, lambda done, frames: progress.append((done, frames)))
+    estimates = Reconstruction.of(
+        recording(), estimator, lambda done, frames: progress.append((done, frames))
+    )
     return case_row(estimates.result("mine")) | {"progress": progress}
 
 
 def gapped() -> lp.Recording:
     """Readings that are missing, and some at a rail."""
     recorded = simulated().recorded.copy()
-    recorded[2, 0, 0], recorded[6, 1, 1:3], recorded[7, 2, 2], recorded[8, 3, 1] = np.nan, np.nan, 1.0, np.inf
+    recorded[2, 0, 0], recorded[6, 1, 1:3], recorded[7, 2, 2], recorded[8, 3, 1] = (
+        np.nan,
+        np.nan,
+        1.0,
+        np.inf,
+    )
     return replace(simulated(), recorded=recorded)
 
 
@@ -283,11 +400,15 @@ def in_scene(name: str) -> lp.Recording:
 
 
 def dropping_out(coupled: bool) -> lp.Recording:
-    """A rod over the seams of modules; one is dead, one is not read in the first frame, and none in the last."""
+    """A rod over the seams of modules; one is dead, one is not read in the first frame, and none in
+    the last.
+    """
     panel = lp.Panel(modules=Modules(2, 2, EachModule(3, 4), 4.0, coupled=coupled))
     faults = lp.Faults(dead_modules=((1, 1),))
     scene = lp.Scene(panel, lp.TwoPointReadout(noise_lsb=0.7, adc_bits=12), 140.0, faults=faults)
-    recording = simulated(scene=scene, frames=3, loads=(replace(ROD, centre_mm=(36.0, 24.0), diameter_mm=45.0),))
+    recording = simulated(
+        scene=scene, frames=3, loads=(replace(ROD, centre_mm=(36.0, 24.0), diameter_mm=45.0),)
+    )
     values = recording.recorded.copy()
     values[4, :3, 4:], values[6] = np.nan, np.nan
     return replace(recording, recorded=values)
@@ -295,46 +416,65 @@ def dropping_out(coupled: bool) -> lp.Recording:
 
 def calibration_row(calibration: Any) -> dict[str, Any]:
     return {
-        "text": calibration.text(), "summary": calibration.summary, "remarks": calibration.remarks,
+        "text": calibration.text(),
+        "summary": calibration.summary,
+        "remarks": calibration.remarks,
         "warnings": calibration.warnings,
-    }  # fmt: skip
+    }
 
 
 def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
-    """Known resistors of several values on every cell, with other circuit numbers than the scene has."""
+    """Known resistors of several values on every cell, with other circuit numbers than the scene
+    has.
+    """
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
-    calibration = calibrate_resistors([on_resistors(scene, printed, shift)], [printed], tolerance=1e-3)
+    calibration = calibrate_resistors(
+        [on_resistors(scene, printed, shift)], [printed], tolerance=1e-3
+    )
     return calibration_row(calibration) | {
-        "numbers": [(number.label, number.value, number.sigma, number.lines) for number in calibration.numbers]
-    }  # fmt: skip
+        "numbers": [
+            (number.label, number.value, number.sigma, number.lines)
+            for number in calibration.numbers
+        ]
+    }
 
 
 def on_resistors(
     scene: lp.Scene, printed: lp.Array, shift: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
-    """Six frames of known resistors, infinite where there is none, with other channels and these other parts."""
+    """Six frames of known resistors, infinite where there is none, with other channels and these
+    other parts.
+    """
     actual = replace(scene, **true)
     memory = true.get("converter_memory")
     rows = np.linspace(-spread, spread, 4) + shift
     columns = np.linspace(-4, 8, 5) + shift
     if scene.circuit.unit == "volt" and "readout" not in true:
         actual = replace(actual, readout=replace(actual.circuit, drive_ohm=90.0))
-    volt = actual.circuit.simulated(np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), actual, rows, columns)
+    volt = actual.circuit.simulated(
+        np.repeat(np.minimum(printed, OPEN_OHM)[None], 6, axis=0), actual, rows, columns
+    )
     volt = with_memory(actual.circuit, memory, volt) if memory else volt
     noise = 1 + 1e-4 * np.random.default_rng(5).standard_normal(volt.shape)
     return lp.Recording(scene, volt * noise, np.arange(6.0), np.zeros(6, dtype=np.uint8))
 
 
 def moved_resistors_row() -> dict[str, Any]:
-    """Resistors that are moved from cell to cell, none at a row and a column: of diodes, wires and a memory, too."""
+    """Resistors that are moved from cell to cell, none at a row and a column: of diodes, wires and
+    a memory, too.
+    """
     pull_ups = scenes()["wired pull-ups"]
     diode = replace(scenes()["diodes"].circuit, diode=lp.Diode(drop_volt=0.63), drive_ohm=20.0)
     cases: dict[str, tuple[lp.Scene, dict[str, Any]]] = {
-        "diodes": (scenes()["diodes"], {"readout": diode}), "wires": (pull_ups, {"lines": lp.Lines(12.0, 5.0)}),
+        "diodes": (scenes()["diodes"], {"readout": diode}),
+        "wires": (pull_ups, {"lines": lp.Lines(12.0, 5.0)}),
         "memory": (replace(pull_ups, lines=None, converter_memory=0.0), {"converter_memory": 0.03}),
         "two point": (scenes()["noisy"], {}),
-    }  # fmt: skip
-    tables = [np.random.default_rng(seed).choice([100.0, 470, 1000, 2200, 9000], PANEL.shape) for seed in (4, 5)]
+    }
+    tables = [
+        np.random.default_rng(seed).choice([100.0, 470, 1000, 2200, 9000], PANEL.shape)
+        for seed in (4, 5)
+    ]
     for table in tables:
         table[1], table[:, 3] = np.inf, np.inf
     rows = {}
@@ -345,7 +485,9 @@ def moved_resistors_row() -> dict[str, Any]:
 
 
 def refused_resistors_row() -> list[str]:
-    """Why recordings are no calibration: other resistors, none, equal ones, one, drift, hum; and some that are one."""
+    """Why recordings are no calibration: other resistors, none, equal ones, one, drift, hum; and
+    some that are one.
+    """
     scene = scenes()["LoadedColumnsReadout"]
     known = np.full(PANEL.shape, np.inf)
     noisy = scenes()["noisy"]
@@ -362,14 +504,23 @@ def refused_resistors_row() -> list[str]:
     wired = replace(noisy, lines=lp.Lines())
     larger = on_resistors(noisy, known, 400.0)
     cases = [
-        (recording, known[:, ::-1]), (recording, np.full(PANEL.shape, np.nan)),
-        (recording, -1.0), (recording, 0.0), (foam, 3000.0), (on_resistors(scene, single), single),
-        (on_resistors(scene, equal), equal), (drift, known), (replace(drift, recorded=spikes), known),
-        (replace(drift, recorded=wild), known), (on_resistors(scene, known, 400.0), known),
-        (larger, known), (replace(larger, scene=expected), known),
-        (on_resistors(noisy, np.ones(PANEL.shape), spread=99.0), 1.0), (on_resistors(wired, 10 * known), 10 * known),
+        (recording, known[:, ::-1]),
+        (recording, np.full(PANEL.shape, np.nan)),
+        (recording, -1.0),
+        (recording, 0.0),
+        (foam, 3000.0),
+        (on_resistors(scene, single), single),
+        (on_resistors(scene, equal), equal),
+        (drift, known),
+        (replace(drift, recorded=spikes), known),
+        (replace(drift, recorded=wild), known),
+        (on_resistors(scene, known, 400.0), known),
+        (larger, known),
+        (replace(larger, scene=expected), known),
+        (on_resistors(noisy, np.ones(PANEL.shape), spread=99.0), 1.0),
+        (on_resistors(wired, 10 * known), 10 * known),
         (on_resistors(scene, known, readout=replace(scene.circuit, drive_ohm=9.001)), known),
-    ]  # fmt: skip
+    ]
     answers = []
     for case, table in cases:
         try:
@@ -406,8 +557,12 @@ def stored_noise_row() -> list[Any]:
     ]
     for change in changes:
         try:
-            noise = frame_noise_of({**held, **{name: np.asarray(value) for name, value in change.items()}}, scene)
-            rows.append(noise and [noise.unloaded, noise.gain, noise.common_ripple, noise.line_ripple])
+            noise = frame_noise_of(
+                {**held, **{name: np.asarray(value) for name, value in change.items()}}, scene
+            )
+            rows.append(
+                noise and [noise.unloaded, noise.gain, noise.common_ripple, noise.line_ripple]
+            )
         except ValueError as error:
             rows.append(str(error))
     return rows
@@ -421,7 +576,9 @@ def frame_noise_row() -> list[Any]:
     for scene, channels in ((scenes()["noisy"], 5), (scenes()["floating"], 4)):
         ripple = 0.02 * rng.standard_normal((2, channels, 2))
         errors = 0.01 * rng.standard_normal((2, 3, 4, 5))
-        measured = scene.circuit.from_recorded(scene.circuit.recorded_from_volt(np.stack([volt, volt[::-1]])), scene)
+        measured = scene.circuit.from_recorded(
+            scene.circuit.recorded_from_volt(np.stack([volt, volt[::-1]])), scene
+        )
         for held, baseline in product((None, errors), (True, False)):
             columns = FrameNoise(scene, 4, 0.01, *ripple, held).columns(measured, baseline=baseline)
             rows += [columns.sum(axis=1), np.abs(columns).sum(axis=0)]
@@ -429,32 +586,53 @@ def frame_noise_row() -> list[Any]:
 
 
 def joint_row() -> list[Any]:
-    """All frames as one problem, with errors that all share and some that each has, at three points."""
+    """All frames as one problem, with errors that all share and some that each has, at three
+    points.
+    """
     recording = simulated("gain_spread", SHARED_ERRORS)
     rng = np.random.default_rng(2)
     rows = list[Any]()
     robust = (lp.Misfit(weighting="noise", loss=lp.Student(corner=4.0)),)
     estimator = Estimator(robust, "reduced", bounds=lp.Bounds(lower=2500.0))
-    data = [estimator.data(recording.readings()[frame].alone(), Background(recording.scene)) for frame in range(3, 7)]
-    cells = np.log(recording.truth_cell_resistance[3:7]).reshape(4, -1) + 0.01 * rng.standard_normal((4, 20))
+    data = [
+        estimator.data(recording.readings()[frame].alone(), Background(recording.scene))
+        for frame in range(3, 7)
+    ]
+    cells = np.log(recording.truth_cell_resistance[3:7]).reshape(
+        4, -1
+    ) + 0.01 * rng.standard_normal((4, 20))
     noise = FrameNoise(recording.scene, 4, 0.004, *np.zeros((2, 5, 0)))
-    begun = Joint.of([estimator.cost(recording.scene, 1)] * 4, data, Shared.of(recording.scene), cells, noise, 2)
+    begun = Joint.of(
+        [estimator.cost(recording.scene, 1)] * 4, data, Shared.of(recording.scene), cells, noise, 2
+    )
     stiffness = rng.uniform(10, 1e4, (3, 20))
     begun = replace(begun, stiffness=stiffness, shift=0.2 * rng.standard_normal(len(begun.shift)))
     for joint in (begun, begun.stepped().sharing(), begun.stepped().stepped()):
         held = [
-            joint.agreeing(joint.stiffness * np.where(np.arange(20) < count, 0.1, 1.0)) for count in (1, 4, 15)
-        ]  # fmt: skip
+            joint.agreeing(joint.stiffness * np.where(np.arange(20) < count, 0.1, 1.0))
+            for count in (1, 4, 15)
+        ]
         rows += [
-            joint.value, joint.gradient, joint.kkt_residual, joint.pressed, joint.newton(), joint.expected_squares(),
-            joint.shared_estimate, [each.held for each in held], held[-1].value, held[-1].newton()[1],
-            joint.answer(joint.shared[:, :, :2]), [each.uncertain.variance for each in (joint, held[-1])],
-        ]  # fmt: skip
+            joint.value,
+            joint.gradient,
+            joint.kkt_residual,
+            joint.pressed,
+            joint.newton(),
+            joint.expected_squares(),
+            joint.shared_estimate,
+            [each.held for each in held],
+            held[-1].value,
+            held[-1].newton()[1],
+            joint.answer(joint.shared[:, :, :2]),
+            [each.uncertain.variance for each in (joint, held[-1])],
+        ]
     return [*rows, error_bars(begun.stepped(), 2, Shared.of(recording.scene))]
 
 
 def batches_row() -> dict[str, Any]:
-    """Which frames of streams are solved together, by estimator and by readings that are missing, and their cells."""
+    """Which frames of streams are solved together, by estimator and by readings that are missing,
+    and their cells.
+    """
     misfit = lp.Misfit(weighting="noise")
     penalty = lp.LogGradient(weight=3.0)
     recording = simulated()
@@ -463,38 +641,52 @@ def batches_row() -> dict[str, Any]:
     frame = lp.AutoWeight(per="frame")
     change = (misfit, lp.LogRatio(weight=0.3))
     cases = {
-        "bars": Estimator((misfit, penalty), "auto"), "bare": bare(),
+        "bars": Estimator((misfit, penalty), "auto"),
+        "bare": bare(),
         "limited": bare(solver=Settings(time_limit_s=60.0)),
-        "starts": bare(solver=Settings(starts=2)), "auto": Estimator((misfit, AUTO), "reduced", error_bars=False),
+        "starts": bare(solver=Settings(starts=2)),
+        "auto": Estimator((misfit, AUTO), "reduced", error_bars=False),
         "per frame": Estimator((misfit, AUTO), "reduced", error_bars=False, auto_weight=frame),
-        "joint": Estimator(change, OptimalMethod("reduced", joint=True)), "change": Estimator(
-            change, OptimalMethod("reduced", joint=False),
-        ), "previous": Estimator((misfit, lp.LogRatio(weight=0.3, reference="previous")), "reduced"),
+        "joint": Estimator(change, OptimalMethod("reduced", joint=True)),
+        "change": Estimator(
+            change,
+            OptimalMethod("reduced", joint=False),
+        ),
+        "previous": Estimator((misfit, lp.LogRatio(weight=0.3, reference="previous")), "reduced"),
         "truncated": Estimator((misfit, penalty), "truncated"),
-    }  # fmt: skip
+    }
     for name, estimator in cases.items():
         stream = Stream.begin(estimator, recording.scene, 1.0, recording.readings()[:4].mean())
         recorded = recording.recorded[4:7].copy()
         inverses = InverseHessians.nothing(3, 20)
         recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
-        pairs = push_streams([stream, None, stream], lp.Readings.of(recording.scene, recorded), inverses)
+        pairs = push_streams(
+            [stream, None, stream], lp.Readings.of(recording.scene, recorded), inverses
+        )
         steps = [step and step.cell_resistance for _, step in pairs]
         rows[name] = [inverses.positive, np.isnan(inverses.position).any(axis=1), steps]
     return rows
 
 
 def modules_row() -> list[Any]:
-    """Weights that modules choose together while a load comes; one has another converter, and one is dead."""
+    """Weights that modules choose together while a load comes; one has another converter, and one
+    is dead.
+    """
     layout = Modules(1, 5, EachModule(3, 4), seam_mm=4.0)
     rng = np.random.default_rng(3)
     own = (OwnOfModule((0, 1), readout=lp.TwoPointReadout(noise_lsb=0.7, adc_bits=14)),)
     scene = lp.Scene(
-        lp.Panel(modules=layout), lp.TwoPointReadout(noise_lsb=0.7), 140.0, modules=own,
+        lp.Panel(modules=layout),
+        lp.TwoPointReadout(noise_lsb=0.7),
+        140.0,
+        modules=own,
         faults=lp.Faults(dead_modules=((0, 3),)),
-    )  # fmt: skip
+    )
     cells = 3000 * np.exp(0.1 * rng.standard_normal((5, *layout.shape)))
     cells[2:, 1, 1:9] *= np.array([0.9, 0.4, 0.2])[:, None]
-    exact = np.stack([layout.joined(lp.two_point_resistance(layout.split(frame))) for frame in cells])
+    exact = np.stack(
+        [layout.joined(lp.two_point_resistance(layout.split(frame))) for frame in cells]
+    )
     readings = lp.Readings.of(scene, exact + 140 + rng.standard_normal(exact.shape))
     rows = list[Any]()
     for terms in ((lp.Misfit(), AUTO), (lp.Misfit(weighting="noise"), lp.LogRatio(weight="auto"))):
@@ -502,13 +694,19 @@ def modules_row() -> list[Any]:
         stream = begin_stream(estimator, scene, 0.1, readings[:2].mean())
         for number in range(2, 5):
             stream, step = stream.push(readings[number])
-            parts = [part and (part.weights, part.weight_sigma, part.weighed_at) for part in stream.modules]
+            parts = [
+                part and (part.weights, part.weight_sigma, part.weighed_at)
+                for part in stream.modules
+            ]
             rows.append([step.cell_resistance, parts])
         fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
         carried = CarriedOver.of(stream)
         rows += [
             carried.arrays,
-            *(target.push(readings[3])[1].cell_resistance for target in (carried.onto(fresh), stream)),
+            *(
+                target.push(readings[3])[1].cell_resistance
+                for target in (carried.onto(fresh), stream)
+            ),
         ]
         rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
     return rows
@@ -518,65 +716,103 @@ def channels_row(scene: lp.Scene) -> dict[str, Any]:
     scene = replace(scene, systematic=lp.Systematic(0.01, 5.0))
     calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
     return calibration_row(calibration) | {
-        "errors": calibration.errors, "covariance": calibration.covariance,
+        "errors": calibration.errors,
+        "covariance": calibration.covariance,
         "apart": [calibration.apart, calibration.apart_before],
-    }  # fmt: skip
+    }
 
 
 def loads_row() -> dict[str, Any]:
     """A rod on four places of the panel, one recording each."""
-    rods = [replace(ROD, centre_mm=place) for place in ((10.0, 10.0), (30.0, 10.0), (10.0, 22.0), (30.0, 22.0))]
+    rods = [
+        replace(ROD, centre_mm=place)
+        for place in ((10.0, 10.0), (30.0, 10.0), (10.0, 22.0), (30.0, 22.0))
+    ]
     scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
     lying: dict[str, Any] = {"course": lp.Course(), "frames": 3}
     recordings = [
-        replace(simulated("response_spread", scene, loads=(rod,), **lying), name=f"r{number}") for number,
-        rod in enumerate(rods)
-    ]  # fmt: skip
+        replace(simulated("response_spread", scene, loads=(rod,), **lying), name=f"r{number}")
+        for number, rod in enumerate(rods)
+    ]
     known = [
         known_loads.KnownLoad(
-            frames=(4, 6), recording=f"r{n}", mass_g=500.0, x_mm=rod.centre_mm[0], y_mm=rod.centre_mm[1],
+            frames=(4, 6),
+            recording=f"r{n}",
+            mass_g=500.0,
+            x_mm=rod.centre_mm[0],
+            y_mm=rod.centre_mm[1],
             diameter_mm=24.0,
-        ) for n,
-        rod in enumerate(rods)
-    ]  # fmt: skip
-    calibration = calibrate_loads(recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01)
+        )
+        for n, rod in enumerate(rods)
+    ]
+    calibration = calibrate_loads(
+        recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01
+    )
     blocks = known_loads.KnownLoads(
         schema=1,
         loads=(
             known_loads.KnownLoad(
-                frames=(0, 1), force_newton=5.0, x_mm=20.0, y_mm=10.0, length_mm=30.0, width_mm=12.0, angle_deg=20.0,
+                frames=(0, 1),
+                force_newton=5.0,
+                x_mm=20.0,
+                y_mm=10.0,
+                length_mm=30.0,
+                width_mm=12.0,
+                angle_deg=20.0,
             ),
             known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
         ),
-    )  # fmt: skip
-    doubled = [replace(each, mass_g=500.0 * (1 + (n == 2)), diameter_mm=16.0) for n, each in enumerate(known)]
+    )
+    doubled = [
+        replace(each, mass_g=500.0 * (1 + (n == 2)), diameter_mm=16.0)
+        for n, each in enumerate(known)
+    ]
     late = [replace(known[0], frames=(5, 6)), *doubled[1:]]
     lists = [known_loads.KnownLoads(schema=1, loads=tuple(loads)) for loads in (doubled, late)]
     odd = [calibrate_loads(recordings, each, 0.0) for each in lists]
     return calibration_row(calibration) | {
-        "odd": [[each.warnings, each.remarks, each.fitted.spread, each.fitted.scatter] for each in odd],
-        "fitted": calibration.fitted, "pressures": blocks.pressures(PANEL),
+        "odd": [
+            [each.warnings, each.remarks, each.fitted.spread, each.fitted.scatter] for each in odd
+        ],
+        "fitted": calibration.fitted,
+        "pressures": blocks.pressures(PANEL),
         "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
-        "read": [known_loads.read_known_loads(CONFIGS / f"known_loads.{kind}") for kind in ("csv",)],
-    }  # fmt: skip
+        "read": [
+            known_loads.read_known_loads(CONFIGS / f"known_loads.{kind}") for kind in ("csv",)
+        ],
+    }
 
 
 def of_estimate() -> Rows:
     recordings: dict[str, Callable[[], lp.Recording]] = {
         "gaps": gapped,
         "film": lambda: simulated(
-            scene=lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12), film=FILM, response=RESPONSES["published"])
+            scene=lp.Scene(
+                PANEL, lp.TwoPointReadout(adc_bits=12), film=FILM, response=RESPONSES["published"]
+            )
         ),
-        "outliers": lambda: simulated("outlier_probability"), "ripple": lambda: simulated("supply_ripple_lsb"),
-    }  # fmt: skip
-    recordings |= {f"scene {name}": partial(in_scene, name) for name in scenes() if name not in ("DrivenReadout",)}
+        "outliers": lambda: simulated("outlier_probability"),
+        "ripple": lambda: simulated("supply_ripple_lsb"),
+    }
+    recordings |= {
+        f"scene {name}": partial(in_scene, name)
+        for name in scenes()
+        if name not in ("DrivenReadout",)
+    }
     resistors = {
-        name: scenes()[name] for name in ("noisy", "LoadedColumnsReadout", "GroundedReadout", "VirtualGroundReadout")
-    }  # fmt: skip
+        name: scenes()[name]
+        for name in ("noisy", "LoadedColumnsReadout", "GroundedReadout", "VirtualGroundReadout")
+    }
     usual = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)))
     return (
-        {f"estimate {name}": partial(estimate_row, prepared, estimator) for name, estimator in ESTIMATORS.items()}
-        | {f"estimate with {name}": partial(estimate_row, made, usual) for name, made in recordings.items()}
+        {
+            f"estimate {name}": partial(estimate_row, prepared, estimator)
+            for name, estimator in ESTIMATORS.items()
+        }
+        | {
+            f"estimate with {name}": partial(estimate_row, made, usual)
+            for name, made in recordings.items()
+        }
         | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
             "estimate of coupled modules": partial(
@@ -585,24 +821,34 @@ def of_estimate() -> Rows:
                 Estimator((lp.Misfit(), lp.LogGradient(weight=3e4)), "reduced", error_bars=False),
             ),
             "estimate bare with gaps": partial(estimate_row, gapped, ESTIMATORS["bare"]),
-            "smoother of modules": partial(estimate_row, partial(dropping_out, False), ESTIMATORS["smoother"]),
+            "smoother of modules": partial(
+                estimate_row, partial(dropping_out, False), ESTIMATORS["smoother"]
+            ),
             "deciding networks": lambda: [
                 strongest([0.1, 0.7, 0.3, 0.9, 0.2, 0.5]),
                 [str(converter_and_faults(scene)) for scene in scenes().values()],
             ],
-            "default terms": lambda: [default_terms(each) for each in (simulated(), simulated(scene=lp.Scene(PANEL)))],
+            "default terms": lambda: [
+                default_terms(each) for each in (simulated(), simulated(scene=lp.Scene(PANEL)))
+            ],
             "estimate of modules that drop out": partial(
                 estimate_row, partial(dropping_out, False), ESTIMATORS["total_variation"]
             ),
             "effort": lambda: [
-                each.effort(panel) for each in ESTIMATORS.values() for panel in (PANEL, scenes()["modules"].panel)
+                each.effort(panel)
+                for each in ESTIMATORS.values()
+                for panel in (PANEL, scenes()["modules"].panel)
             ],
             "estimate auto per frame on modules": partial(
                 estimate_row, partial(in_scene, "modules"), ESTIMATORS["auto per frame"]
             ),
-            "estimate auto on modules": partial(estimate_row, partial(in_scene, "modules"), ESTIMATORS["auto"]),
+            "estimate auto on modules": partial(
+                estimate_row, partial(in_scene, "modules"), ESTIMATORS["auto"]
+            ),
             "smoother of shared errors": partial(
-                estimate_row, partial(simulated, "gain_spread", SHARED_ERRORS), ESTIMATORS["smoother"]
+                estimate_row,
+                partial(simulated, "gain_spread", SHARED_ERRORS),
+                ESTIMATORS["smoother"],
             ),
             "repeats": repeats_row,
             "moved resistors": moved_resistors_row,
@@ -612,7 +858,9 @@ def of_estimate() -> Rows:
             "frames as one": joint_row,
             "streams together": batches_row,
             "modules that choose together": modules_row,
-            "channels": partial(channels_row, lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)),
+            "channels": partial(
+                channels_row, lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
+            ),
             "channels of drives": partial(
                 channels_row, lp.Scene(PANEL, lp.LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0))
             ),

@@ -3,10 +3,11 @@
 python -m tests.golden.make                  # all
 python -m tests.golden.make table            # public results of every room, see table.py
 python -m tests.golden.make table report     # those of one room
-python -m tests.golden.make defaults         # defaults of public classes, and constants of all modules
+python -m tests.golden.make defaults         # defaults of public classes, constants of all modules
 
-Rounding differs from processor to processor. The table is computed on several of them, which this one emulates, and
-numbers that differ take a tolerance. Those whose instructions this one lacks are left out; their tolerances stay.
+Rounding differs from processor to processor. The table is computed on several of them, which this
+one emulates, and numbers that differ take a tolerance. Those whose instructions this one lacks are
+left out; their tolerances stay.
 
 Do so only where numbers are meant to change, and say in the commit why.
 """
@@ -34,11 +35,15 @@ DEFAULTS = GOLDEN_FOLDER / "defaults.json"
 DATA = GOLDEN_FOLDER / "data"
 CONSTANTS = GOLDEN_FOLDER / "constants.json"
 TOLERANCES = GOLDEN_FOLDER / "tolerances.json"
-# Other processors, as environment variables: kernels of OpenBLAS, instructions of NumPy, and a second thread
+# Other processors, as environment variables: kernels of OpenBLAS, instructions of NumPy, and a
+# second thread
 OLD_PROCESSOR = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}
 PROCESSORS = (
     *({"OPENBLAS_CORETYPE": kernel} for kernel in ("Prescott", "Nehalem", "SkylakeX")),
-    *({"OPENBLAS_CORETYPE": kernel} | OLD_PROCESSOR for kernel in ("Sandybridge", "Haswell", "Cooperlake")),
+    *(
+        {"OPENBLAS_CORETYPE": kernel} | OLD_PROCESSOR
+        for kernel in ("Sandybridge", "Haswell", "Cooperlake")
+    ),
     {"OPENBLAS_NUM_THREADS": "2"},
 )
 MAX_LENGTH = 400  # characters of a constant; longer ones are lists whose entries have rows
@@ -50,7 +55,11 @@ def defaults() -> dict[str, dict[str, str]]:
     kinds = {name: kind for name, kind in public.items() if hasattr(kind, "__pydantic_config__")}
     table = {
         name: {
-            field.name: repr(field.default if field.default_factory is dataclasses.MISSING else field.default_factory())
+            field.name: repr(
+                field.default
+                if field.default_factory is dataclasses.MISSING
+                else field.default_factory()
+            )
             for field in dataclasses.fields(kind)
             if (field.default, field.default_factory) != (dataclasses.MISSING, dataclasses.MISSING)
         }
@@ -68,25 +77,54 @@ def constants() -> dict[str, dict[str, list[str]]]:
     for entry in pkgutil.walk_packages(lampest.__path__, "lampest."):
         module = importlib.import_module(entry.name)
         room = table.setdefault(entry.name.split(".")[1], {})
-        own = [value for value in vars(module).values() if getattr(value, "__module__", "") == entry.name]
-        named = {name: value for name, value in vars(module).items() if name.isupper() and name != "TYPE_CHECKING"}
+        own = [
+            value
+            for value in vars(module).values()
+            if getattr(value, "__module__", "") == entry.name
+        ]
+        named = {
+            name: value
+            for name, value in vars(module).items()
+            if name.isupper() and name != "TYPE_CHECKING"
+        }
         for kind in (value for value in own if isinstance(value, type)):
-            methods = [getattr(value, "__func__", value) for name, value in vars(kind).items() if name[:2] != "__"]
+            methods = [
+                getattr(value, "__func__", value)
+                for name, value in vars(kind).items()
+                if name[:2] != "__"
+            ]
             own += [value for value in methods if inspect.isfunction(value)]
-            named |= {f"{kind.__name__}.{name}": value for name, value in vars(kind).items() if name[0] != "_"}
+            named |= {
+                f"{kind.__name__}.{name}": value
+                for name, value in vars(kind).items()
+                if name[0] != "_"
+            }
         for function in (value for value in own if inspect.isfunction(value)):
             arguments = inspect.signature(function).parameters.items()
-            named |= {f"{function.__qualname__}({name})": value.default for name, value in arguments}
+            named |= {
+                f"{function.__qualname__}({name})": value.default for name, value in arguments
+            }
         for name, value in named.items():
             text = repr(value)
-            if has_number(value) and len(text) < MAX_LENGTH and "<" not in text and text not in room.get(name, ()):
+            if (
+                has_number(value)
+                and len(text) < MAX_LENGTH
+                and "<" not in text
+                and text not in room.get(name, ())
+            ):
                 room.setdefault(name, []).append(text)
     return table
 
 
 def has_number(value: object) -> bool:
     """Whether a value is a number or a record with numbers."""
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, tuple | list) else ()
+    inner = (
+        value.values()
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, tuple | list)
+        else ()
+    )
     return isinstance(value, int | float) or is_record(value) or any(map(has_number, inner))
 
 
@@ -95,13 +133,24 @@ def is_record(value: object) -> bool:
 
 
 def write_table(*rooms: str) -> None:
-    """Write the results of rooms, or of all, a line a row, and the tolerances of those that other processors change."""
+    """Write the results of rooms, or of all, a line a row, and the tolerances of those that other
+    processors change.
+    """
     tolerances = json.loads(TOLERANCES.read_text()) if TOLERANCES.exists() else {}
     with TemporaryDirectory() as folder:
 
         def compute(number: int, variables: dict[str, str]) -> bool:
-            command = [sys.executable, "-m", "tests.golden.make", "rows", f"{folder}/{number}.json", *rooms]
-            completed = subprocess.run(command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables)
+            command = [
+                sys.executable,
+                "-m",
+                "tests.golden.make",
+                "rows",
+                f"{folder}/{number}.json",
+                *rooms,
+            ]
+            completed = subprocess.run(
+                command, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | variables
+            )
             if completed.returncode == -signal.SIGILL and variables:
                 return False
             completed.check_returncode()
@@ -110,14 +159,24 @@ def write_table(*rooms: str) -> None:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             computed = list(pool.map(compute, count(), ({}, *PROCESSORS)))
         stored, *variants = (
-            json.loads(Path(folder, f"{number}.json").read_text()) for number, done in enumerate(computed) if done
+            json.loads(Path(folder, f"{number}.json").read_text())
+            for number, done in enumerate(computed)
+            if done
         )
-    left_out = [variables for variables, done in zip(PROCESSORS, computed[1:], strict=True) if not done]
+    left_out = [
+        variables for variables, done in zip(PROCESSORS, computed[1:], strict=True) if not done
+    ]
     if left_out:
         names = ", ".join(variables["OPENBLAS_CORETYPE"] for variables in left_out)
-        print(f"Left out, because this processor lacks their instructions: {names}. Their tolerances stay.")
+        print(
+            f"Left out, because this processor lacks their instructions: {names}. Their tolerances "
+            "stay."
+        )
     for room, rows in stored.items():
-        lines = (f"{json.dumps(name)}: {json.dumps(row, ensure_ascii=False)}" for name, row in rows.items())
+        lines = (
+            f"{json.dumps(name)}: {json.dumps(row, ensure_ascii=False)}"
+            for name, row in rows.items()
+        )
         (DATA / f"{room}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
         previous = tolerances.get(room, {}) if left_out else {}
         tolerances[room] = {}
@@ -140,7 +199,10 @@ def write_rows(path: str, *rooms: str) -> None:
     chosen = {room: rows for room, rows in table().items() if room in rooms or not rooms}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        results = {room: {name: content(row()) for name, row in rows.items()} for room, rows in chosen.items()}
+        results = {
+            room: {name: content(row()) for name, row in rows.items()}
+            for room, rows in chosen.items()
+        }
     Path(path).write_text(json.dumps(results))
 
 
@@ -152,7 +214,9 @@ def main() -> None:
         return
     if target != "table":
         DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
-        rooms = (f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items())
+        rooms = (
+            f"{json.dumps(room)}: {json.dumps(values)}" for room, values in constants().items()
+        )
         CONSTANTS.write_text("{\n" + ",\n".join(rooms) + "\n}\n")
     if target != "defaults":
         write_table(*rooms)

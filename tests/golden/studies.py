@@ -27,7 +27,13 @@ from lampest.runs import config
 from lampest.solvers.solution import Status
 from lampest.studies import bench, common, extremes, paper, tradeoff, weights
 from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
-from lampest.studies.certified import correct_digits, exact_cost, exact_residual, exact_scale, fifty_digits
+from lampest.studies.certified import (
+    correct_digits,
+    exact_cost,
+    exact_residual,
+    exact_scale,
+    fifty_digits,
+)
 from lampest.studies.common import StudyMethod
 from lampest.studies.study import Cases, Study, read_settings
 from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, tune, why_not
@@ -36,64 +42,120 @@ from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, sol
 def timed(made: type[Any], **known: Any) -> list[Any]:
     """Frames that took some time, of two solvers, two methods and four panels."""
     frames = []
-    for side, method, solver, frame in product((32, 48, 64, 8), ("LSM", "LSR-CR"), ("reduced", "nodal"), (0, 1, 2)):
-        seconds = 1e-3 * side**1.5 * (1 + frame / 10) * (3 if solver == "nodal" else 1) * (
-            1.2 if method == "LSM" else 1
-        )  # fmt: skip
+    for side, method, solver, frame in product(
+        (32, 48, 64, 8), ("LSM", "LSR-CR"), ("reduced", "nodal"), (0, 1, 2)
+    ):
+        seconds = (
+            1e-3
+            * side**1.5
+            * (1 + frame / 10)
+            * (3 if solver == "nodal" else 1)
+            * (1.2 if method == "LSM" else 1)
+        )
         about = {
-            "rows": side, "columns": side, "recording": "0", "method": method, "solver": solver, "frame": frame,
+            "rows": side,
+            "columns": side,
+            "recording": "0",
+            "method": method,
+            "solver": solver,
+            "frame": frame,
             "seconds": seconds,
-        }  # fmt: skip
+        }
         about |= {
-            "objective": 1.0, "gap": 1e-7 * frame * (solver == "nodal"), "iterations": 4 + frame,
-            "status": "optimum verified", "memory_mb": None if frame else 10.0 + side,
-        }  # fmt: skip
+            "objective": 1.0,
+            "gap": 1e-7 * frame * (solver == "nodal"),
+            "iterations": 4 + frame,
+            "status": "optimum verified",
+            "memory_mb": None if frame else 10.0 + side,
+        }
         frames.append(
             made(
-                **about, solved=frame < 2 or solver == "reduced",
+                **about,
+                solved=frame < 2 or solver == "reduced",
                 **{name: value(side, frame) for name, value in known.items()},
             )
-        )  # fmt: skip
+        )
     return frames
 
 
 def timed_bench() -> Bench:
-    """A benchmark in which methods, memory and time were left out, and frames failed or have no gap."""
+    """A benchmark in which methods, memory and time were left out, and frames failed or have no
+    gap.
+    """
     frames = timed(
-        BenchFrame, kind=lambda side, frame: "later" if frame else "first", inverse_s=lambda side,
-        frame: 1e-6 * side**2,
-    )  # fmt: skip
+        BenchFrame,
+        kind=lambda side, frame: "later" if frame else "first",
+        inverse_s=lambda side, frame: 1e-6 * side**2,
+    )
     pair = replace(frames[0], rows=9, kind="pair", memory_mb=7.0)
     frames += [pair, replace(frames[0], rows=9), replace(frames[1], rows=9, gap=nan)]
-    left_out = ((8, 8), "LSM", "recording 2"), ((8, 8), "LSR-CR", "recording 2"), ((9, 8), "LSM", "memory of nodal")
+    left_out = (
+        ((8, 8), "LSM", "recording 2"),
+        ((8, 8), "LSR-CR", "recording 2"),
+        ((9, 8), "LSM", "memory of nodal"),
+    )
     settings = BenchFile(schema=1, sizes=(8, 16, (30, 20)), budget_s=9.0, frames=2)
     return Bench(settings, tuple(frames), left_out)
 
 
 def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
-    """Frames of formulations, also of a panel whose errors are unknown and of a frame that failed."""
+    """Frames of formulations, also of a panel whose errors are unknown and of a frame that
+    failed.
+    """
     frames = timed(
-        tradeoff.TradeoffFrame, baseline_s=lambda side, frame: 0.1, cell_error=lambda side, frame: side / 9 + frame,
+        tradeoff.TradeoffFrame,
+        baseline_s=lambda side, frame: 0.1,
+        cell_error=lambda side, frame: side / 9 + frame,
         changed_error=lambda side, frame: side / 5,
-    )  # fmt: skip
-    bare = [replace(frame, rows=3, changed_error=nan, cell_error=nan, gap=0.0, seconds=0.1) for frame in frames[:6]]
-    return [*frames, *bare, replace(frames[1], recording="1", gap=nan, cell_error=nan, solved=False)]
+    )
+    bare = [
+        replace(frame, rows=3, changed_error=nan, cell_error=nan, gap=0.0, seconds=0.1)
+        for frame in frames[:6]
+    ]
+    return [
+        *frames,
+        *bare,
+        replace(frames[1], recording="1", gap=nan, cell_error=nan, solved=False),
+    ]
 
 
 def judged_solves() -> list[extremes.Solve]:
     """Solves that are verified, doubtful, worse than the truth, refused and crashed."""
     known = {
-        "case": extremes.GRID, "rows": 3, "columns": 4, "decades": 6.0, "noise": 0.01, "seed": 0, "part": "frame",
-        "method": "LSM", "formulation": "reduced", "solved": True, "status": "optimum verified", "iterations": 4,
-        "residual": 1e-9, "audited": 2e-9, "excess": -1.0, "model_digits": 11.0, "forward_digits": 12.0,
-    }  # fmt: skip
+        "case": extremes.GRID,
+        "rows": 3,
+        "columns": 4,
+        "decades": 6.0,
+        "noise": 0.01,
+        "seed": 0,
+        "part": "frame",
+        "method": "LSM",
+        "formulation": "reduced",
+        "solved": True,
+        "status": "optimum verified",
+        "iterations": 4,
+        "residual": 1e-9,
+        "audited": 2e-9,
+        "excess": -1.0,
+        "model_digits": 11.0,
+        "forward_digits": 12.0,
+    }
     changes: tuple[dict[str, Any], ...] = (
-        {}, {"audited": 1e-3, "residual": 1e-10, "excess": 1e-3, "model_digits": 9.5, "iterations": 10},
-        {"solved": False, "status": "stopped", "model_digits": nan, "forward_digits": 9.0, "iterations": 7},
+        {},
+        {"audited": 1e-3, "residual": 1e-10, "excess": 1e-3, "model_digits": 9.5, "iterations": 10},
+        {
+            "solved": False,
+            "status": "stopped",
+            "model_digits": nan,
+            "forward_digits": 9.0,
+            "iterations": 7,
+        },
         {"solved": False, "status": f"{extremes.CRASHED}KeyError: no", "residual": 1.0},
-        {"solved": False, "status": f"{extremes.REFUSED}a number: 3"}, {"decades": 7.0},
-        {"case": "open cell", "decades": 0.0}, {"case": "open cell", "decades": 0.0, "noise": 0.1},
-    )  # fmt: skip
+        {"solved": False, "status": f"{extremes.REFUSED}a number: 3"},
+        {"decades": 7.0},
+        {"case": "open cell", "decades": 0.0},
+        {"case": "open cell", "decades": 0.0, "noise": 0.1},
+    )
     return [extremes.Solve(**known | change) for change in changes]
 
 
@@ -111,13 +173,19 @@ def numbers_of(path: Path) -> list[list[Any]]:
 
 
 MEASURED: dict[str, tuple[Study[Any, Any], Callable[[], Any]]] = {
-    "bench": (bench.STUDY, timed_bench), "tradeoff": (tradeoff.STUDY, timed_tradeoff),
+    "bench": (bench.STUDY, timed_bench),
+    "tradeoff": (tradeoff.STUDY, timed_tradeoff),
     "extremes": (extremes.STUDY, judged_solves),
-    "weights": (weights.STUDY, lambda: Cases([tuned_curves()], ["a/b left out: it was solved for no weight"])),
-}  # fmt: skip
+    "weights": (
+        weights.STUDY,
+        lambda: Cases([tuned_curves()], ["a/b left out: it was solved for no weight"]),
+    ),
+}
 METHODS = {
     "LSM": StudyMethod(config.Terms(misfit=lp.Misfit())),
-    "LSR-dCR": StudyMethod(config.Terms(misfit=lp.Misfit(), relative_change=lp.RelativeChange(weight=10.0))),
+    "LSR-dCR": StudyMethod(
+        config.Terms(misfit=lp.Misfit(), relative_change=lp.RelativeChange(weight=10.0))
+    ),
 }
 
 
@@ -127,7 +195,11 @@ def study_files_row(name: str) -> dict[str, Any]:
     measured = MEASURED[name][1]()
     known = replace(study, read=lambda *_: None, measure=lambda *_: measured, figures=lambda _: {})
     module = {"bench": bench, "tradeoff": tradeoff, "extremes": extremes, "weights": weights}[name]
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), patch.object(module, "STUDY", known):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        chdir(folder),
+        patch.object(module, "STUDY", known),
+    ):
         Path("file.yaml").touch()
         printed = command("study", name, "file.yaml")
         files = sorted(Path("results/file").iterdir())
@@ -140,14 +212,21 @@ def bench_row() -> dict[str, Any]:
     settings = timed_bench().settings
     part = BenchPart(0, (64, 64), "LSM")
     return {
-        "rows": [vars(row) for row in bench.bench_rows(frames)], "solvers": settings.solvers((16, 16)),
+        "rows": [vars(row) for row in bench.bench_rows(frames)],
+        "solvers": settings.solvers((16, 16)),
         "wired": replace(settings, lines=lp.Lines(1.0)).solvers((16, 16)),
-        "expected": [each.expected_s(settings, frames[:number]) for number in (0, 2, 30) for each in (
-            part, part._replace(shape=(8, 8)), part._replace(method="LSR-CR"),
-        )],
+        "expected": [
+            each.expected_s(settings, frames[:number])
+            for number in (0, 2, 30)
+            for each in (
+                part,
+                part._replace(shape=(8, 8)),
+                part._replace(method="LSR-CR"),
+            )
+        ],
         "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)],
         "loads": [bench.loads(number, (9, 9)) for number in range(5)],
-    }  # fmt: skip
+    }
 
 
 def tradeoff_row() -> dict[str, Any]:
@@ -165,7 +244,7 @@ def tradeoff_row() -> dict[str, Any]:
         "figure": drawn_row(tradeoff.tradeoff_figure(tradeoff.ladder_rows(frames, "method"))),
         "pareto": tradeoff.front([(1.0, 3.0), (2.0, 1.0), (3.0, 2.0), (0.5, 9.0)]),
         "errors": [tradeoff.errors(each) for each in known],
-    }  # fmt: skip
+    }
 
 
 def runs_row() -> dict[str, Any]:
@@ -175,23 +254,36 @@ def runs_row() -> dict[str, Any]:
     steps: list[tuple[int, int]] = []
     alone = bench.BenchLimits(nodal=0)
     progress = list[tuple[int, int, str]]()
-    hasty = replace(file, sizes=(3, 40), recordings=2, frames=3, budget_s=1e-3, limits=alone, memory=(3,))
+    hasty = replace(
+        file, sizes=(3, 40), recordings=2, frames=3, budget_s=1e-3, limits=alone, memory=(3,)
+    )
     late = run_bench(hasty, lambda *about: progress.append(about))
-    limited = replace(file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3))
+    limited = replace(
+        file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3)
+    )
     peaks = {"reduced": 7.0, "nodal": 9.0}
     with patch.object(bench, "peak_memory", lambda _, estimator: peaks[estimator.method.kind]):
-        memory = {str((each.shape, each.solver, each.memory_mb)) for each in run_bench(limited, lambda *_: None).frames}
+        memory = {
+            str((each.shape, each.solver, each.memory_mb))
+            for each in run_bench(limited, lambda *_: None).frames
+        }
     measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
-    plan = tradeoff.Plan(tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()])
+    plan = tradeoff.Plan(
+        tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()]
+    )
     plan = plan._replace(
         settings=replace(
-            plan.settings, formulations=("naive", "reduced"), estimators={"LSM": StudyMethod(settings["LSM"].terms)}
+            plan.settings,
+            formulations=("naive", "reduced"),
+            estimators={"LSM": StudyMethod(settings["LSM"].terms)},
         )
     )
     names = ("frame", "solver", "kind", "objective", "gap", "solved", "cell_error", "changed_error")
     frames = [*measured.frames, *tradeoff.run_tradeoff(plan)]
     return {
-        "frames": [{name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames],
+        "frames": [
+            {name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames
+        ],
         "steps": steps,
         "left": [measured.left_out, late.left_out],
         "told": progress,
@@ -202,16 +294,31 @@ def runs_row() -> dict[str, Any]:
 
 
 def budgeted_row() -> list[Any]:
-    """Benchmarks within three budgets, on a clock that solves advance; their seconds are in their cost, some fail."""
+    """Benchmarks within three budgets, on a clock that solves advance; their seconds are in their
+    cost, some fail.
+    """
     file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
     rows = []
-    names = ("shape", "method", "solver", "recording", "frame", "kind", "seconds", "gap", "memory_mb", "status")
+    names = (
+        "shape",
+        "method",
+        "solver",
+        "recording",
+        "frame",
+        "kind",
+        "seconds",
+        "gap",
+        "memory_mb",
+        "status",
+    )
     for budget in (1.5, 9.0, 60.0):
         clock = [0.0]
         steps = list[Any]()
         times = cycle((0.7, 0.2, 0.4, 0.3, 0.1, 0.6))
 
-        def solve(stream: Any, readings: lp.Readings, clock: list[float] = clock, times: Any = times) -> Any:
+        def solve(
+            stream: Any, readings: lp.Readings, clock: list[float] = clock, times: Any = times
+        ) -> Any:
             turn = common.pushed(stream, readings)
             seconds = next(times)
             clock[0] += seconds
@@ -221,12 +328,24 @@ def budgeted_row() -> list[Any]:
             solution = replace(turn.step.solution, objective=cost, status=status)
             return turn._replace(seconds=seconds, step=replace(turn.step, solution=solution))
 
-        faked = {"pushed": solve, "perf_counter": lambda clock=clock: clock[0], "inverse_time": lambda _: 1e-6}
-        faked["peak_memory"] = lambda recording, estimator: len(recording.time) + len(estimator.method.kind) / 10
+        faked = {
+            "pushed": solve,
+            "perf_counter": lambda clock=clock: clock[0],
+            "inverse_time": lambda _: 1e-6,
+        }
+        faked["peak_memory"] = lambda recording, estimator: (
+            len(recording.time) + len(estimator.method.kind) / 10
+        )
         with patch.multiple(bench, **faked):
             known = replace(file, budget_s=budget, memory=(3,))
             benched = run_bench(known, lambda *about, steps=steps: steps.append(about))
-        rows.append([steps, benched.left_out, [[getattr(frame, name) for name in names] for frame in benched.frames]])
+        rows.append(
+            [
+                steps,
+                benched.left_out,
+                [[getattr(frame, name) for name in names] for frame in benched.frames],
+            ]
+        )
     return rows
 
 
@@ -236,23 +355,37 @@ def extremes_row(case: str) -> dict[str, Any]:
     recording, cells = extremes.recording_of(sample)
     if shape[0] * shape[1] > 20:
         return {"recorded": recording.recorded, "cells": cells}
-    method = {"mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))}
+    method = {
+        "mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))
+    }
     atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
     solves = extremes.solves_of(atlas, sample)
     outcomes = [
-        (each.part, each.status, each.verified, each.forward_digits > 9, each.excess < 1e-6, extremes.mild(each))
+        (
+            each.part,
+            each.status,
+            each.verified,
+            each.forward_digits > 9,
+            each.excess < 1e-6,
+            extremes.mild(each),
+        )
         for each in solves
     ]
     return {
-        "recorded": recording.recorded, "sigma": recording.sigma, "cells": cells, "solves": outcomes,
+        "recorded": recording.recorded,
+        "sigma": recording.sigma,
+        "cells": cells,
+        "solves": outcomes,
         "remarks": extremes.atlas_remarks(solves),
-    }  # fmt: skip
+    }
 
 
 @cache
 def weight_subject() -> Any:
     estimator = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced")
-    return WeightSubject.of(SimpleNamespace(recording="r", name="e", estimator=estimator), simulated())
+    return WeightSubject.of(
+        SimpleNamespace(recording="r", name="e", estimator=estimator), simulated()
+    )
 
 
 @cache
@@ -265,62 +398,122 @@ NO_GRID = extremes.Grid(())
 REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], ...]], ...] = (
     (tradeoff.TradeoffFile, (1,), ({},)),
     (
-        partial(tradeoff.TradeoffFile, recordings=("a.h5",)), (1,), (
-            {}, {"estimators": {}}, {"formulations": ("naive",)}, {"formulations": ("reduced", "reduced")},
-            {"memory": "mine"}, {"frames": 1}, {"repeats": 0}, {"patience_s": -1.0}, {"patience_s": 0.0},
+        partial(tradeoff.TradeoffFile, recordings=("a.h5",)),
+        (1,),
+        (
+            {},
+            {"estimators": {}},
+            {"formulations": ("naive",)},
+            {"formulations": ("reduced", "reduced")},
+            {"memory": "mine"},
+            {"frames": 1},
+            {"repeats": 0},
+            {"patience_s": -1.0},
+            {"patience_s": 0.0},
         ),
     ),
     (
-        tradeoff.Simulated, (), (
-            {"sizes": ()}, {"sizes": (7,)}, {"sizes": (1001,)}, {"sizes": (8, (8, 8))}, {"sizes": (8,), "seed": -1},
-            {"sizes": (8, (8, 1000)), "seed": 0}, {"sizes": (8,), "noise": {}}, {"sizes": (8,), "diameter_mm": 0.0},
+        tradeoff.Simulated,
+        (),
+        (
+            {"sizes": ()},
+            {"sizes": (7,)},
+            {"sizes": (1001,)},
+            {"sizes": (8, (8, 8))},
+            {"sizes": (8,), "seed": -1},
+            {"sizes": (8, (8, 1000)), "seed": 0},
+            {"sizes": (8,), "noise": {}},
+            {"sizes": (8,), "diameter_mm": 0.0},
         ),
     ),
-    (BenchFile, (1,), (
-        {"sizes": ()}, {"sizes": (1,)}, {"sizes": (2, 1000)}, {"sizes": (3,), "memory": (1,)},
-        {"sizes": (3,), "limits": bench.BenchLimits(2, 2)}, {"sizes": (3,), "frames": 0},
-        {"sizes": (3,), "budget_s": 0.0},
-    )),
-    (extremes.Grid, (), (
-        {"sizes": (0,)}, {"sizes": (65,)}, {"sizes": (1, 64), "decades": (0, 15)}, {"sizes": (2,), "noise": (101,)},
-    )),
-    (extremes.AtlasFile, (1,), (
-        {"grid": NO_GRID, "structured": NO_GRID},
-        {"grid": extremes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
-    )),
-)  # fmt: skip
+    (
+        BenchFile,
+        (1,),
+        (
+            {"sizes": ()},
+            {"sizes": (1,)},
+            {"sizes": (2, 1000)},
+            {"sizes": (3,), "memory": (1,)},
+            {"sizes": (3,), "limits": bench.BenchLimits(2, 2)},
+            {"sizes": (3,), "frames": 0},
+            {"sizes": (3,), "budget_s": 0.0},
+        ),
+    ),
+    (
+        extremes.Grid,
+        (),
+        (
+            {"sizes": (0,)},
+            {"sizes": (65,)},
+            {"sizes": (1, 64), "decades": (0, 15)},
+            {"sizes": (2,), "noise": (101,)},
+        ),
+    ),
+    (
+        extremes.AtlasFile,
+        (1,),
+        (
+            {"grid": NO_GRID, "structured": NO_GRID},
+            {"grid": extremes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
+        ),
+    ),
+)
 
 
 def settings_row() -> dict[str, Any]:
     """Panels, methods and scenes that files of studies name, and files that are refused."""
     file = tradeoff.TradeoffFile(1, ("a.h5",))
     atlas = extremes.AtlasFile(
-        1, extremes.Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2), extremes.Grid((3,), (6.0,), (1.0,)),
+        1,
+        extremes.Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2),
+        extremes.Grid((3,), (6.0,), (1.0,)),
         nodal=extremes.Grid((2, 3), (1.0,), (0.0, 1.0)),
-    )  # fmt: skip
+    )
     scenes = tradeoff.Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).simulations(2)
     return {
-        "rungs": [[*file.rungs(shape)] for shape in SIDES], "methods": [file.methods(shape) for shape in SIDES],
-        "scenes": [(name, each.scene.panel.shape, each.loads, each.seed, each.frames) for name, each in scenes],
+        "rungs": [[*file.rungs(shape)] for shape in SIDES],
+        "methods": [file.methods(shape) for shape in SIDES],
+        "scenes": [
+            (name, each.scene.panel.shape, each.loads, each.seed, each.frames)
+            for name, each in scenes
+        ],
         "first": [common.first_frames(simulated(), number).time for number in (2, 3)],
         "too few": refusal(common.first_frames, simulated(), 1),
         "shipped": len(read_settings(extremes.AtlasFile)(common.CONFIGS / "extremes.yaml").samples),
         "atlas": [(*vars(each).values(), *atlas.formulations(each)) for each in atlas.samples],
-        "refused": [refusal(made, *known, **each) for made, known, changes in REFUSED for each in changes],
-    }  # fmt: skip
+        "refused": [
+            refusal(made, *known, **each) for made, known, changes in REFUSED for each in changes
+        ],
+    }
 
 
 def digits_row() -> dict[str, Any]:
     """Numbers of fifty digits, and how many digits others have in common with them."""
     cells = np.array([[1.0, 2.0], [3.0, np.inf]])
     points = [
-        (at.cost, at.data, at.cell_resistance) for at in (point("plain"), point("ohm"), point("change", frames=2))
+        (at.cost, at.data, at.cell_resistance)
+        for at in (point("plain"), point("ohm"), point("change", frames=2))
     ]
-    pairs = ((1.0, 1.0), (1.0, 1 + 1e-6), (1.0, 3.0), (np.inf, np.inf), (0.0, 0.0), (np.nan, 1.0), (1.0, np.nan))
+    pairs = (
+        (1.0, 1.0),
+        (1.0, 1 + 1e-6),
+        (1.0, 3.0),
+        (np.inf, np.inf),
+        (0.0, 0.0),
+        (np.nan, 1.0),
+        (1.0, np.nan),
+    )
     return {
-        "costs": [[each(*at) for at in points] for each in (exact_cost, exact_scale, exact_residual)],
-        "readings": [fifty_digits(each) for each in (cells, np.where(cells == 2, 0.0, cells), np.diag([1.0, np.nan]))],
-        "digits": [correct_digits(np.array([1.0, value]), np.array([1.0, known])) for known, value in pairs],
+        "costs": [
+            [each(*at) for at in points] for each in (exact_cost, exact_scale, exact_residual)
+        ],
+        "readings": [
+            fifty_digits(each)
+            for each in (cells, np.where(cells == 2, 0.0, cells), np.diag([1.0, np.nan]))
+        ],
+        "digits": [
+            correct_digits(np.array([1.0, value]), np.array([1.0, known])) for known, value in pairs
+        ],
     }
 
 
@@ -332,36 +525,54 @@ def weights_study_row() -> dict[str, Any]:
     parts = (tuple(points[2:6]), tuple(known), tuple(known[2:]), (replace(known[0], error=np.nan),))
     # misfit 20 + λ and penalty 1/λ + η₀ make an L whose corner depends on η₀
     bent = [
-        [replace(points[0], weight=w, misfit=20 + w, penalty=least + 1 / w) for w in np.geomspace(1e-3, 1e3, 13)]
+        [
+            replace(points[0], weight=w, misfit=20 + w, penalty=least + 1 / w)
+            for w in np.geomspace(1e-3, 1e3, 13)
+        ]
         for least in (0.3, 3.0)
     ]
     estimator = replace(subject.case.estimator, bounds=lp.Bounds(upper=3000.0))
     case = SimpleNamespace(recording="r", name="e", estimator=estimator)
     return {
         "bounded": solve_at(WeightSubject.of(case, simulated()), 1.0, None),
-        "points": points, "morozov": morozov(points, subject.count),
+        "points": points,
+        "morozov": morozov(points, subject.count),
         "corner": [l_curve(each) for each in (points, *bent)],
-        "units": subject.units, "count": subject.count,
-        "tuned": [(each.rule, each.weight, each.error, each.excess, each.in_use) for each in curves.choices],
-        "finer": [[point.weight for point in Curves(subject, each).finer().points] for each in parts],
+        "units": subject.units,
+        "count": subject.count,
+        "tuned": [
+            (each.rule, each.weight, each.error, each.excess, each.in_use)
+            for each in curves.choices
+        ],
+        "finer": [
+            [point.weight for point in Curves(subject, each).finer().points] for each in parts
+        ],
         "why": why_not(subject.case.estimator, 9),
-        "traced": [weights.trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)],
-    }  # fmt: skip
+        "traced": [
+            weights.trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)
+        ],
+    }
 
 
 def paper_row() -> dict[str, Any]:
-    """The paper beside one side: two mouths of a rod's frames, with estimates that no solver made."""
+    """The paper beside one side: two mouths of a rod's frames, with estimates that no solver
+    made.
+    """
     published = paper.read_published(paper.FILE)
     mouths = [replace(simulated(), name=name) for name in ("large", "small")]
     shape = mouths[0].recorded[4:].shape
     methods = {row.method for row in published.ranges} - {paper.MEASURED}
     cases = [
         invented_case(method, mouth.name, shape, joint_start="d" in method)
-        for method in sorted(methods) for mouth in mouths
-    ]  # fmt: skip
+        for method in sorted(methods)
+        for mouth in mouths
+    ]
     loads = {load.letter: paper.load_of(mouths[0]) for load in published.loads}
     optima = paper.optima(lp.Results(tuple(cases)), mouths)
-    sides = [paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima)) for word in ("clean", "panel")]
+    sides = [
+        paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima))
+        for word in ("clean", "panel")
+    ]
     numbers = [*paper.published_beside(sides, published)]
     names = tuple(side.name for side in sides)
     tiles = paper.tiles_of(sides[0], published)
@@ -369,16 +580,29 @@ def paper_row() -> dict[str, Any]:
     page = paper.page_of(known)
     return {
         "response": drawn_row(paper.response_figure(published)),
-        "bending": drawn_row(paper.bending_figure(published)), "covered": paper.covered(cells_of((4, 5)) - 3000),
-        "numbers": [vars(row) for row in paper.rows(known)], "counts": paper.counts(numbers, names),
+        "bending": drawn_row(paper.bending_figure(published)),
+        "covered": paper.covered(cells_of((4, 5)) - 3000),
+        "numbers": [vars(row) for row in paper.rows(known)],
+        "counts": paper.counts(numbers, names),
         "map": drawn_row(paper.tiles_figure(tiles["fig9"], mouths[0].scene.panel, "ours")),
-        "sheet": paper.sheet(numbers[:30], names), "tiles": tiles,
+        "sheet": paper.sheet(numbers[:30], names),
+        "tiles": tiles,
         "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
-    }  # fmt: skip
+    }
 
 
 def of_studies() -> Rows:
     rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES}
     rows |= {f"files of {name}": partial(study_files_row, name) for name in MEASURED}
-    rows |= {"bench": bench_row, "tradeoff": tradeoff_row, "weights": weights_study_row, "settings": settings_row}
-    return rows | {"paper": paper_row, "runs": runs_row, "budgets": budgeted_row, "digits": digits_row}
+    rows |= {
+        "bench": bench_row,
+        "tradeoff": tradeoff_row,
+        "weights": weights_study_row,
+        "settings": settings_row,
+    }
+    return rows | {
+        "paper": paper_row,
+        "runs": runs_row,
+        "budgets": budgeted_row,
+        "digits": digits_row,
+    }

@@ -10,7 +10,9 @@ from golden.table import table
 
 TABLE = {f"{room} {name}": row for room, rows in table().items() for name, row in rows.items()}
 STORED = {
-    f"{path.stem} {name}": row for path in DATA.glob("*.json") for name, row in json.loads(path.read_text()).items()
+    f"{path.stem} {name}": row
+    for path in DATA.glob("*.json")
+    for name, row in json.loads(path.read_text()).items()
 }
 TOLERANT = {
     f"{room} {name}": places
@@ -18,20 +20,46 @@ TOLERANT = {
     for name, places in rows.items()
 }
 LONG_ROWS = {  # rows of 0.8 s or more
-    "estimate moved resistors", "report live smoother", "report pictures of files", "report pictures of variants",
-    "runs damaged files", "runs refused commands", "studies tradeoff", "whole weights figure",
-}  # fmt: skip
+    "estimate moved resistors",
+    "report live smoother",
+    "report pictures of files",
+    "report pictures of variants",
+    "runs damaged files",
+    "runs refused commands",
+    "studies tradeoff",
+    "whole weights figure",
+}
 SLOW_ROWS = {  # rows of two seconds or more on a busy machine
-    "checks mistakes", "checks prepared amplifiers", "checks prepared columns", "checks prepared disconnected",
-    "checks prepared kind", "checks prepared modules", "checks prepared motion", "checks prepared no series",
-    "checks prepared polarity", "checks prepared reading error", "checks prepared saturation",
-    "checks prepared saturation at rest", "checks prepared touched", "estimate estimate bare with gaps",
-    "estimate estimate with gaps", "estimate estimate with scene faults", "estimate estimate with scene wired pull-ups",
-    "recognition detected mouth", "recognition detected on modules", "recognition detected two", "report commands",
-    "report descriptions", "report timeline", "whole parts",
-}  # fmt: skip
+    "checks mistakes",
+    "checks prepared amplifiers",
+    "checks prepared columns",
+    "checks prepared disconnected",
+    "checks prepared kind",
+    "checks prepared modules",
+    "checks prepared motion",
+    "checks prepared no series",
+    "checks prepared polarity",
+    "checks prepared reading error",
+    "checks prepared saturation",
+    "checks prepared saturation at rest",
+    "checks prepared touched",
+    "estimate estimate bare with gaps",
+    "estimate estimate with gaps",
+    "estimate estimate with scene faults",
+    "estimate estimate with scene wired pull-ups",
+    "recognition detected mouth",
+    "recognition detected on modules",
+    "recognition detected two",
+    "report commands",
+    "report descriptions",
+    "report timeline",
+    "whole parts",
+}
 ROWS = [
-    pytest.param(name, marks=[pytest.mark.long] * (name in LONG_ROWS) + [pytest.mark.slow] * (name in SLOW_ROWS))
+    pytest.param(
+        name,
+        marks=[pytest.mark.long] * (name in LONG_ROWS) + [pytest.mark.slow] * (name in SLOW_ROWS),
+    )
     for name in TABLE
 ]
 ADVICE = "an intended change, or a new row: python -m tests.golden.make table"

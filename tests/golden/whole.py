@@ -1,4 +1,6 @@
-"""Rows of whole pages, of long recordings and of large panels, by limits that are lowered for them."""
+"""Rows of whole pages, of long recordings and of large panels, by limits that are lowered for
+them.
+"""
 
 import re
 import shutil
@@ -70,9 +72,13 @@ def large() -> Iterator[None]:
     """No matrices over the cells."""
     point.cache_clear()
     with limits(
-        solvers__hessian__DENSE_CELLS=2, solvers__hessian__MATRIX_CELLS=2, solvers__certificate__DENSE_CELLS=2,
-        solvers__certificate__MAX_DENSE=2, posterior__covariance__MAX_DENSE=2, posterior__linear__MAX_DENSE=2,
-    ):  # fmt: skip
+        solvers__hessian__DENSE_CELLS=2,
+        solvers__hessian__MATRIX_CELLS=2,
+        solvers__certificate__DENSE_CELLS=2,
+        solvers__certificate__MAX_DENSE=2,
+        posterior__covariance__MAX_DENSE=2,
+        posterior__linear__MAX_DENSE=2,
+    ):
         yield
     point.cache_clear()
 
@@ -83,40 +89,59 @@ def as_large(row: Callable[..., Any], *known: Any) -> Any:
 
 
 def exact_row() -> Any:
-    """The certificate where every reading is met exactly, and readings that bounds keep from being met."""
+    """The certificate where every reading is met exactly, and readings that bounds keep from being
+    met.
+    """
     known = point("plain")
     partly = point("penalty")
     near = known.elsewhere(known.cell_resistance)
-    met = replace(near, data=replace(near.data, given=replace(near.data.given, measured=near.reading)))
-    proof = certificate(Hessian(met.elsewhere(near.cell_resistance), Smoothing(1.0, near.nonsmooth)))
+    met = replace(
+        near, data=replace(near.data, given=replace(near.data.given, measured=near.reading))
+    )
+    proof = certificate(
+        Hessian(met.elsewhere(near.cell_resistance), Smoothing(1.0, near.nonsmooth))
+    )
     held = []
     slope = np.full(partly.cell_resistance.shape, 1e9)
     for place, share in product(((1, 3), (0, 0), (2, 1)), (0.8, 1.2)):
         lower = np.ones(slope.shape)
         lower[0][place] = partly.cell_resistance[0][place]
         given = replace(partly.data.given, measured=share * partly.data.measured)
-        trial = replace(partly, data=replace(partly.data, given=given, lower=lower)).elsewhere(partly.cell_resistance)
-        held += [bounds_matter(trial, sign * slope, np.zeros(len(trial.nonsmooth))) for sign in (1.0, -1.0)]
+        trial = replace(partly, data=replace(partly.data, given=given, lower=lower)).elsewhere(
+            partly.cell_resistance
+        )
+        held += [
+            bounds_matter(trial, sign * slope, np.zeros(len(trial.nonsmooth)))
+            for sign in (1.0, -1.0)
+        ]
     return [proof.definiteness, bool(np.abs(proof.step).max() < 1e-9), held]
 
 
 def noisy_start(seed: int) -> problem.Evaluation:
-    """The readings' own start where their noise is three times their size, so that most cells stand at a bound."""
+    """The readings' own start where their noise is three times their size, so that most cells stand
+    at a bound.
+    """
     scene = TINY["whole"]
     rng = np.random.default_rng(seed)
     exact = scene.circuit.exact_reading(cells_of(PANEL.shape))
     value = np.maximum(exact * (1 + 3 * rng.standard_normal(PANEL.shape)), 10.0)[None]
     estimator = Estimator((lp.Misfit(),), "reduced")
     data = estimator.data(lp.Readings.of(scene, value, 3 * exact[None]), Background(scene))
-    return problem.Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None))
+    return problem.Evaluation.at(
+        estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None)
+    )
 
 
 def barrier_row() -> Any:
-    """The interior-point method from starts with most cells at a bound, by given bounds or by noise."""
+    """The interior-point method from starts with most cells at a bound, by given bounds or by
+    noise.
+    """
     with large():
         begin = point("plain")
         data = replace(
-            begin.data, lower=np.full(begin.data.lower.shape, 1200.0), upper=np.full(begin.data.upper.shape, 4500.0)
+            begin.data,
+            lower=np.full(begin.data.lower.shape, 1200.0),
+            upper=np.full(begin.data.upper.shape, 4500.0),
         )
         cells = np.where(np.indices(PANEL.shape).sum(axis=0) % 5 > 0, 1200.0, 4000.0)[None]
         start = replace(begin, data=data).elsewhere(cells)
@@ -134,19 +159,37 @@ def barrier_row() -> Any:
             * own
             * barrier.distances
         )
-        steep = [np.where(np.arange(20).reshape(cells.shape) < count, 1200.0, 2000.0) for count in (9, 10)]
+        steep = [
+            np.where(np.arange(20).reshape(cells.shape) < count, 1200.0, 2000.0)
+            for count in (9, 10)
+        ]
         open_end = replace(data, upper=np.full(cells.shape, np.inf))
         points = [start.elsewhere(each) for each in steep] + [replace(start, data=open_end), end]
-        points += [problem.Evaluation.at(point(cost).cost, data, cells) for cost in ("ohm", "absolute")]
-        points += [problem.Evaluation.at(Cost(PANEL, (lp.Misfit(loss=lp.Huber(corner=30.0)),)), data, cells)]
+        points += [
+            problem.Evaluation.at(point(cost).cost, data, cells) for cost in ("ohm", "absolute")
+        ]
+        points += [
+            problem.Evaluation.at(
+                Cost(PANEL, (lp.Misfit(loss=lp.Huber(corner=30.0)),)), data, cells
+            )
+        ]
         return {
-            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start, *points)], "steps": steps,
-            "cells": end.cell_resistance, "objective": end.objective, "mean": [each.mean for each in ahead],
-            "multipliers": [each.multipliers for each in ahead], "length": [each.length for each in ahead],
-            "merit": [each.merit(0.1) for each in ahead], "added": [each.added for each in ahead],
-            "bounds": [at.put_at_bounds().cell_resistance for at in (barrier, replace(barrier, multipliers=pressed))],
-            "noisy": path, "of noise": interior_point.central_path(noisy_start(4))[0].cell_resistance,
-        }  # fmt: skip
+            "crowded": [interior_point.crowds_bounds(at) for at in (begin, start, *points)],
+            "steps": steps,
+            "cells": end.cell_resistance,
+            "objective": end.objective,
+            "mean": [each.mean for each in ahead],
+            "multipliers": [each.multipliers for each in ahead],
+            "length": [each.length for each in ahead],
+            "merit": [each.merit(0.1) for each in ahead],
+            "added": [each.added for each in ahead],
+            "bounds": [
+                at.put_at_bounds().cell_resistance
+                for at in (barrier, replace(barrier, multipliers=pressed))
+            ],
+            "noisy": path,
+            "of noise": interior_point.central_path(noisy_start(4))[0].cell_resistance,
+        }
 
 
 RUN_OF_PARTS = """
@@ -155,48 +198,85 @@ recordings: [long.h5]
 estimators:
   apart: {terms: {misfit: {}, gradient: {weight: 1e-3}}, formulation: reduced, error_bars: false}
   alone: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 3.0}}, formulation: linearised}
-  following: {terms: {misfit: {}, log_ratio: {weight: 100.0, reference: previous}}, formulation: {kind: reduced}}
+  following:
+    terms: {misfit: {}, log_ratio: {weight: 100.0, reference: previous}}
+    formulation: {kind: reduced}
 """
 
 
 def parts_row() -> dict[str, Any]:
-    """A recording that is solved in parts of sixteen frames, by a run that is broken off before these are joined."""
+    """A recording that is solved in parts of sixteen frames, by a run that is broken off before
+    these are joined.
+    """
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=19, baseline_frames=3).save("long.h5")
         Path("run.yaml").write_text(RUN_OF_PARTS)
         with limits(
-            recording__stored__MAX_READINGS=200, recording__stored__PART_READINGS=20,
+            recording__stored__MAX_READINGS=200,
+            recording__stored__PART_READINGS=20,
             report__info__PART_READINGS=300,
-        ):  # fmt: skip
-            tasks = [batch.Task(case, Path("out").absolute()) for case in lp.read_run(Path("run.yaml")).cases]
-            with suppress(KeyboardInterrupt), patch.object(batch, "join_case", side_effect=KeyboardInterrupt):
+        ):
+            tasks = [
+                batch.Task(case, Path("out").absolute())
+                for case in lp.read_run(Path("run.yaml")).cases
+            ]
+            with (
+                suppress(KeyboardInterrupt),
+                patch.object(batch, "join_case", side_effect=KeyboardInterrupt),
+            ):
                 batch.run_batch(lp.read_run(Path("run.yaml")), Path("out"), Serial())
-            broken_off = [(task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks]
+            broken_off = [
+                (task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks
+            ]
             tasks[0].carried(1).unlink()
-            broken_off += [(task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks]
+            broken_off += [
+                (task.frames_done, task.whole_parts, batch.parts_to_solve(task)) for task in tasks
+            ]
             printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
             rerun = command("run", "run.yaml", "--jobs", "1", "--out", "out")
-            reports = command("info", "long.h5"), command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5")
+            reports = (
+                command("info", "long.h5"),
+                command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5"),
+            )
             reports += (command("info", "out/results.h5"),)
             roles = lp.Recording.load("t.h5").role
             save_parts(Path("one.h5"), (simulated() for _ in range(1)))
             with limits(files__hdf5__MAX_VALUES=15_000, report__info__MAX_READINGS=200):
                 results = str(Path("out", "results.h5"))
-                refusals = [called(*words, folder=Path()).err for words in (
-                    ("compare", results), ("detect", results), ("plot", results), ("check", results),
-                    ("export", results, "--to", "csv"), ("compare", results, "--frames", "0:3"),
-                    ("compare", results, "--csv", results),
-                    ("export", results, "--to", "csv", "--frames", "4:5"),
-                )]  # fmt: skip
+                refusals = [
+                    called(*words, folder=Path()).err
+                    for words in (
+                        ("compare", results),
+                        ("detect", results),
+                        ("plot", results),
+                        ("check", results),
+                        ("export", results, "--to", "csv"),
+                        ("compare", results, "--frames", "0:3"),
+                        ("compare", results, "--csv", results),
+                        ("export", results, "--to", "csv", "--frames", "4:5"),
+                    )
+                ]
                 exported = len(Path("out", "results.csv").read_text().splitlines())
         cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
         with h5py.File("one.h5") as file:
-            single = sorted(file.attrs), str(file["entry"].attrs["default"]), lp.Recording.load("one.h5").time
-    words = [re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text) for text in (printed, rerun, *reports)]
+            single = (
+                sorted(file.attrs),
+                str(file["entry"].attrs["default"]),
+                lp.Recording.load("one.h5").time,
+            )
+    words = [
+        re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text)
+        for text in (printed, rerun, *reports)
+    ]
     return {
-        "cases": [case_row(case) for case in cases], "words": words, "roles": roles, "broken off": broken_off,
-        "looks": refusals, "exported": exported, "one part": single,
-    }  # fmt: skip
+        "cases": [case_row(case) for case in cases],
+        "words": words,
+        "roles": roles,
+        "broken off": broken_off,
+        "looks": refusals,
+        "exported": exported,
+        "one part": single,
+    }
 
 
 # Errors of the model
@@ -210,7 +290,12 @@ def model_error_row() -> dict[str, Any]:
             recording = recorded(reading_error=error)
             noise = replace(Prepared(recording).frame_noise, possible_errors=None)
             judged = model_error.with_model_error(noise, recording)
-            rows[str(error)] = [judged.warnings, judged.model_factor, judged.sigma_factor, judged.readings.sigma]
+            rows[str(error)] = [
+                judged.warnings,
+                judged.model_factor,
+                judged.sigma_factor,
+                judged.readings.sigma,
+            ]
     return rows
 
 
@@ -220,12 +305,15 @@ def model_error_row() -> dict[str, Any]:
 def report_row() -> dict[str, Any]:
     """The page of a comparison, with what every picture would show in its place."""
     recordings = {
-        name: {case.estimator: case for case in lp.Results(invented()).of(name)} for name in ("mouth", "second")
+        name: {case.estimator: case for case in lp.Results(invented()).of(name)}
+        for name in ("mouth", "second")
     }
     batches = {
         "two": compared.Batch(("a.h5",) * 6, recordings),
         "one": compared.Batch(("b.h5",), {"a0": {"LSM": invented_case("LSM", "a0", (3, 4, 5))}}),
-        "many": compared.Batch.of(("c.h5",), [invented_case(*of, (2, 2, 2)) for of in product("AB", "abcdefgh")]),
+        "many": compared.Batch.of(
+            ("c.h5",), [invented_case(*of, (2, 2, 2)) for of in product("AB", "abcdefgh")]
+        ),
     }
     drawn: list[Any] = []
 
@@ -247,13 +335,17 @@ def report_row() -> dict[str, Any]:
 def weights_figure_row() -> dict[str, Any]:
     known = tuned_curves()
     blind = replace(
-        known, points=tuple(replace(each, error=np.nan, risk=np.nan) for each in known.points),
+        known,
+        points=tuple(replace(each, error=np.nan, risk=np.nan) for each in known.points),
         choices=tuple(replace(choice, error=None, excess=None) for choice in known.choices[:2]),
-    )  # fmt: skip
+    )
     subjects = (
-        (lp.Misfit(),), (lp.Misfit(), lp.LogGradient(), lp.Gradient()), COSTS["absolute"], COSTS["student"],
+        (lp.Misfit(),),
+        (lp.Misfit(), lp.LogGradient(), lp.Gradient()),
+        COSTS["absolute"],
+        COSTS["student"],
         COSTS["penalty"],
-    )  # fmt: skip
+    )
     return {
         "figures": [drawn_row(weights_figure(curves)) for curves in (known, blind)],
         "why": [why_not(Estimator(terms), count) for terms in subjects for count in (20, 2000)],
@@ -265,26 +357,33 @@ def weights_figure_row() -> dict[str, Any]:
 SCENE = "seed: 4\nbaseline_frames: 1\nframes: 1\nscene: {panel: {rows: 2, columns: 3}}\n"
 LOAD = "loads: [{{kind: rod, centre_mm: [9, 5], diameter_mm: {}, mass_g: {}}}]\n"
 SIMULATIONS = {
-    "plain": "", "named": "output: n{seed}_{case:02d}.h5\n",
+    "plain": "",
+    "named": "output: n{seed}_{case:02d}.h5\n",
     "swept": "output: s{case:03d}_{frames}.h5\nsweep: {frames: [1, 2]}\n",
     "drawn": "cells: {resistance_ohm: {uniform: [1000, 3000]}, spread: 0.1}\n",
     "drawn twice": LOAD.format("{uniform: [8, 15]}", "{uniform: [1, 50]}"),
     "swept load": (
         LOAD.format(9, 1)
-        + "output: '../made/s{seed:03d}_{mass_g}.h5'\nsweep: {seed: [1, 2], loads.0.mass_g: [50, 60]}\n"
+        + "output: '../made/s{seed:03d}_{mass_g}.h5'\nsweep: {seed: [1, 2], loads.0.mass_g: [50, "
+        "60]}\n"
     ),
     "wrongly drawn": "cells: {resistance_ohm: {uniform: [3, 1]}}\n",
     "three ends": "cells: {spread: {uniform: [1, 2, 3]}}\n",
-    "same names": "output: s.h5\nsweep: {frames: [1, 2]}\n", "no name": "output: s.txt\n",
+    "same names": "output: s.h5\nsweep: {frames: [1, 2]}\n",
+    "no name": "output: s.txt\n",
     "no word": "output: '{me}.h5'\n",
     "several without names": "sweep: {frames: [1, 2], cells.resistance_ohm: [900, 1000.0]}\n",
-    "in folders": "output: '{frames}/s.h5'\nsweep: {frames: [1, 2]}\n", "swept wrongly": "sweep: {frame: [1, 2]}\n",
-    "swept badly": "sweep: {frames: 2}\n", "swept by nothing": "sweep: {frames: []}\n",
-}  # fmt: skip
+    "in folders": "output: '{frames}/s.h5'\nsweep: {frames: [1, 2]}\n",
+    "swept wrongly": "sweep: {frame: [1, 2]}\n",
+    "swept badly": "sweep: {frames: 2}\n",
+    "swept by nothing": "sweep: {frames: []}\n",
+}
 
 
 def simulation_files_row(text: str) -> dict[str, Any]:
-    """Recordings of a simulation file, by default, to one file and to a folder; or why there are none."""
+    """Recordings of a simulation file, by default, to one file and to a folder; or why there are
+    none.
+    """
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         for name in ("here", "files"):
@@ -293,13 +392,19 @@ def simulation_files_row(text: str) -> dict[str, Any]:
         file.write_text(SCENE + text + "schema: 1\n")
         for out in (None, "one.h5", "here"):
             try:
-                written = [(path, lp.Recording.load(path)) for path in simulation.run(file, out and Path(out))]
+                written = [
+                    (path, lp.Recording.load(path))
+                    for path in simulation.run(file, out and Path(out))
+                ]
                 rows[str(out)] = [
                     (
-                        str(path).replace(folder, ""), made.recorded, is_made_again(made),
+                        str(path).replace(folder, ""),
+                        made.recorded,
+                        is_made_again(made),
                         re.findall(r".*\d\.\d{3}.*", str(made.simulation)),
-                    ) for path, made in written
-                ]  # fmt: skip
+                    )
+                    for path, made in written
+                ]
             except InputError as error:
                 rows[str(out)] = str(error)
     return rows
@@ -330,11 +435,23 @@ def columns_row() -> dict[str, Any]:
             Column(name, axes, "1", "a value", flags=((1, flag),))
         except InputError as error:
             rows["refused"].append(str(error))
-    rows["twice"] = reason(lambda: all_columns((Column("cell_resistance", FRAMES, "1", "a value"),)))
+    rows["twice"] = reason(
+        lambda: all_columns((Column("cell_resistance", FRAMES, "1", "a value"),))
+    )
     for column in COLUMNS:
-        tried = [(np.array([value]), np.array([solved])) for value, solved in product(PROBED, (True, False))]
-        checks = [[check(*values) for check in column.checks] for values in tried if np.dtype(column.dtype).kind == "f"]
-        rows[column.name] = checks, {key: re.sub(" at 0x[^>]*", "", str(value)) for key, value in vars(column).items()}
+        tried = [
+            (np.array([value]), np.array([solved]))
+            for value, solved in product(PROBED, (True, False))
+        ]
+        checks = [
+            [check(*values) for check in column.checks]
+            for values in tried
+            if np.dtype(column.dtype).kind == "f"
+        ]
+        rows[column.name] = (
+            checks,
+            {key: re.sub(" at 0x[^>]*", "", str(value)) for key, value in vars(column).items()},
+        )
     return rows
 
 
@@ -349,19 +466,26 @@ def command_line_row(command: Any) -> Any:
         parameter.name: [
             *(str(getattr(parameter, part, "")) for part in PARTS),
             *(str(getattr(parameter, part, "")) for part in ("min", "max", "type")),
-        ] for parameter in command.params
-    }  # fmt: skip
+        ]
+        for parameter in command.params
+    }
 
 
 STORED = ("shape", "dtype", "chunks", "compression", "shuffle", "fletcher32", "maxshape")
 
 
 def files_row() -> dict[str, Any]:
-    """How recordings and results are stored: types, chunks, filters and attributes; files that others added to."""
+    """How recordings and results are stored: types, chunks, filters and attributes; files that
+    others added to.
+    """
     stored: dict[str, Any] = {"superblock": lookup3(bytes(range(48)))}
 
     def noted(path: str, node: Any) -> None:
-        known = {key: str(value) for key, value in sorted(node.attrs.items()) if "LIST" not in key and "crc" not in key}
+        known = {
+            key: str(value)
+            for key, value in sorted(node.attrs.items())
+            if "LIST" not in key and "crc" not in key
+        }
         scales = [[scale.name for scale in axis.values()] for axis in getattr(node, "dims", ())]
         places = node[()] if path[-2:] in ("/x", "/y") else None
         storage = [str(getattr(node, part, "")) for part in STORED]
@@ -390,38 +514,70 @@ def files_row() -> dict[str, Any]:
 
 
 def chunks_row() -> dict[str, Any]:
-    """How values are packed: few and many, smooth and noisy ones, by their first 16 frames and 512 values of each."""
+    """How values are packed: few and many, smooth and noisy ones, by their first 16 frames and 512
+    values of each.
+    """
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((9, 4, 8))
     halves = np.round(rng.standard_normal((9, 4, 8)), 1)
     halves[:, ::2] = 0.0
     values = {
-        "few": np.zeros(64), "none": np.float64(3.0), "long": np.zeros(65), "frames": noise[:, :, :5], "noise": noise,
-        "wide": np.ones((3, 100)), "halves": halves, "counts": rng.integers(0, 2**40, 100),
-        "first frames": np.zeros((160, 7)), "first values": np.zeros((2, 2048)), "plain": np.ones((8000, 0)),
-    }  # fmt: skip
+        "few": np.zeros(64),
+        "none": np.float64(3.0),
+        "long": np.zeros(65),
+        "frames": noise[:, :, :5],
+        "noise": noise,
+        "wide": np.ones((3, 100)),
+        "halves": halves,
+        "counts": rng.integers(0, 2**40, 100),
+        "first frames": np.zeros((160, 7)),
+        "first values": np.zeros((2, 2048)),
+        "plain": np.ones((8000, 0)),
+    }
     values["first frames"][:16] = noise[:4].reshape(-1, 8)[:16, :7]
     values["first values"][:, :512] = rng.standard_normal((2, 512))
     stored: dict[str, Any] = {}
-    with h5py.File("memory", "w", driver="core", backing_store=False) as file, limits(files__hdf5__CHUNK=70):
+    with (
+        h5py.File("memory", "w", driver="core", backing_store=False) as file,
+        limits(files__hdf5__CHUNK=70),
+    ):
         for name, array in values.items():
             hdf5.write_dataset(file, name, array, "1", name, further="w" * 4000, more="w" * 4001)
             node = file[name]
             equal = np.array_equal(node, array)
-            stored[name] = [equal, *(str(getattr(node, part)) for part in STORED), sorted(node.attrs)]
+            stored[name] = [
+                equal,
+                *(str(getattr(node, part)) for part in STORED),
+                sorted(node.attrs),
+            ]
     return stored
 
 
 def of_whole() -> Rows:
     return (
-        {f"solve large {cost}": partial(as_large, solver_row, cost, "whole", "newton") for cost in COSTS}
-        | {f"point large {cost}": partial(as_large, certificate_row, cost, "whole", 0.0) for cost in COSTS}
-        | {f"simulation {name}": partial(simulation_files_row, text) for name, text in SIMULATIONS.items()}
+        {
+            f"solve large {cost}": partial(as_large, solver_row, cost, "whole", "newton")
+            for cost in COSTS
+        }
         | {
-            "exact readings": exact_row, "exact readings large": partial(as_large, exact_row), "files": files_row,
-            "interior point": barrier_row, "parts": parts_row, "model error": model_error_row, "report": report_row,
-            "columns": columns_row, "chunks": chunks_row,
+            f"point large {cost}": partial(as_large, certificate_row, cost, "whole", 0.0)
+            for cost in COSTS
+        }
+        | {
+            f"simulation {name}": partial(simulation_files_row, text)
+            for name, text in SIMULATIONS.items()
+        }
+        | {
+            "exact readings": exact_row,
+            "exact readings large": partial(as_large, exact_row),
+            "files": files_row,
+            "interior point": barrier_row,
+            "parts": parts_row,
+            "model error": model_error_row,
+            "report": report_row,
+            "columns": columns_row,
+            "chunks": chunks_row,
             "command line": lambda: command_line_row(get_command(cli.app)),
             "weights figure": weights_figure_row,
         }
-    )  # fmt: skip
+    )

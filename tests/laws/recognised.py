@@ -18,7 +18,9 @@ PATCH_MM = 6.0
 
 def frame_under(load: Shape, panel: Panel) -> Observation:
     """One frame of a panel under a load, against three without."""
-    recording = simulate(Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,)))
+    recording = simulate(
+        Simulation(1, 3, Scene(panel, TwoPointReadout(), 140.0), frames=1, loads=(load,))
+    )
     readings = recording.readings()
     resting = readings[[0, 1, 2]].mean()
     baseline = Baseline.of(resting.value, resting.sigma, recording.scene, ModelErrors())

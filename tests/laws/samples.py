@@ -1,7 +1,8 @@
-"""Every configuration of the package, found by what it is, and examples of each made from its fields' types alone.
+"""Every configuration of the package, found by what it is, and examples of each made from its
+fields' types alone.
 
-A new configuration, and a new member of a union (a term, a loss, a load, a method, an executor, a readout), is seen
-here without being named.
+A new configuration, and a new member of a union (a term, a loss, a load, a method, an executor, a
+readout), is seen here without being named.
 """
 
 import dataclasses
@@ -18,28 +19,51 @@ import numpy as np
 import lampest
 from lampest.files.typed import ByKind
 
-# Ordinary numbers, the ends of usual ranges, and such as lose digits or change type where text is careless.
+# Ordinary numbers, the ends of usual ranges, and such as lose digits or change type where text is
+# careless.
 NUMBERS: dict[type, tuple[Any, ...]] = {
     bool: (True, False),
     int: (2, 3, 8, 1, 5, 12, 0, 64),
     float: (0.25, 2.0, 1 / 3, 8.0, 25.0, 1e-3, -2.5, -12.0, 60.0, 0.0, 1e16, 1.7e-29),
 }
 # Names, and words that YAML would take for something else than a text.
-TEXTS = ("LSM", "a b", "yes", "null", "1e-3", "007", "12:30", "~", "a: b # c", "λ", "", " led", "two\nlines", "'\"")
-DECIDED = {"modules": ("rows", "columns", "pitch_mm", "cells")}  # a field → those that follow from it
+TEXTS = (
+    "LSM",
+    "a b",
+    "yes",
+    "null",
+    "1e-3",
+    "007",
+    "12:30",
+    "~",
+    "a: b # c",
+    "λ",
+    "",
+    " led",
+    "two\nlines",
+    "'\"",
+)
+# a field → those that follow from it
+DECIDED = {"modules": ("rows", "columns", "pitch_mm", "cells")}
 TRIES = 2000
 
 
 @cache
 def configurations() -> tuple[type, ...]:
-    """Every class of the package that YAML is validated into, in the order of modules; bases of others left out."""
-    modules = [import_module(info.name) for info in pkgutil.walk_packages(lampest.__path__, "lampest.")]
+    """Every class of the package that YAML is validated into, in the order of modules; bases of
+    others left out.
+    """
+    modules = [
+        import_module(info.name) for info in pkgutil.walk_packages(lampest.__path__, "lampest.")
+    ]
     return tuple(
         kind
         for module in modules
         for kind in vars(module).values()
         if isinstance(kind, type) and kind.__module__ == module.__name__
-        if hasattr(kind, "__pydantic_config__") and dataclasses.is_dataclass(kind) and not inspect.isabstract(kind)
+        if hasattr(kind, "__pydantic_config__")
+        and dataclasses.is_dataclass(kind)
+        and not inspect.isabstract(kind)
     )
 
 
@@ -65,14 +89,17 @@ def unions() -> tuple[tuple[type, ...], ...]:
         for kind in configurations()
         for hint in hints(kind).values()
         for part in parts(hint)
-        if get_origin(part) is Annotated and any(isinstance(mark, ByKind) for mark in get_args(part))
+        if get_origin(part) is Annotated
+        and any(isinstance(mark, ByKind) for mark in get_args(part))
     ]
     return tuple(dict.fromkeys(members))
 
 
 def members_of(hint: Any) -> tuple[type, ...]:
     """The classes that a field of this type takes; None, where it takes that, is none."""
-    return tuple(part for part in parts(hint) if dataclasses.is_dataclass(part) and isinstance(part, type))
+    return tuple(
+        part for part in parts(hint) if dataclasses.is_dataclass(part) and isinstance(part, type)
+    )
 
 
 def words(member: type) -> tuple[str, ...]:
@@ -87,15 +114,28 @@ def is_open(field: dataclasses.Field[Any]) -> bool:
 
 @cache
 def examples(kind: type) -> tuple[Any, ...]:
-    """Configurations of a class: one with its defaults, then for every field one that differs there."""
+    """Configurations of a class: one with its defaults, then for every field one that differs
+    there.
+    """
     rng = np.random.default_rng(1)
     first = attempted(lambda: kind(**arguments(kind, rng)), lambda made: True)
-    return (first, *(varied(first, name, hint, rng) for name, hint in hints(kind).items() if not is_settled(hint)))
+    return (
+        first,
+        *(
+            varied(first, name, hint, rng)
+            for name, hint in hints(kind).items()
+            if not is_settled(hint)
+        ),
+    )
 
 
 def arguments(kind: type, rng: np.random.Generator) -> dict[str, Any]:
-    """A value for every field without a default and for few of the others, as some classes need one of several."""
-    given = (field.name for field in dataclasses.fields(kind) if is_open(field) or rng.random() < 0.1)
+    """A value for every field without a default and for few of the others, as some classes need one
+    of several.
+    """
+    given = (
+        field.name for field in dataclasses.fields(kind) if is_open(field) or rng.random() < 0.1
+    )
     return {name: value(hints(kind)[name], rng) for name in given}
 
 
@@ -106,7 +146,11 @@ def is_settled(hint: Any) -> bool:
 
 def varied(first: Any, name: str, hint: Any, rng: np.random.Generator) -> Any:
     """The same with another value of one field, and of those that it decides."""
-    decided = {field.name: field.default for field in dataclasses.fields(first) if field.name in DECIDED.get(name, ())}
+    decided = {
+        field.name: field.default
+        for field in dataclasses.fields(first)
+        if field.name in DECIDED.get(name, ())
+    }
     return attempted(
         lambda: dataclasses.replace(first, **decided, **{name: value(hint, rng)}),
         lambda candidate: getattr(candidate, name) != getattr(first, name),

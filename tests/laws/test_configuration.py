@@ -1,4 +1,6 @@
-"""What holds for everything that a user may write as YAML: it is its object, and nothing else is taken for it."""
+"""What holds for everything that a user may write as YAML: it is its object, and nothing else is
+taken for it.
+"""
 
 import dataclasses
 import itertools
@@ -9,9 +11,29 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from laws.samples import DECIDED, configurations, examples, hints, is_settled, members_of, parts, unions, words
+from laws.samples import (
+    DECIDED,
+    configurations,
+    examples,
+    hints,
+    is_settled,
+    members_of,
+    parts,
+    unions,
+    words,
+)
 
-from lampest import Course, Estimator, Huber, InputError, OralDisc, Panel, Simulation, Student, Unmodelled
+from lampest import (
+    Course,
+    Estimator,
+    Huber,
+    InputError,
+    OralDisc,
+    Panel,
+    Simulation,
+    Student,
+    Unmodelled,
+)
 from lampest.cost.terms import Arrival, Gradient, Misfit, term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
@@ -25,10 +47,15 @@ from lampest.panel.response import Film, PowerResponse, TableResponse
 from lampest.panel.scene import Scene
 from lampest.runs.config import Terms
 
-KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
+KINDS = {
+    f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()
+}
 EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 MEMBERS = [
-    pytest.param(members, member, word, id=word) for members in unions() for member in members for word in words(member)
+    pytest.param(members, member, word, id=word)
+    for members in unions()
+    for member in members
+    for word in words(member)
 ]
 
 MAX_DEPTH = 2  # what stands deeper in an example is an example of its own
@@ -67,10 +94,14 @@ def test_a_configuration_survives_its_text(kind: type) -> None:
 
 @EACH_KIND
 def test_an_unknown_key_is_refused_and_named_at_any_depth(kind: type) -> None:
-    every = ((path, document) for example, document in documents(kind) for path in places(example, ()))
+    every = (
+        (path, document) for example, document in documents(kind) for path in places(example, ())
+    )
     shallow = {path: document for path, document in every if len(path) <= MAX_DEPTH}
     for path, document in shallow.items():
-        with pytest.raises(InputError, match=r"^law:\d+:\d+: .*surplus: no such key(; there are [a-z_0-9, ]+)?$"):
+        with pytest.raises(
+            InputError, match=r"^law:\d+:\d+: .*surplus: no such key(; there are [a-z_0-9, ]+)?$"
+        ):
             validated(document.with_value((*path, "surplus"), 1), kind)
 
 
@@ -86,17 +117,33 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 @EACH_KIND
 def test_numbers_beyond_any_measurement_are_refused_at_any_depth(kind: type) -> None:
-    """Every number of every example: a sentence with line, column and key, before anything computes with it."""
-    every = ((path, document) for _, document in documents(kind) for path in numbers(document.content, ()))
+    """Every number of every example: a sentence with line, column and key, before anything computes
+    with it.
+    """
+    every = (
+        (path, document)
+        for _, document in documents(kind)
+        for path in numbers(document.content, ())
+    )
     shallow = {path: document for path, document in every if len(path) <= 1 + MAX_DEPTH}
-    for (path, document), extreme in zip(shallow.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False):
-        with pytest.raises(InputError, match=r"^law:\d+:\d+: .*must be zero or lie between 1e-30 and 1e\+30"):
+    for (path, document), extreme in zip(
+        shallow.items(), itertools.cycle((-1e300, 5e-324, 10**31)), strict=False
+    ):
+        with pytest.raises(
+            InputError, match=r"^law:\d+:\d+: .*must be zero or lie between 1e-30 and 1e\+30"
+        ):
             loaded(to_yaml(replaced(document.content, path, extreme)), kind)
 
 
 def numbers(content: Any, path: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
     """Where in a document numbers stand; a seed measures nothing."""
-    inner = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    inner = (
+        content.items()
+        if isinstance(content, dict)
+        else enumerate(content)
+        if isinstance(content, list)
+        else ()
+    )
     for key, value in inner:
         if isinstance(value, int | float) and not isinstance(value, bool) and key != "seed":
             yield (*path, key)
@@ -126,13 +173,22 @@ def test_a_missing_key_is_refused_and_named(kind: type) -> None:
 def test_a_configuration_is_frozen_and_contains_only_configurations(kind: type) -> None:
     assert kind.__dataclass_params__.frozen
     assert kind.__pydantic_config__ == {"extra": "forbid"}
-    inside = {part for hint in hints(kind).values() for part in parts(hint) if dataclasses.is_dataclass(part)}
+    inside = {
+        part
+        for hint in hints(kind).values()
+        for part in parts(hint)
+        if dataclasses.is_dataclass(part)
+    }
     assert {part for part in inside if isinstance(part, type)} <= {*configurations()}
 
 
 @pytest.mark.parametrize(("members", "member", "word"), MEMBERS)
-def test_the_kind_distinguishes_the_members_of_a_union(members: tuple[type, ...], member: type, word: str) -> None:
-    """In every place that takes the union: the member loads by its word, and no other word of the union's does."""
+def test_the_kind_distinguishes_the_members_of_a_union(
+    members: tuple[type, ...], member: type, word: str
+) -> None:
+    """In every place that takes the union: the member loads by its word, and no other word of the
+    union's does.
+    """
     assert [alternative for alternative in members if word in words(alternative)] == [member]
     example = dataclasses.replace(examples(member)[0], kind=word)
     assert loaded(to_yaml(example), member) == example
@@ -182,19 +238,35 @@ IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
     (lambda: scene(faults=Faults(joined_rows=((1,),))), "joined_rows lists groups of two or more"),
     (lambda: scene(faults=Faults(joined_rows=((1, 2), (2, 3)))), "each row once"),
     (lambda: scene(faults=Faults(joined_columns=((1, 9),))), "there is no column 9"),
-    (lambda: scene(faults=Faults(joined_rows=((1, 2),), dead_rows=(2,))), "cannot be dead and joined"),
-    (lambda: scene(contacts=Contacts(ContactPrior((1.0, 2.0)))), "lists 2 numbers, but there are 6 such lines"),
-    (lambda: scene(readout=LoadedColumnsReadout(), series_resistance_ohm=140.0), SERIES),
-    (lambda: scene(readout=LoadedColumnsReadout(), series_resistance_ohm=SeriesPerLine(70.0, 70.0)), SERIES),
     (
-        lambda: scene(readout=TwoPointReadout(), series_resistance_ohm=SeriesPerLine((80.0,) * 2, 60.0)),
+        lambda: scene(faults=Faults(joined_rows=((1, 2),), dead_rows=(2,))),
+        "cannot be dead and joined",
+    ),
+    (
+        lambda: scene(contacts=Contacts(ContactPrior((1.0, 2.0)))),
+        "lists 2 numbers, but there are 6 such lines",
+    ),
+    (lambda: scene(readout=LoadedColumnsReadout(), series_resistance_ohm=140.0), SERIES),
+    (
+        lambda: scene(
+            readout=LoadedColumnsReadout(), series_resistance_ohm=SeriesPerLine(70.0, 70.0)
+        ),
+        SERIES,
+    ),
+    (
+        lambda: scene(
+            readout=TwoPointReadout(), series_resistance_ohm=SeriesPerLine((80.0,) * 2, 60.0)
+        ),
         "series_resistance_ohm.rows lists 2 numbers, but there are 6 such lines",
     ),
     (
         lambda: scene(response=PowerResponse(exponent=1.0, scale_kpa=1.0, gain=((1.0, 1.0),))),
         r"response\.gain must have 6 rows of 7 numbers",
     ),
-    (lambda: TwoPointReadout(passes_volt=(3.0, 1.0)), "passes_volt must be two voltages from 0 to 5, the lower one"),
+    (
+        lambda: TwoPointReadout(passes_volt=(3.0, 1.0)),
+        "passes_volt must be two voltages from 0 to 5, the lower one",
+    ),
     (lambda: loaded("hysteresis: often", Film), "hysteresis"),
     (lambda: table((0, 1, 1), (3, 2, 1)), "must rise"),
     (lambda: table((0, 1, 2), (3, 2, 2)), "must be positive, and fall"),
@@ -206,31 +278,55 @@ IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
     (lambda: dataclasses.replace(examples(OralDisc)[0], rim_kpa=9, extra_rim_kpa=1), "must"),
     (lambda: Course(pump_s=40, pump_loss=1), "pump_loss must be below 1"),
     *(
-        (lambda effect=effect: Simulation(1, 5, scene(), unmodelled=Unmodelled(**{effect: 0.5})), "need a readout")
+        (
+            lambda effect=effect: Simulation(1, 5, scene(), unmodelled=Unmodelled(**{effect: 0.5})),
+            "need a readout",
+        )
         for effect in (
             *("reference_tolerance", "outlier_probability", "noise_factor", "saturation"),
             *("supply_ripple_lsb", "gain_spread", "inl_lsb"),
         )
     ),
     *(
-        (lambda ends=ends: pressure_of(*np.multiply.outer(ends, np.ones((1, 6, 7))), scene()), "positive, finite and")
+        (
+            lambda ends=ends: pressure_of(*np.multiply.outer(ends, np.ones((1, 6, 7))), scene()),
+            "positive, finite and",
+        )
         for ends in ((0.0, 0.0, 1.0), (1.0, 1.1, 2.0), (np.inf, 1.0, np.inf))
     ),
     (lambda: pressure_of(*np.ones((3, 1, 5, 7)), scene()), "frames × rows × columns"),
     (lambda: Estimator((Misfit(),), tare=10), "tare must be"),
-    (lambda: Estimator((NOISY, Arrival()), error_bars=False), "arrival weighs frames by their error bars"),
-    (lambda: Estimator((NOISY, Arrival()), formulation="scaled"), "arrival weighs frames by their error bars"),
+    (
+        lambda: Estimator((NOISY, Arrival()), error_bars=False),
+        "arrival weighs frames by their error bars",
+    ),
+    (
+        lambda: Estimator((NOISY, Arrival()), formulation="scaled"),
+        "arrival weighs frames by their error bars",
+    ),
     (lambda: Estimator((Arrival(),)), "arrival needs the term misfit"),
     (lambda: Estimator((Gradient(weight="auto"),)), "needs the term misfit"),
     (lambda: Estimator((Misfit(loss=Student(corner=4.0)),), "smoother"), SMOOTHER),
     (lambda: Estimator((NOISY,), "smoother"), SMOOTHER),
-    (lambda: Estimator((dataclasses.replace(NOISY, weight=2.0, loss=Huber(corner=3.0)),), "smoother"), SMOOTHER),
-    (lambda: Estimator((dataclasses.replace(NOISY, loss=Student(corner=4.0)), Gradient()), "smoother"), SMOOTHER),
+    (
+        lambda: Estimator(
+            (dataclasses.replace(NOISY, weight=2.0, loss=Huber(corner=3.0)),), "smoother"
+        ),
+        SMOOTHER,
+    ),
+    (
+        lambda: Estimator(
+            (dataclasses.replace(NOISY, loss=Student(corner=4.0)), Gradient()), "smoother"
+        ),
+        SMOOTHER,
+    ),
 ]
 
 
 @pytest.mark.parametrize(("make", "words"), IMPOSSIBLE, ids=range(len(IMPOSSIBLE)))
-def test_impossible_configurations_give_one_sentence(make: Callable[[], object], words: str) -> None:
+def test_impossible_configurations_give_one_sentence(
+    make: Callable[[], object], words: str
+) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make()
     assert isinstance(refusal.value, InputError) or "\n" not in str(refusal.value)

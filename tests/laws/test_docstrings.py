@@ -14,17 +14,30 @@ MODULES = [name for _, name, _ in pkgutil.walk_packages(lampest.__path__, "lampe
 
 
 def documented(module: Any) -> Iterator[tuple[str, Any]]:
-    """(name, object) of the public classes and functions that a module defines, and of the classes' methods."""
+    """(name, object) of the public classes and functions that a module defines, and of the classes'
+    methods.
+    """
     for name, definition in vars(module).items():
         if name.startswith("_") or getattr(definition, "__module__", None) != module.__name__:
             continue
         if inspect.isclass(definition):
             yield name, definition
             for part, member in vars(definition).items():
-                own = inspect.isfunction(member) or isinstance(member, property | classmethod | staticmethod)
-                if own and not part.startswith("_") and part not in inspect.get_annotations(definition):  # no default
+                own = inspect.isfunction(member) or isinstance(
+                    member, property | classmethod | staticmethod
+                )
+                # No default.
+                if (
+                    own
+                    and not part.startswith("_")
+                    and part not in inspect.get_annotations(definition)
+                ):
                     yield f"{name}.{part}", getattr(definition, part)
-        elif callable(definition) and inspect.isfunction(inspect.unwrap(definition)) and definition.__name__ == name:
+        elif (
+            callable(definition)
+            and inspect.isfunction(inspect.unwrap(definition))
+            and definition.__name__ == name
+        ):
             yield name, definition
 
 

@@ -36,14 +36,23 @@ def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect])
     for lines in kind.places(3, 4):
         sentence = kind(lines, since=True, size=kind.prior).sentence(3)
         assert "since the unloaded frames" in sentence
-        assert len(lines) > 1 or (f"row {lines[0]}" if lines[0] < 3 else f"column {lines[0] - 3}") in sentence
-    assert LooseContact((4,), size=-12.345).sentence(3).startswith("12 ohm less at the contact of column 1")
+        assert (
+            len(lines) > 1
+            or (f"row {lines[0]}" if lines[0] < 3 else f"column {lines[0] - 3}") in sentence
+        )
+    assert (
+        LooseContact((4,), size=-12.345)
+        .sentence(3)
+        .startswith("12 ohm less at the contact of column 1")
+    )
 
 
 @pytest.mark.parametrize("error", SHARED_ERRORS, ids=lambda error: error.setting)
 def test_columns_of_a_shared_error_are_proportional_to_its_setting(error: SharedError) -> None:
     sizes = [lampest.Systematic(**{error.setting: size}) for size in (1e-3, 2e-3)]
-    single, double = (error_columns([error], NETWORK, NETWORK.reading(), SCENE, size) for size in sizes)
+    single, double = (
+        error_columns([error], NETWORK, NETWORK.reading(), SCENE, size) for size in sizes
+    )
     assert single.shape[1:] == (3, 4) and np.all(np.abs(single).max(axis=(1, 2)) > 0)
     assert_allclose(double, 2 * single, rtol=1e-2, atol=1e-9)
 
@@ -53,8 +62,18 @@ def test_an_exact_reference_keeps_its_column_and_leaves_error_bars_unchanged() -
     columns = error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, exact)
     assert columns.shape == (1, 3, 4) and not columns.any()
     channels = replace(exact, channel_spread_ohm=2.0)
-    assert error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, channels).shape == (8, 3, 4)
-    assert error_columns(SHARED_ERRORS[1:], NETWORK, NETWORK.reading(), SCENE, exact).shape == (0, 3, 4)
+    assert error_columns(SHARED_ERRORS, NETWORK, NETWORK.reading(), SCENE, channels).shape == (
+        8,
+        3,
+        4,
+    )
+    assert error_columns(SHARED_ERRORS[1:], NETWORK, NETWORK.reading(), SCENE, exact).shape == (
+        0,
+        3,
+        4,
+    )
     readings = np.stack([NETWORK.reading()] * 3) + 140
-    recording = lampest.Recording.from_array(readings, baseline=1, scene=replace(SCENE, systematic=exact))
+    recording = lampest.Recording.from_array(
+        readings, baseline=1, scene=replace(SCENE, systematic=exact)
+    )
     assert np.isfinite(lampest.reconstruct(recording).cell_resistance_errors).all()

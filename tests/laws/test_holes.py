@@ -20,7 +20,11 @@ ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoo
 HOLES = [(1, 2), (3, 0)]
 SLOW_FORMULATIONS = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
 CASES = [
-    pytest.param(kind(), name, marks=pytest.mark.slow if kind().unit == "volt" and name in SLOW_FORMULATIONS else ())
+    pytest.param(
+        kind(),
+        name,
+        marks=pytest.mark.slow if kind().unit == "volt" and name in SLOW_FORMULATIONS else (),
+    )
     for kind in members_by_kind(AnyReadout).values()
     for name in FORMULATIONS
 ]
@@ -28,7 +32,9 @@ TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 
 
 def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1) -> Recording:
-    """Four frames of unlike cells through the readout, without its converter; holes in the measured ones."""
+    """Four frames of unlike cells through the readout, without its converter; holes in the measured
+    ones.
+    """
     rng = np.random.default_rng(seed)
     cells = 2000.0 * np.exp(0.3 * rng.standard_normal(SHAPE)) * np.ones((4, 1, 1))
     cells[2:, 1:3, 1:3] *= 0.4
@@ -52,13 +58,21 @@ def test_the_optimum_with_a_penalty_uses_only_the_present_readings() -> None:
         return np.concatenate([(model - measured)[observed], np.sqrt(weight) * np.exp(log_cells)])
 
     best = least_squares(
-        residual, np.log(estimate.cell_resistance[0].ravel()) + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-12
+        residual,
+        np.log(estimate.cell_resistance[0].ravel()) + 0.1,
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-12,
     )
     assert_allclose(estimate.cell_resistance[0].ravel(), np.exp(best.x), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("readout", "formulation"), CASES, ids=lambda value: getattr(value, "kind", value))
-def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation: MethodName) -> None:
+@pytest.mark.parametrize(
+    ("readout", "formulation"), CASES, ids=lambda value: getattr(value, "kind", value)
+)
+def test_single_holes_leave_every_frame_an_estimate(
+    readout: object, formulation: MethodName
+) -> None:
     """Named for what it is, in every method; the flags and counts say which cells nobody read."""
     scene = Scene(Panel(*SHAPE), readout)
     try:
@@ -74,7 +88,9 @@ def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation
 
 @pytest.mark.slow
 def test_plain_least_squares_gives_an_unread_cell_wide_error_bars() -> None:
-    """The others stay as good as their own readings make them; that cell's interval is wide and holds the truth."""
+    """The others stay as good as their own readings make them; that cell's interval is wide and
+    holds the truth.
+    """
     elsewhere = []
     held = []
     width = []

@@ -1,4 +1,6 @@
-"""Identities that the two-point resistances of any matrix of cells obey. Tolerances are those of mild contrast."""
+"""Identities that the two-point resistances of any matrix of cells obey. Tolerances are those of
+mild contrast.
+"""
 
 import numpy as np
 import pytest
@@ -71,7 +73,9 @@ def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
 @given(panels)
 @QUICK
 def test_any_line_may_be_grounded(cells: Array) -> None:
-    """Paper, equation (5): potential differences do not know which line is tied to ground, nor how well."""
+    """Paper, equation (5): potential differences do not know which line is tied to ground, nor how
+    well.
+    """
     resistance = two_point_resistance(cells)
     for line in range(sum(cells.shape)):
         tie = np.zeros(sum(cells.shape))
@@ -94,7 +98,9 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
     inverse = np.linalg.inv(laplacian(conductance) + np.eye(ties.shape[-1]) * ties[..., None, :])
     invert = np.linalg.inv
     sizes = []
-    monkeypatch.setattr(np.linalg, "inv", lambda matrix: sizes.append(matrix.shape[-1]) or invert(matrix))
+    monkeypatch.setattr(
+        np.linalg, "inv", lambda matrix: sizes.append(matrix.shape[-1]) or invert(matrix)
+    )
     assert_allclose(inverse_of(conductance, ties), inverse, rtol=1e-10)
     assert sizes == [min(shape[-2:])]
 
@@ -103,7 +109,9 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
 def test_the_convex_start_of_large_panels_converges_quadratically(
     shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Steps as exact as the gradient is small, and a line search that does not stall in the rounding of the values."""
+    """Steps as exact as the gradient is small, and a line search that does not stall in the
+    rounding of the values.
+    """
     rng = np.random.default_rng(1)
     cells = 2000 * 10 ** rng.uniform(-0.3, 0.3, shape)
     near = cells * 10 ** rng.uniform(-0.1, 0.1, shape)
@@ -111,7 +119,9 @@ def test_the_convex_start_of_large_panels_converges_quadratically(
     measured = two_point_resistance(cells) * (1 + 1e-3 * rng.standard_normal(shape))
     solve = FloatingNetwork.solve
     solved = []
-    monkeypatch.setattr(FloatingNetwork, "solve", lambda *network: solved.append(0) or solve(*network))
+    monkeypatch.setattr(
+        FloatingNetwork, "solve", lambda *network: solved.append(0) or solve(*network)
+    )
     start = convex_start(measured, np.full(shape, 1e7), near)
     assert_allclose(two_point_resistance(start), measured, rtol=1e-9)
     assert len(solved) <= 12

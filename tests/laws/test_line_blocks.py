@@ -1,11 +1,21 @@
-"""Matrices over the lines of a panel have the inverse of the whole matrix, at the cost of the shorter side."""
+"""Matrices over the lines of a panel have the inverse of the whole matrix, at the cost of the
+shorter side.
+"""
 
 import numpy as np
 import pytest
 import scipy
 from numpy.testing import assert_allclose
 
-from lampest import Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct, two_point_resistance
+from lampest import (
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    reconstruct,
+    two_point_resistance,
+)
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.line_blocks import LineBlocks
 from lampest.panel.network import log_determinant
@@ -34,7 +44,9 @@ def test_the_inverse_by_blocks_equals_that_of_the_matrix(
     assert_allclose(matrix, matrix.T)
     assert_allclose((blocks + blocks).matrix(), 2 * matrix)
     sizes = sizes_of_matrices(monkeypatch)
-    assert_allclose(blocks.inverse()(vector), expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
+    assert_allclose(
+        blocks.inverse()(vector), expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max()
+    )
     assert max(sizes) <= values * min(shape)
 
 
@@ -54,7 +66,9 @@ def test_the_determinant_equals_that_of_the_laplacian_with_ties(
 def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Estimates, their verification and the check of the circuit: 1 × 800 cells took 1.9 s, and 1 × 1600 12 s."""
+    """Estimates, their verification and the check of the circuit: 1 × 800 cells took 1.9 s, and 1 ×
+    1600 12 s.
+    """
     rng = np.random.default_rng(1)
     cells = rng.uniform(900, 2000, (2, *NARROW))
     read = two_point_resistance(cells) * (1 + 1e-4 * rng.standard_normal(cells.shape))
@@ -66,11 +80,15 @@ def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_s
 
 
 def sizes_of_matrices(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The sizes of all matrices that are inverted, or of which a determinant is taken, from here on."""
+    """The sizes of all matrices that are inverted, or of which a determinant is taken, from here
+    on.
+    """
     sizes = list[int]()
     for module, name in ((np.linalg, "inv"), (np.linalg, "slogdet"), (scipy.linalg, "inv")):
         compute = getattr(module, name)
         monkeypatch.setattr(
-            module, name, lambda matrix, compute=compute: sizes.append(matrix.shape[-1]) or compute(matrix)
+            module,
+            name,
+            lambda matrix, compute=compute: sizes.append(matrix.shape[-1]) or compute(matrix),
         )
     return sizes

@@ -27,9 +27,13 @@ def random_panel(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
     return panel, np.where(panel.present, 1000 * np.exp(rng.normal(0, 0.5, panel.shape)), np.inf)
 
 
-def estimate_of(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
+def estimate_of(
+    panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object
+) -> lampest.Reconstruction:
     """Frames (frames, rows, columns) ohm as a recording of measured frames, reconstructed."""
-    return lampest.reconstruct(recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings)
+    return lampest.reconstruct(
+        recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings
+    )
 
 
 @pytest.mark.parametrize("crossing", [(0, 3), (2, 0), (-1, 0), (0, -1)])
@@ -46,7 +50,9 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
     assert estimate.status[0] == "optimum verified"
-    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
+    np.testing.assert_allclose(
+        estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6
+    )
     assert np.all(np.isnan(estimate.cell_resistance[0][~panel.present]))
 
 
@@ -56,7 +62,9 @@ def test_neighbours_connect_all_cells_and_no_absent_one(outline: str) -> None:
     first, second, distance = panel.neighbours
     assert panel.present.flat[first].all() and panel.present.flat[second].all()
     x, y = panel.places_mm.reshape(2, -1)
-    np.testing.assert_allclose(distance * panel.pitch_mm, np.hypot(x[first] - x[second], y[first] - y[second]))
+    np.testing.assert_allclose(
+        distance * panel.pitch_mm, np.hypot(x[first] - x[second], y[first] - y[second])
+    )
     reached = {int(first[0])}
     for _ in range(panel.crossings):
         reached |= {int(b) for a, b in zip(first, second, strict=True) if int(a) in reached}
@@ -66,7 +74,9 @@ def test_neighbours_connect_all_cells_and_no_absent_one(outline: str) -> None:
 
 def test_cells_of_a_rotated_lattice_have_four_neighbours_despite_rounding() -> None:
     places = [
-        (j, k, round((j + k) * 7.5 / 2**0.5, 1), round((j - k) * 7.5 / 2**0.5, 1)) for j in range(5) for k in range(5)
+        (j, k, round((j + k) * 7.5 / 2**0.5, 1), round((j - k) * 7.5 / 2**0.5, 1))
+        for j in range(5)
+        for k in range(5)
     ]
     assert len(Panel(5, 5, 7.5, tuple(places)).neighbours[0]) == 2 * 5 * 4
 
@@ -74,12 +84,22 @@ def test_cells_of_a_rotated_lattice_have_four_neighbours_despite_rounding() -> N
 def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
     """The same neighbours and the same estimate, whether cells are listed or not."""
     plain = Panel(3, 4, 8.0)
-    listed = replace(plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4)))
-    pairs = [{*zip(*map(np.ndarray.tolist, panel.neighbours[:2]), strict=True)} for panel in (plain, listed)]
+    listed = replace(
+        plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4))
+    )
+    pairs = [
+        {*zip(*map(np.ndarray.tolist, panel.neighbours[:2]), strict=True)}
+        for panel in (plain, listed)
+    ]
     assert pairs[0] == pairs[1]
-    readings = exact_two_point_resistance(1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4))))[None]
+    readings = exact_two_point_resistance(
+        1000 * np.exp(np.random.default_rng(3).normal(0, 0.5, (3, 4)))
+    )[None]
     for term in (lampest.LogGradient(weight=1e4), lampest.TotalVariation(weight=1.0)):
-        estimates = [estimate_of(panel, readings, lampest.Misfit(), term).cell_resistance for panel in (plain, listed)]
+        estimates = [
+            estimate_of(panel, readings, lampest.Misfit(), term).cell_resistance
+            for panel in (plain, listed)
+        ]
         np.testing.assert_allclose(estimates[0], estimates[1], rtol=1e-6)
 
 
@@ -87,7 +107,9 @@ def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
 def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
     """With log_gradient the cell of a missing reading is estimated, and even cells stay even."""
     panel, _ = random_panel(outline, 4)
-    readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
+    readings = np.where(
+        panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan
+    )
     row, column = np.argwhere(panel.present)[3]
     readings[row, column] = np.nan
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
@@ -101,8 +123,12 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
     readings[row, column] = np.nan
-    estimate = estimate_of(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
-    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
+    estimate = estimate_of(
+        panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit()
+    )
+    np.testing.assert_allclose(
+        estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2
+    )
 
 
 @pytest.mark.parametrize("outline", ["glove", "ring"])
@@ -111,7 +137,10 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
     panel, cells = random_panel(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(
-        panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0)
+        panel,
+        np.stack([readings, 1.01 * readings]),
+        lampest.Misfit(),
+        lampest.LogGradient(weight=1.0),
     )
     result = estimate.result()
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
@@ -121,11 +150,15 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
 
 @pytest.mark.slow
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
-    """A load on a finger of the hand is estimated there, not where lines cross on a full rectangle."""
+    """A load on a finger of the hand is estimated there, not where lines cross on a full
+    rectangle.
+    """
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
     cells = Cells(3000, 0.1, 6)
-    scene = Scene(panel, lampest.TwoPointReadout(adc_bits=12, readings=20, noise_lsb=0.5), response=PUBLISHED)
+    scene = Scene(
+        panel, lampest.TwoPointReadout(adc_bits=12, readings=20, noise_lsb=0.5), response=PUBLISHED
+    )
     times = {"baseline_frames": 4, "frames": 6, "frame_period_s": 0.3}
     recording = lampest.simulate(Simulation(1, 2, scene, cells=cells, loads=(rod,), **times))
     assert np.array_equal(np.isfinite(recording.truth_cell_resistance[0]), panel.present)
@@ -135,17 +168,26 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)]
     estimate = lampest.reconstruct(recording, terms)
     truth = recording.truth_cell_resistance[recording.role == 1]
-    np.testing.assert_allclose(estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
+    np.testing.assert_allclose(
+        estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02
+    )
     pressed = pressed_of(estimate.result())
-    assert pressed is not None and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < 3
+    assert (
+        pressed is not None and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < 3
+    )
     recording.save(tmp_path / "hand.h5")
     answer = detect_recording(tmp_path / "hand.h5")
-    assert answer.attachments and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
+    assert (
+        answer.attachments
+        and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
+    )
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 
 
 def test_an_impossible_reading_is_left_out() -> None:
-    """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells stay right."""
+    """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells
+    stay right.
+    """
     panel = Panel(6, 6)
     cells = 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
     exact = np.stack([exact_two_point_resistance(cells)] * 4)

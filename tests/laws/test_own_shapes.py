@@ -29,7 +29,10 @@ class SquareCandidate(Candidate):
     templates: tuple[Template, ...] = (Template(40.0, faint=True), Template(56.0, faint=True))
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        return centre_priors(panel) | {"edge": Prior(log(30), 0.35, step=0.2), "contact": Prior(log(8), 1.0)}
+        return centre_priors(panel) | {
+            "edge": Prior(log(30), 0.35, step=0.2),
+            "contact": Prior(log(8), 1.0),
+        }
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         edge = exp(parameters[2])
@@ -40,26 +43,44 @@ class SquareCandidate(Candidate):
         )
         pressure = contact * np.outer(down, along)
         by_edge = contact * edge / 2 * (np.outer(y_edge, along) + np.outer(down, x_edge))
-        return pressure, np.stack([contact * np.outer(down, by_x), contact * np.outer(by_y, along), by_edge, pressure])
+        return pressure, np.stack(
+            [contact * np.outer(down, by_x), contact * np.outer(by_y, along), by_edge, pressure]
+        )
 
     def start(self, disc: Disc) -> Array:
-        return np.array([disc.x_mm, disc.y_mm, log(disc.diameter_mm * sqrt(np.pi) / 2), log(max(disc.rim_kpa, 0.1))])
+        return np.array(
+            [
+                disc.x_mm,
+                disc.y_mm,
+                log(disc.diameter_mm * sqrt(np.pi) / 2),
+                log(max(disc.rim_kpa, 0.1)),
+            ]
+        )
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
         edge = exp(parameters[2])
         unit = np.eye(4)
-        places = {name: (float(parameters[axis]), unit[axis]) for axis, name in enumerate(("x_mm", "y_mm"))}
+        places = {
+            name: (float(parameters[axis]), unit[axis])
+            for axis, name in enumerate(("x_mm", "y_mm"))
+        }
         return places | {"edge_mm": (edge, edge * unit[2])}
 
 
 def covered_share(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
-    """Share of patches about `centres` within −half and half, its slope by the square's centre and by `half`."""
+    """Share of patches about `centres` within −half and half, its slope by the square's centre and
+    by `half`.
+    """
     low = centres - patch_mm / 2
     high = centres + patch_mm / 2
     length = np.minimum(half, high) - np.maximum(-half, low)
     upper = (half < high) & (length > 0)
     lower = (-half > low) & (length > 0)
-    return np.maximum(length, 0) / patch_mm, (upper * 1.0 - lower) / patch_mm, (upper * 1.0 + lower) / patch_mm
+    return (
+        np.maximum(length, 0) / patch_mm,
+        (upper * 1.0 - lower) / patch_mm,
+        (upper * 1.0 + lower) / patch_mm,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +103,10 @@ class Square(Shape):
 def test_an_own_shape_is_simulated(tmp_path: Path) -> None:
     load = Square(centre_mm=(45.0, 45.0), edge_mm=40.0, mass_g=1500.0, tilt=0.2)
     contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
-    assert contact.sum() * FINE_PANEL.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01) and not suction.any()
+    assert (
+        contact.sum() * FINE_PANEL.pitch_mm**2 == pytest.approx(1500 * 9.81, rel=0.01)
+        and not suction.any()
+    )
     simulate(Simulation(1, 1, Scene(PANEL), frames=2, loads=(load,))).save(tmp_path / "square.h5")
     recording = Recording.load(tmp_path / "square.h5")
     np.testing.assert_allclose(recording.truth_pressure[-1], load.mean_pressure(PANEL, 6.0)[0])

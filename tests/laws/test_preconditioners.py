@@ -1,4 +1,6 @@
-"""What holds of every preconditioner: M⁻¹ between any free cells is linear, symmetric and positive definite."""
+"""What holds of every preconditioner: M⁻¹ between any free cells is linear, symmetric and positive
+definite.
+"""
 
 from dataclasses import replace
 
@@ -6,12 +8,28 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import CellResistance, Estimator, Gradient, Misfit, Panel, Readings, Scene, Term, TwoPointReadout
+from lampest import (
+    CellResistance,
+    Estimator,
+    Gradient,
+    Misfit,
+    Panel,
+    Readings,
+    Scene,
+    Term,
+    TwoPointReadout,
+)
 from lampest.cost.given import Background
 from lampest.panel.trust_region import steihaug
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
-from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, Woodbury, preconditioner
+from lampest.solvers.preconditioners import (
+    Cholesky,
+    Preconditioner,
+    TwoLevel,
+    Woodbury,
+    preconditioner,
+)
 from lampest.solvers.smoothing import Smoothing
 
 SHAPE = (5, 6)
@@ -46,13 +64,16 @@ def preconditioner_of(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Pr
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
-def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditioner], cost: str) -> None:
+def test_the_inverse_is_symmetric_and_positive_definite(
+    kind: type[Preconditioner], cost: str
+) -> None:
     operator = preconditioner_of(kind, COSTS[cost])
     rng = np.random.default_rng(5)
     for free in (ALL_CELLS, rng.random(ALL_CELLS.size) < 0.6):
         solve = operator.over(free, operator.cell_resistance)
         inverse = np.column_stack([solve(unit) for unit in np.eye(int(free.sum()))])
-        assert_allclose(inverse, inverse.T, atol=1e-5 * np.abs(inverse).max())  # sparse factors keep ten digits
+        # Sparse factors keep ten digits.
+        assert_allclose(inverse, inverse.T, atol=1e-5 * np.abs(inverse).max())
         assert np.linalg.eigvalsh(inverse).min() > 0
         values = rng.standard_normal(int(free.sum()))
         assert_allclose(solve(values), inverse @ values, atol=1e-5 * np.abs(inverse).max())
@@ -60,11 +81,17 @@ def test_the_inverse_is_symmetric_and_positive_definite(kind: type[Preconditione
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
-def test_conjugate_gradients_take_no_more_products_with_it_than_without(kind: type[Preconditioner], cost: str) -> None:
+def test_conjugate_gradients_take_no_more_products_with_it_than_without(
+    kind: type[Preconditioner], cost: str
+) -> None:
     hessian = hessian_of(COSTS[cost])
-    inverses = preconditioner_of(kind, COSTS[cost]).over(ALL_CELLS, hessian.at.cell_resistance), lambda values: values
+    inverses = (
+        preconditioner_of(kind, COSTS[cost]).over(ALL_CELLS, hessian.at.cell_resistance),
+        lambda values: values,
+    )
     preconditioned, plain = (
-        steihaug(hessian.gauss_newton_product, inverse, hessian.gradient, 1e-6) for inverse in inverses
+        steihaug(hessian.gauss_newton_product, inverse, hessian.gradient, 1e-6)
+        for inverse in inverses
     )
     assert preconditioned.products <= plain.products
 

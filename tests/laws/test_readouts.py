@@ -1,4 +1,5 @@
-"""What every kind of readout obeys, whoever wrote it: its derivatives, its two forms, its way to the recorded and back.
+"""What every kind of readout obeys, whoever wrote it: its derivatives, its two forms, its way to
+the recorded and back.
 
 A kind that joins the union, or that an installed package names, is seen here without being named.
 """
@@ -49,19 +50,28 @@ def scenes() -> Iterator[Any]:
                 scene = fits((Panel(rows, columns), readout))
                 if scene is not None:
                     yield pytest.param(scene, id=f"{kind.__name__}-{number}-{rows}x{columns}")
-        yield from (pytest.param(scene, id=f"{kind.__name__}-{name}") for name, scene in wired_scenes(kind))
+        yield from (
+            pytest.param(scene, id=f"{kind.__name__}-{name}") for name, scene in wired_scenes(kind)
+        )
 
 
 def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
-    """The first configuration of a kind that fits, with every sort of wire and with lines that touch."""
+    """The first configuration of a kind that fits, with every sort of wire and with lines that
+    touch.
+    """
     for rows, columns in PANELS:
         panel = Panel(rows, columns)
         readout = next(example for example in examples(kind) if fits((panel, example)) is not None)
-        contacts = Contacts.of(np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows)
+        contacts = Contacts.of(
+            np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows
+        )
         for name, (lines, faults) in WIRES.items():
             yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
         yield f"contacts-{rows}x{columns}", Scene(panel, readout, contacts=contacts)
-        yield f"contacts and wire-{rows}x{columns}", Scene(panel, readout, lines=WIRES["wire"][0], contacts=contacts)
+        yield (
+            f"contacts and wire-{rows}x{columns}",
+            Scene(panel, readout, lines=WIRES["wire"][0], contacts=contacts),
+        )
 
 
 every_scene = pytest.mark.parametrize("scene", tuple(scenes()))
@@ -96,7 +106,9 @@ def test_the_adjoint_is_the_transpose(scene: Scene) -> None:
     step, weights = rng.normal(size=(2, *scene.panel.shape))
     forward_product = np.sum(weights * network.forward(step))
     adjoint_product = np.sum(network.adjoint(weights) * step)
-    assert forward_product == pytest.approx(adjoint_product, rel=1e-9, abs=1e-12 * size(network.reading()))
+    assert forward_product == pytest.approx(
+        adjoint_product, rel=1e-9, abs=1e-12 * size(network.reading())
+    )
 
 
 @every_scene
@@ -111,7 +123,9 @@ def test_the_forward_product_is_the_derivative(scene: Scene) -> None:
     slope = network.forward(step)
 
     def remainder(length: float) -> float:
-        return size(network_of(scene, logarithm + length * step, ties).reading() - first - length * slope)
+        return size(
+            network_of(scene, logarithm + length * step, ties).reading() - first - length * slope
+        )
 
     large = remainder(100 * STEP)
     assert large < 0.05 * 100 * STEP * size(slope)
@@ -130,11 +144,17 @@ def test_the_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None
     forward, second_order = second.products(step)
     assert_allclose(forward, network.forward(step), rtol=1e-9, atol=1e-12 * size(forward))
     assert_allclose(
-        (second.matrix() @ step.ravel()).reshape(second_order.shape), second_order, atol=1e-9 * size(second_order)
+        (second.matrix() @ step.ravel()).reshape(second_order.shape),
+        second_order,
+        atol=1e-9 * size(second_order),
     )
-    ends = [network_of(scene, logarithm + sign * STEP * step, ties).adjoint(weights) for sign in (1, -1)]
+    ends = [
+        network_of(scene, logarithm + sign * STEP * step, ties).adjoint(weights) for sign in (1, -1)
+    ]
     expected = (ends[0] - ends[1]) / (2 * STEP)
-    assert_allclose(second_order - network.adjoint(weights) * step, expected, atol=1e-5 * size(expected))
+    assert_allclose(
+        second_order - network.adjoint(weights) * step, expected, atol=1e-5 * size(expected)
+    )
 
 
 @every_scene
@@ -143,12 +163,18 @@ def test_the_sensitivity_is_the_matrix_of_the_forward_product(scene: Scene) -> N
     sensitivity = network.sensitivity()
     step = np.random.default_rng(4).normal(size=scene.panel.shape)
     assert_allclose(
-        (sensitivity @ step.ravel()).reshape(step.shape), network.forward(step), atol=1e-9 * size(sensitivity)
+        (sensitivity @ step.ravel()).reshape(step.shape),
+        network.forward(step),
+        atol=1e-9 * size(sensitivity),
     )
-    assert_allclose(network.own_response().ravel(), np.diag(sensitivity), atol=1e-9 * size(sensitivity))
+    assert_allclose(
+        network.own_response().ravel(), np.diag(sensitivity), atol=1e-9 * size(sensitivity)
+    )
 
 
-@pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
+@pytest.mark.parametrize(
+    "scene", [made for made in scenes() if made.values[0].contacts is not None]
+)
 def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
     """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
     readout = scene.circuit
@@ -159,7 +185,10 @@ def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
     response = contact_responses([network_of(scene, logarithm, ties)]).reshape(*shape, -1)
     for line in range(sum(shape)):
         step = 0.1 * np.eye(sum(shape))[line]
-        ends = [replace(scene, contacts=Contacts.of(ohm + sign * step, ohm, shape[0])) for sign in (1, -1)]
+        ends = [
+            replace(scene, contacts=Contacts.of(ohm + sign * step, ohm, shape[0]))
+            for sign in (1, -1)
+        ]
         high, low = (network_of(end, logarithm, ties).reading() for end in ends)
         assert_allclose(response[..., line], (high - low) / 0.2, atol=1e-5 * size(response))
 
@@ -178,13 +207,19 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
     symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
     equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
     expected = np.array(equation(*entries))
-    assert_allclose(network_of(scene, np.log(cells)).reading(), expected, atol=1e-9 * size(expected))
-    assert_allclose(readout.exact_reading(cells, scene.wiring), expected, atol=1e-9 * size(expected))
+    assert_allclose(
+        network_of(scene, np.log(cells)).reading(), expected, atol=1e-9 * size(expected)
+    )
+    assert_allclose(
+        readout.exact_reading(cells, scene.wiring), expected, atol=1e-9 * size(expected)
+    )
 
 
 @every_scene
 def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
-    """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand them on."""
+    """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand
+    them on.
+    """
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
     simulated = scene.circuit.simulated(cells[None], scene, np.zeros(rows), np.zeros(columns))[0]
@@ -194,8 +229,8 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
 
 @every_scene
 def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> None:
-    """network ↔ recorded ↔ volt; readings are positive; recorded values move as `direction` says, σ by the slope of
-    `from_recorded`; bounds hold the cells.
+    """network ↔ recorded ↔ volt; readings are positive; recorded values move as `direction` says, σ
+    by the slope of `from_recorded`; bounds hold the cells.
     """
     readout = scene.circuit
     cells = np.exp(cells_of(scene))
@@ -203,14 +238,21 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
     recorded = readout.to_recorded(reading, scene)
     near = 1e-9 * size(recorded)
     assert_allclose(readout.from_recorded(recorded, scene), reading, rtol=1e-9, atol=near)
-    assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(recorded)), recorded, rtol=1e-6, atol=near)
+    assert_allclose(
+        readout.recorded_from_volt(readout.volt_from_recorded(recorded)),
+        recorded,
+        rtol=1e-6,
+        atol=near,
+    )
     increase = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
     assert np.all(np.sign(increase) == readout.direction)
     assert np.all(reading > 0) and np.all(readout.sigma(recorded) >= 0)
     step = 1e-6 * recorded
     ends = [readout.from_recorded(recorded + sign * step, scene) for sign in (1, -1)]
     slope = np.abs(ends[0] - ends[1]) / (2 * step)
-    assert_allclose(readout.sigma_of_reading(recorded, 0.01 * recorded), 0.01 * recorded * slope, rtol=1e-6)
+    assert_allclose(
+        readout.sigma_of_reading(recorded, 0.01 * recorded), 0.01 * recorded * slope, rtol=1e-6
+    )
     least, _ = Bounds(upper="none").limits(readout, reading, None, scene.wiring)
     assert np.all(least <= cells * (1 + 1e-9))
     assert np.all(readout.start(reading, np.full(cells.shape, np.inf)) > 0)
@@ -219,7 +261,9 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_the_apparent_resistance_of_a_lone_cell_is_its_resistance(kind: Any) -> None:
     cell = np.array([[700.0]])
-    readout = next(example for example in examples(kind) if fits((Panel(1, 1), example)) is not None)
+    readout = next(
+        example for example in examples(kind) if fits((Panel(1, 1), example)) is not None
+    )
     assert_allclose(readout.apparent_resistance(readout.exact_reading(cell)), cell, rtol=1e-6)
 
 

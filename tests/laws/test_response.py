@@ -27,7 +27,16 @@ EACH_RESPONSE = pytest.mark.parametrize("response", RESPONSES, ids=lambda respon
 
 @pytest.mark.parametrize(
     ("pressure", "change"),
-    [(-10, 6.54), (0, 0), (1, -0.192), (2.5, -0.48), (10, -0.6), (28, -0.888), (40, -0.94), (235, -0.98)],
+    [
+        (-10, 6.54),
+        (0, 0),
+        (1, -0.192),
+        (2.5, -0.48),
+        (10, -0.6),
+        (28, -0.888),
+        (40, -0.94),
+        (235, -0.98),
+    ],
 )
 def test_the_published_curve_passes_through_its_points(pressure: float, change: float) -> None:
     assert relative_change_from_pressure(pressure) == pytest.approx(change, abs=1e-12)
@@ -47,7 +56,9 @@ def test_an_own_response_falls_strictly_from_1_and_is_inverted(response: Respons
 
 @EACH_RESPONSE
 def test_pressures_pass_through_the_curve_and_gains_of_the_scene(response: Response) -> None:
-    """With and without water and a film that remembers nothing: what is put in comes out, cell by cell."""
+    """With and without water and a film that remembers nothing: what is put in comes out, cell by
+    cell.
+    """
     gain = ((0.7, 1.0, 1.3), (1.1, 0.9, 1.0))
     own = replace(response, gain=gain, gain_sd=None)
     pressure = np.linspace(0.1, 0.9, 7)[:, None, None] * own.told_kpa[1] * np.ones((2, 3))

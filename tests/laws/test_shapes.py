@@ -32,7 +32,9 @@ POINTS_ALONG = 200  # points along a patch of the sampling that it is held again
 
 def example(kind: type[Shape]) -> str:
     """The load in the docstring of a shape, as YAML."""
-    (text,) = re.findall(r"Example: (\{kind: .*?\})", " ".join((inspect.getdoc(kind) or "").split()))
+    (text,) = re.findall(
+        r"Example: (\{kind: .*?\})", " ".join((inspect.getdoc(kind) or "").split())
+    )
     return str(text)
 
 
@@ -46,7 +48,9 @@ def load_of(kind: type[Shape]) -> Shape:
 def sums(load: Shape) -> tuple[float, float]:
     """Forces of contact and suction in mN, on a panel without gaps."""
     contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
-    return float(contact.sum() * FINE_PANEL.pitch_mm**2), float(suction.sum() * FINE_PANEL.pitch_mm**2)
+    return float(contact.sum() * FINE_PANEL.pitch_mm**2), float(
+        suction.sum() * FINE_PANEL.pitch_mm**2
+    )
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -56,12 +60,16 @@ def test_a_shape_is_in_the_schema_and_survives_yaml(kind: type[Shape]) -> None:
     assert validated(parse_document(to_yaml(simulation), "again"), Simulation) == simulation
     schema = adapter(Simulation).json_schema()
     assert f'"{load.kind}": "#/$defs/{kind.__name__}"' in json.dumps(schema)
-    assert set(schema["$defs"][kind.__name__]["properties"]) == {field.name for field in dataclasses.fields(kind)}
+    assert set(schema["$defs"][kind.__name__]["properties"]) == {
+        field.name for field in dataclasses.fields(kind)
+    }
 
 
 @pytest.mark.parametrize("kind", SHAPES)
 def test_a_shape_presses_or_sucks_only_within_its_reach(kind: type[Shape]) -> None:
-    load = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=1.0, tilt_direction_deg=200.0)
+    load = dataclasses.replace(
+        load_of(kind), centre_mm=(45.0, 45.0), tilt=1.0, tilt_direction_deg=200.0
+    )
     contact, suction = load.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)
     x, y = FINE_PANEL.centres_mm()
     distance = np.hypot(x[None, :] - 45, y[:, None] - 45)
@@ -74,7 +82,9 @@ def test_a_shape_presses_or_sucks_only_within_its_reach(kind: type[Shape]) -> No
 def test_the_pressure_of_a_shape_moves_with_its_centre(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
     moved = dataclasses.replace(load, centre_mm=(53.0, 34.0))
-    for original, shifted in zip(load.mean_pressure(PANEL, 6), moved.mean_pressure(PANEL, 6), strict=True):
+    for original, shifted in zip(
+        load.mean_pressure(PANEL, 6), moved.mean_pressure(PANEL, 6), strict=True
+    ):
         np.testing.assert_allclose(shifted[:-1, 2:], original[1:, :-2], atol=1e-12)
 
 
@@ -89,7 +99,9 @@ def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
 
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
 def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> None:
-    """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
+    """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has
+    such cells.
+    """
     panel = Panel(6, 6)
     rng = np.random.default_rng(4)
     frame = frame_under(load_of(Rod), panel)
@@ -104,9 +116,13 @@ def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> N
         assert np.isfinite(point.gradient).all() and np.isfinite(point.normal).all()
 
 
-@pytest.mark.parametrize("kind", [kind for kind in shape_types() if isinstance(kind.candidate, RoundCandidate)])
+@pytest.mark.parametrize(
+    "kind", [kind for kind in shape_types() if isinstance(kind.candidate, RoundCandidate)]
+)
 def test_recognition_and_simulation_share_one_pressure(kind: type[Shape]) -> None:
-    load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
+    load = dataclasses.replace(
+        load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0
+    )
     disc = load.disc()
     sampled = np.sum(load.mean_pressure(PANEL, 6.0), axis=0)
     smooth = pressure_at_places(PANEL.places_mm, 6.0, disc)[0]
@@ -120,19 +136,35 @@ def test_labels_and_kinds_are_unique() -> None:
     assert len(set(every)) == len(every)
     kinds = [example(kind).split(",")[0] for kind in shape_types()]
     assert len(set(kinds)) == len(kinds)
-    assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False), "a full disc with nothing else unless it says so"
+    assert tuple(Template(30.0)) == (30.0, 0.0, 0.0, False), (
+        "a full disc with nothing else unless it says so"
+    )
 
 
 def test_the_rim_of_any_mouth_balances_its_suction() -> None:
-    """The rim's force is the suction's, however long or uneven it is; extra pressure comes on top of it."""
+    """The rim's force is the suction's, however long or uneven it is; extra pressure comes on top
+    of it.
+    """
     level = OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0)
-    uneven = {"elongation": 1.3, "elongation_deg": 25.0, "unevenness": 0.4, "lobes": 3, "unevenness_deg": 70.0}
-    for load in (level, dataclasses.replace(level, **uneven), dataclasses.replace(level, **uneven, tilt=0.3)):
+    uneven = {
+        "elongation": 1.3,
+        "elongation_deg": 25.0,
+        "unevenness": 0.4,
+        "lobes": 3,
+        "unevenness_deg": 70.0,
+    }
+    for load in (
+        level,
+        dataclasses.replace(level, **uneven),
+        dataclasses.replace(level, **uneven, tilt=0.3),
+    ):
         contact, suction = sums(load)
         assert suction == pytest.approx(-9 * np.pi * 24**2 / 4, rel=1e-2)
         assert contact == pytest.approx(-suction, rel=1e-2)
     pressed = dataclasses.replace(level, extra_rim_kpa=20.0)
-    assert sums(pressed)[0] - sums(level)[0] == pytest.approx(20 * np.pi * (36**2 - 24**2) / 4, rel=1e-2)
+    assert sums(pressed)[0] - sums(level)[0] == pytest.approx(
+        20 * np.pi * (36**2 - 24**2) / 4, rel=1e-2
+    )
 
 
 def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
@@ -158,9 +190,17 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
 def test_pressures_equal_those_of_fine_sampling(seed: int) -> None:
     rng = np.random.default_rng(seed)
     outer = float(rng.uniform(15, 50))
-    numbers = (rng.uniform(-5, 45), rng.uniform(-5, 65), outer, outer * rng.uniform(0.2, 0.8), -rng.uniform(2, 20))
+    numbers = (
+        rng.uniform(-5, 45),
+        rng.uniform(-5, 65),
+        outer,
+        outer * rng.uniform(0.2, 0.8),
+        -rng.uniform(2, 20),
+    )
     disc = Disc(*map(float, (*numbers, rng.uniform(5, 80), *rng.uniform(-0.3, 0.3, 2))))
-    form = Unevenness(*map(float, rng.uniform(-0.1, 0.1, 2)), *map(float, rng.uniform(-0.3, 0.3, 2)))
+    form = Unevenness(
+        *map(float, rng.uniform(-0.1, 0.1, 2)), *map(float, rng.uniform(-0.3, 0.3, 2))
+    )
     pressure, _ = pressure_at_places(OBLONG.places_mm, 6.0, disc, form)
     expected = sampled(disc, form, 6.0)
     assert np.abs(pressure - expected).max() < 0.04 * (disc.rim_kpa - disc.suction_kpa)

@@ -1,4 +1,6 @@
-"""What holds for every cost term with every loss. The tests walk the unions: a new term is tested as it is."""
+"""What holds for every cost term with every loss. The tests walk the unions: a new term is tested
+as it is.
+"""
 
 import dataclasses
 from typing import Any, Literal
@@ -25,13 +27,16 @@ from lampest.solvers.smoothing import Smoothing
 
 PANEL = Panel(3, 4)
 CORNER = 40.0  # of the losses of the union, too
-IN_OHMS = ("cell_resistance", "reading", "measured", "sigma", "previous", "baseline")  # of what a term is given
+# Of what a term is given.
+IN_OHMS = ("cell_resistance", "reading", "measured", "sigma", "previous", "baseline")
 GRID = np.linspace(-3, 3, 121) * CORNER
 
 
 @dataclasses.dataclass(frozen=True)
 class GemanMcClure(Loss):
-    """Σ x²/(1 + (x/c)²): a user's own loss that is bounded, and so flat far out that slopes are small differences."""
+    """Σ x²/(1 + (x/c)²): a user's own loss that is bounded, and so flat far out that slopes are
+    small differences.
+    """
 
     convex = False
     corner: float
@@ -70,15 +75,24 @@ def example(frames: int, seed: int = 0) -> tuple[Data, Array]:
     cells = truth * np.exp(0.2 * rng.standard_normal(truth.shape))
     baseline = 3000 * np.exp(0.4 * rng.standard_normal(PANEL.shape))
     deviation = 0.1 * np.exp(0.3 * rng.standard_normal(PANEL.shape))
-    known = {"previous": previous, "baseline": baseline, "previous_deviation": deviation} if frames == 1 else {}
-    return Data(Given(measured=measured, sigma=sigma, **known), measured / 10, measured * 1e3), cells
+    known = (
+        {"previous": previous, "baseline": baseline, "previous_deviation": deviation}
+        if frames == 1
+        else {}
+    )
+    return Data(
+        Given(measured=measured, sigma=sigma, **known), measured / 10, measured * 1e3
+    ), cells
 
 
 def state(data: Data, cells: Array, scale: float = 1.0) -> State:
-    """One frame with every length of the axis of ohms multiplied by `scale`; numbers as CasADi's matrices."""
+    """One frame with every length of the axis of ohms multiplied by `scale`; numbers as CasADi's
+    matrices.
+    """
     frame = {"cell_resistance": cells[0].ravel(), "reading": two_point_resistance(cells[0]).ravel()}
     columns = {
-        name: casadi.DM(value * scale if name in IN_OHMS else value) for name, value in (frame | data.flat).items()
+        name: casadi.DM(value * scale if name in IN_OHMS else value)
+        for name, value in (frame | data.flat).items()
     }
     return State(panel=PANEL, **columns)
 
@@ -98,9 +112,13 @@ def test_a_term_without_a_unit_or_with_the_kind_of_another_is_refused() -> None:
         unit = "ohm"
         kind: Literal["gradient"] = "gradient"
 
-    with pytest.raises(ValueError, match=r"Unitless has no unit: declare it in the class, such as unit: ClassVar"):
+    with pytest.raises(
+        ValueError, match=r"Unitless has no unit: declare it in the class, such as unit: ClassVar"
+    ):
         Unitless()
-    with pytest.raises(ValueError, match="Second has the kind 'gradient' of Gradient: choose another"):
+    with pytest.raises(
+        ValueError, match="Second has the kind 'gradient' of Gradient: choose another"
+    ):
         Second()
 
 
@@ -125,21 +143,29 @@ def test_the_gradient_is_the_derivative_of_the_cost(
     point = Evaluation.at(cost, data, cells)
     subgradient = np.sign(point.nonsmooth)
     gradient = point.log_gradient(subgradient)
-    assert point.kkt_residual(-subgradient) == point.kkt_residual(-3 * subgradient)  # no dual variable exceeds 1
+    # No dual variable exceeds 1.
+    assert point.kkt_residual(-subgradient) == point.kkt_residual(-3 * subgradient)
     rng = np.random.default_rng(1)
     step = 1e-5
     for _ in range(4):
         direction = rng.standard_normal(cells.shape)
         far, near = (
             np.subtract(
-                *(Evaluation.at(cost, data, cells * np.exp(sign * h * direction)).objective for sign in (1, -1))
+                *(
+                    Evaluation.at(cost, data, cells * np.exp(sign * h * direction)).objective
+                    for sign in (1, -1)
+                )
             )
             for h in (2 * step, step)
         )
-        slope = (8 * near - far) / (12 * step)  # fourth order: a loss may curve within a step of 0.03 ohm
+        # Fourth order: a loss may curve within a step of 0.03 ohm.
+        slope = (8 * near - far) / (12 * step)
         size = np.sum(np.abs(gradient * direction))
-        # An absolute loss is no parabola, but the step is far smaller than the distance to any corner.
-        assert slope == pytest.approx(np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * point.objective)
+        # An absolute loss is no parabola, but the step is far smaller than the distance to any
+        # corner.
+        assert slope == pytest.approx(
+            np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * point.objective
+        )
     if loss.kind == "absolute":
         assert np.min(np.abs(point.nonsmooth)) > 1e-3 * np.max(np.abs(point.nonsmooth))
 
@@ -151,7 +177,9 @@ def test_the_gradient_is_the_derivative_of_the_cost(
 def test_the_hessian_is_the_derivative_of_the_gradient(
     term: type[Term], words: dict[str, Any], loss: Loss, formulation: str, frames: int
 ) -> None:
-    """The program's Hessian of its Lagrangian against central differences of the Lagrangian's gradient."""
+    """The program's Hessian of its Lagrangian against central differences of the Lagrangian's
+    gradient.
+    """
     program = Program.build(
         Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames),
         TwoPointReadout(),
@@ -161,10 +189,13 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
     nlp = program.nlp
     multiplier = casadi.SX.sym("multiplier", program.nlp["g"].shape[0])
     lagrangian = 1.3 * nlp["f"] + casadi.dot(multiplier, nlp["g"])
-    gradient = casadi.Function("gradient", [nlp["x"], nlp["p"], multiplier], [casadi.gradient(lagrangian, nlp["x"])])
+    gradient = casadi.Function(
+        "gradient", [nlp["x"], nlp["p"], multiplier], [casadi.gradient(lagrangian, nlp["x"])]
+    )
     rng = np.random.default_rng(2)
     x, p, multipliers = (
-        np.exp(0.3 * rng.standard_normal(symbol.shape[0])) for symbol in (nlp["x"], nlp["p"], multiplier)
+        np.exp(0.3 * rng.standard_normal(symbol.shape[0]))
+        for symbol in (nlp["x"], nlp["p"], multiplier)
     )
     # Resistances of the size of Huber's corner, so that residuals fall on either side of it.
     names = np.concatenate([np.full(size, name) for name, size in program.parameter.sizes.items()])
@@ -175,9 +206,14 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
     step = 1e-6
     for _ in range(3):
         direction = rng.standard_normal(len(x))
-        ends = [np.asarray(gradient(x + sign * step * direction, p, multipliers)).ravel() for sign in (1, -1)]
+        ends = [
+            np.asarray(gradient(x + sign * step * direction, p, multipliers)).ravel()
+            for sign in (1, -1)
+        ]
         product_ = hessian @ direction
-        assert_allclose((ends[0] - ends[1]) / (2 * step), product_, atol=1e-6 * np.max(np.abs(product_)))
+        assert_allclose(
+            (ends[0] - ends[1]) / (2 * step), product_, atol=1e-6 * np.max(np.abs(product_))
+        )
 
 
 @pytest.mark.parametrize("frames", [1, 2])
@@ -186,7 +222,9 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
 def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
     term: type[Term], words: dict[str, Any], loss: Loss, frames: int
 ) -> None:
-    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute losses are smoothed."""
+    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute
+    losses are smoothed.
+    """
     cost = Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames)
     data, cells = example(frames)
     # 0.006 ohm: a loss curves within CORNER of them
@@ -196,7 +234,9 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
 
     def curvature(position: Array) -> Hessian:
         at = Evaluation.at(cost, data, position)
-        return Hessian(at, Smoothing(width, Smoothing(width, np.zeros(len(at.nonsmooth))).slope(at.nonsmooth)))
+        return Hessian(
+            at, Smoothing(width, Smoothing(width, np.zeros(len(at.nonsmooth))).slope(at.nonsmooth))
+        )
 
     point = curvature(cells)
     matrix = point.matrix
@@ -207,19 +247,29 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
         ends = [curvature(position).gradient for position in moved]
         expected = (ends[0] - ends[1]) / (2 * step)
         assert_allclose(matrix @ direction, expected, atol=1e-6 * np.max(np.abs(expected)))
-        assert_allclose(point.product(direction), matrix @ direction, atol=1e-11 * np.max(np.abs(expected)))
+        assert_allclose(
+            point.product(direction), matrix @ direction, atol=1e-11 * np.max(np.abs(expected))
+        )
 
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
 def test_the_residual_scales_with_its_unit(term: type[Term], words: dict[str, Any]) -> None:
-    """With all resistances doubled a residual in ohm doubles; a percentage, a ratio, a standard deviation stays."""
+    """With all resistances doubled a residual in ohm doubles; a percentage, a ratio, a standard
+    deviation stays.
+    """
     data, cells = example(1)
     chosen = term(**words)
-    plain = not chosen.unit.startswith(("percent", "standard deviations", "1 ")) and words.get("weighting") != "noise"
+    plain = (
+        not chosen.unit.startswith(("percent", "standard deviations", "1 "))
+        and words.get("weighting") != "noise"
+    )
     factor = 2.0 if plain else 1.0
     expected = factor * residual(chosen, state(data, cells))
     assert_allclose(
-        residual(chosen, state(data, cells, 2.0)), expected, rtol=1e-13, atol=1e-14 * np.abs(expected).max()
+        residual(chosen, state(data, cells, 2.0)),
+        expected,
+        rtol=1e-13,
+        atol=1e-14 * np.abs(expected).max(),
     )
 
 
@@ -254,19 +304,31 @@ def test_losses_equal_their_published_formulas() -> None:
     assert_allclose(huber[~outside], GRID[~outside] ** 2, rtol=1e-12)
     assert_allclose(huber[outside], 2 * CORNER * np.abs(GRID[outside]) - CORNER**2, rtol=1e-12)
     density = t.logpdf(GRID, df=4, scale=CORNER / 2)
-    assert_allclose(values(Student(corner=CORNER), GRID), 2 * CORNER**2 / 5 * (density.max() - density), atol=1e-9)
+    assert_allclose(
+        values(Student(corner=CORNER), GRID),
+        2 * CORNER**2 / 5 * (density.max() - density),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
-    """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals are slopes."""
+    """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals
+    are slopes.
+    """
     weight = 0.7
     unit = 25.0
     x = np.array([-3.0, -1.0, -0.4, 0.2, 1.7]) * CORNER
-    lowered = loss.lowered(casadi.SX(x), casadi.SX(np.full(5 if loss.enters == "dual" else 1, weight)), casadi.SX(unit))
+    lowered = loss.lowered(
+        casadi.SX(x), casadi.SX(np.full(5 if loss.enters == "dual" else 1, weight)), casadi.SX(unit)
+    )
     cost = weight * float(loss.cost(casadi.DM(x)))
     if loss.enters == "whole":
-        assert not lowered.split and lowered.equation is None and float(casadi.DM(lowered.objective)) == cost
+        assert (
+            not lowered.split
+            and lowered.equation is None
+            and float(casadi.DM(lowered.objective)) == cost
+        )
         return
     start = np.concatenate([np.maximum(side, 0) + 0.01 for side in (x / unit, -x / unit)])
     assert np.all(start > 0)
@@ -278,10 +340,14 @@ def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     solution = casadi.nlpsol("least", "ipopt", program, quiet)(x0=start, lbx=0, lbg=0, ubg=0)
     assert float(solution["f"]) == pytest.approx(cost, rel=1e-6)
     if loss.enters == "dual":
-        assert_allclose(np.asarray(solution["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6)
+        assert_allclose(
+            np.asarray(solution["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6
+        )
 
 
-@pytest.mark.parametrize("loss", [loss for loss in LOSSES if loss.enters != "dual"], ids=lambda loss: loss.kind)
+@pytest.mark.parametrize(
+    "loss", [loss for loss in LOSSES if loss.enters != "dual"], ids=lambda loss: loss.kind
+)
 def test_derived_slopes_and_curvatures_equal_those_of_the_losses(loss: Loss) -> None:
     """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
     plain = OnlyCost(loss)
@@ -303,4 +369,6 @@ def test_curvature_and_pull_give_the_slope() -> None:
     slope = (high - low) / (4 * step)
     curvature = (high - 2 * middle + low) / (2 * step**2)
     assert_allclose(loss.curvature(grid), np.maximum(curvature, 0), atol=1e-5)
-    assert_allclose((loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2, slope**2, rtol=1e-4)
+    assert_allclose(
+        (loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2, slope**2, rtol=1e-4
+    )

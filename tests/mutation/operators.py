@@ -1,6 +1,7 @@
 """Mutation operators: sites in a module's source and the replacement at each.
 
-Source: Jia and Harman, An Analysis and Survey of the Development of Mutation Testing, IEEE TSE 37 (2011).
+Source: Jia and Harman, An Analysis and Survey of the Development of Mutation Testing, IEEE TSE 37
+(2011).
 """
 
 import ast
@@ -9,10 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
-NEGATIONS = ((ast.Lt, ast.GtE), (ast.Gt, ast.LtE), (ast.Eq, ast.NotEq), (ast.In, ast.NotIn), (ast.Is, ast.IsNot))
+NEGATIONS = (
+    (ast.Lt, ast.GtE),
+    (ast.Gt, ast.LtE),
+    (ast.Eq, ast.NotEq),
+    (ast.In, ast.NotIn),
+    (ast.Is, ast.IsNot),
+)
 COMPARISON = dict((*NEGATIONS, *(pair[::-1] for pair in NEGATIONS)))
 SORTING = ("sorted", "argsort")  # of these the order is reversed
-OPPOSITES = {"min": "max", "max": "min", "argmin": "argmax", "argmax": "argmin", "minimum": "maximum"}
+OPPOSITES = {
+    "min": "max",
+    "max": "min",
+    "argmin": "argmax",
+    "argmax": "argmin",
+    "minimum": "maximum",
+}
 OPPOSITES |= {"maximum": "minimum", "nanmin": "nanmax", "nanmax": "nanmin"}
 SCALE = 10
 
@@ -65,8 +78,9 @@ def mutants_of(root: Path, path: Path) -> list[Mutant]:
 def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str]]:
     """Yield every expression that is computed, with its function.
 
-    Annotations, messages and changes without an effect are left out: `strict` of zips refuses lengths that are equal
-    anyway, `optimize` of einsum changes its time alone, and reshape takes any negative length for the unknown one.
+    Annotations, messages and changes without an effect are left out: `strict` of zips refuses
+    lengths that are equal anyway, `optimize` of einsum changes its time alone, and reshape takes
+    any negative length for the unknown one.
     """
     for field, children in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list"):
@@ -86,7 +100,9 @@ def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str
 
 
 def enclosing_function(definitions: tuple[ast.AST, ...]) -> str:
-    """Return the name of the innermost function as `code.co_qualname` has it; "" outside functions."""
+    """Return the name of the innermost function as `code.co_qualname` has it; "" outside
+    functions.
+    """
     if not definitions or isinstance(definitions[-1], ast.ClassDef):
         return ""
     parts = []
@@ -99,14 +115,20 @@ def replacements(node: ast.expr) -> Iterator[tuple[str, str]]:
     """Yield (operator, text) of every change of an expression."""
     match node:
         case ast.BinOp(left, operation, right) if type(operation) in ARITHMETIC:
-            if not any(isinstance(side, ast.Constant) and isinstance(side.value, str) for side in (left, right)):
+            if not any(
+                isinstance(side, ast.Constant) and isinstance(side.value, str)
+                for side in (left, right)
+            ):
                 yield "arithmetic", text_of(ast.BinOp(left, ARITHMETIC[type(operation)](), right))
         case ast.UnaryOp(ast.USub(), operand):
             yield "sign", text_of(operand)
         case ast.UnaryOp(ast.Not(), operand):
             yield "negation", text_of(operand)
         case ast.Compare(left, [operation], comparators):
-            yield "comparison", text_of(ast.Compare(left, [COMPARISON[type(operation)]()], comparators))
+            yield (
+                "comparison",
+                text_of(ast.Compare(left, [COMPARISON[type(operation)]()], comparators)),
+            )
         case ast.BoolOp(operation, values):
             swapped = ast.Or() if isinstance(operation, ast.And) else ast.And()
             yield "logic", text_of(ast.BoolOp(swapped, values))
@@ -127,7 +149,11 @@ def changed_calls(
         yield "sorting", f"{text_of(ast.Call(function, arguments, keywords))}[::-1]"
     if name in OPPOSITES:
         swapped = ast.Name(OPPOSITES[name])
-        new = ast.Attribute(function.value, OPPOSITES[name]) if isinstance(function, ast.Attribute) else swapped
+        new = (
+            ast.Attribute(function.value, OPPOSITES[name])
+            if isinstance(function, ast.Attribute)
+            else swapped
+        )
         yield "extreme", text_of(ast.Call(new, arguments, keywords))
 
 

@@ -1,4 +1,6 @@
-"""Pytest plugin that records which functions of the package each passed test calls, and its duration."""
+"""Pytest plugin that records which functions of the package each passed test calls, and its
+duration.
+"""
 
 import json
 import os
@@ -41,7 +43,9 @@ class Recorder:
         """Return the functions of the package that were called."""
         codes = [self.codes[key] for key in self.called]
         inside = [code for code in codes if code.co_filename.startswith(self.package)]
-        return sorted({f"{code.co_filename[len(self.package) + 1 :]}:{code.co_qualname}" for code in inside})
+        return sorted(
+            {f"{code.co_filename[len(self.package) + 1 :]}:{code.co_qualname}" for code in inside}
+        )
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
@@ -53,7 +57,10 @@ class Recorder:
         done = yield
         sys.settrace(None)
         self.tests.setdefault(item.nodeid, {"passed": True})
-        self.tests[item.nodeid] |= {"seconds": time.perf_counter() - begin, "functions": self.functions()}
+        self.tests[item.nodeid] |= {
+            "seconds": time.perf_counter() - begin,
+            "functions": self.functions(),
+        }
         return done
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -64,7 +71,11 @@ class Recorder:
     def pytest_sessionfinish(self) -> None:
         """Write this process's part of the record."""
         worker = os.environ.get("PYTEST_XDIST_WORKER", "main")
-        passed = {name: test for name, test in self.tests.items() if test.get("passed") and "functions" in test}
+        passed = {
+            name: test
+            for name, test in self.tests.items()
+            if test.get("passed") and "functions" in test
+        }
         Path(f"{os.environ[OUTPUT]}.{worker}").write_text(json.dumps(passed))
 
 

@@ -1,4 +1,6 @@
-"""Error bars against definitions, numerical integration, and what errors do when the noise is drawn again and again."""
+"""Error bars against definitions, numerical integration, and what errors do when the noise is drawn
+again and again.
+"""
 
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -38,11 +40,15 @@ def panel_cells() -> Array:
     return cells
 
 
-def solved(terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array | None = None) -> Solution:
+def solved(
+    terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array | None = None
+) -> Solution:
     estimator = Estimator(terms, formulation="reduced")
     scene = Scene(Panel(*measured.shape))
     data = estimator.data(Readings.of(scene, measured[None], sigma[None]), Background(scene))
-    return best_solution(estimator.problem(scene, 1, 1.0), data, None if start is None else start[None])
+    return best_solution(
+        estimator.problem(scene, 1, 1.0), data, None if start is None else start[None]
+    )
 
 
 def model_of(solution: Solution) -> LinearModel:
@@ -80,7 +86,9 @@ def test_the_covariance_is_that_of_laplace(weight: float) -> None:
 
 
 def test_a_cell_at_a_bound_is_released_separately() -> None:
-    """Each cell that a penalty holds at its lower bound has the variance of a panel on which it is free, too."""
+    """Each cell that a penalty holds at its lower bound has the variance of a panel on which it is
+    free, too.
+    """
     measured = two_point_resistance(panel_cells())
     sigma = 0.003 * measured
     weight = 0.1
@@ -96,7 +104,9 @@ def test_a_cell_at_a_bound_is_released_separately() -> None:
         assert_allclose(variance, np.linalg.inv(precision[np.ix_(cells, cells)])[-1, -1], rtol=1e-3)
 
 
-def certainties(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[Array, Certainty, Array]]:
+def certainties(
+    terms: tuple[Term, ...], noise: float, draws: int
+) -> Iterator[tuple[Array, Certainty, Array]]:
     """(error of log r, certainty, which cells are free) of estimates from noise drawn anew."""
     cells = panel_cells()
     rng = np.random.default_rng(7)
@@ -128,14 +138,18 @@ def test_an_unsuitable_penalty_leaves_wider_error_bars() -> None:
     honest = []
     blind = []
     for error, certainty, free in certainties((Misfit(), Gradient(weight=1e-4)), 0.002, 30):
-        honest.append((np.abs(error) <= np.where(error < 0, certainty.above[0], certainty.below[0]))[free])
+        honest.append(
+            (np.abs(error) <= np.where(error < 0, certainty.above[0], certainty.below[0]))[free]
+        )
         blind.append(certainty.resolution[0][free])
     assert np.mean(np.concatenate(honest)) > 0.85
     assert np.median(np.concatenate(blind)) < 0.9
 
 
 def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
-    """A reference that is off moves baseline and frame alike; where the frame is the baseline, nothing is common."""
+    """A reference that is off moves baseline and frame alike; where the frame is the baseline,
+    nothing is common.
+    """
     cells = panel_cells()
     frames = np.repeat(cells[None], 3, axis=0)
     scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
@@ -149,8 +163,12 @@ def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
 
 @pytest.mark.slow
 def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
-    """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals still hold them."""
-    readout = VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0)
+    """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals
+    still hold them.
+    """
+    readout = VirtualGroundReadout(
+        drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0
+    )
     scene = Scene(Panel(5, 6), readout)
     held = []
     unsolved = 0
@@ -171,28 +189,40 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
             continue
         held.append(in_intervals(estimate)[0][recording.readings().bounds[1]])
     at_rails = np.concatenate(held)
-    assert unsolved <= 2 and len(at_rails) > 20  # of solves that end at the limit of iterations with a sentence
+    # Of solves that end at the limit of iterations with a sentence.
+    assert unsolved <= 2 and len(at_rails) > 20
     assert at_rails.mean() > 0.9
 
 
 def test_an_interval_exceeds_the_bounds_only_by_the_noise_of_the_reading() -> None:
-    """Cells of 100 Ω ± 10 %: free, near the lower and the upper bound, between two that are one, and held at either."""
+    """Cells of 100 Ω ± 10 %: free, near the lower and the upper bound, between two that are one,
+    and held at either.
+    """
     cells = np.full((1, 1, 6), 100.0)
-    lower, upper = np.log([[[50.0, 99.0, 50.0, 100.0, 100.0, 50.0]], [[500.0, 500.0, 101.0, 100.0, 500.0, 100.0]]])
+    lower, upper = np.log(
+        [[[50.0, 99.0, 50.0, 100.0, 100.0, 50.0]], [[500.0, 500.0, 101.0, 100.0, 500.0, 100.0]]]
+    )
     data = SimpleNamespace(log_bounds=(lower, upper), sigma=np.full((1, 1, 6), 0.5), measured=cells)
     at = SimpleNamespace(cell_resistance=cells, position=np.log(cells), data=data)
     held = np.arange(6) == np.array([[4], [5]])
-    model: Any = SimpleNamespace(at=at, free=np.arange(4), at_lower=held[0], at_upper=held[1], scale=0.5)
+    model: Any = SimpleNamespace(
+        at=at, free=np.arange(4), at_lower=held[0], at_upper=held[1], scale=0.5
+    )
     model.gradient = np.full(6, 1e5)  # so steep that the density is exponential, with the slope 1e5
     shares = np.full(4, 0.7), np.full(4, 0.91)
-    certainty = Certainty.of(model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells)))
+    certainty = Certainty.of(
+        model, (np.full(4, 0.01), np.full(4, 0.0036)), shares, lambda cells: np.ones(len(cells))
+    )
     reach = 0.1959964
     noise = 1.959964 * 0.005
     tail = -np.log(0.05) / 1e5
     assert_allclose(certainty.deviation, [[[*[0.1] * 4, 1e-5, np.inf]]])
     assert_allclose(certainty.own[..., :4], 0.08)
-    assert_allclose(certainty.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6)
+    assert_allclose(
+        certainty.below, [[[reach, np.log(100 / 99) + noise, reach, noise, noise, tail]]], rtol=1e-6
+    )
     assert_allclose(certainty.above, [[[reach, reach, np.inf, reach, tail, np.inf]]], rtol=1e-6)
     assert_allclose(
-        (certainty.resolution, certainty.data_share), np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]])
+        (certainty.resolution, certainty.data_share),
+        np.multiply.outer([0.7, 0.91], [[[1, 1, 1, 1, 0, 0]]]),
     )

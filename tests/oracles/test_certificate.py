@@ -1,6 +1,8 @@
-"""What "verified" means: no cell would move, whatever the scale of its reading, and the point is a minimum.
+"""What "verified" means: no cell would move, whatever the scale of its reading, and the point is a
+minimum.
 
-Readings come from statements of the circuits that share no code with the package: of extreme panels in 50 digits.
+Readings come from statements of the circuits that share no code with the package: of extreme panels
+in 50 digits.
 """
 
 from dataclasses import replace
@@ -17,7 +19,12 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
+from lampest.panel.readouts import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Readout,
+    VirtualGroundReadout,
+)
 from lampest.solvers.certificate import certificate, clear_of_rounding
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -33,13 +40,17 @@ USUAL_CELLS = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal(DOWN.
 COLUMN = (slice(None), 4)
 FINE_CONVERTER = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
 OHM = {"drive_ohm": 50.0, "sense_ohm": 20.0}
-# Each readout in volt, and the same circuit in its second statement, which inverts: down to 10⁻⁶ ohm.
+# Each readout in volt, and the same circuit in its second statement, which inverts: down to 10⁻⁶
+# ohm.
 KINDS: dict[str, tuple[Readout, Circuit]] = {
     "loaded": (
         LoadedColumnsReadout(drive_ohm=50.0, load_ohm=1000.0, **FINE_CONVERTER),
         Circuit("loaded", (), 50, 0, 1000, 5),
     ),
-    "grounded": (GroundedReadout(load_ohm=1000.0, **OHM, **FINE_CONVERTER), Circuit("grounded", (), 50, 20, 1000, 5)),
+    "grounded": (
+        GroundedReadout(load_ohm=1000.0, **OHM, **FINE_CONVERTER),
+        Circuit("grounded", (), 50, 20, 1000, 5),
+    ),
     "one load": (
         GroundedReadout(load_ohm=1000.0, sense="one", **OHM, **FINE_CONVERTER),
         Circuit("grounded_one", (), 50, 20, 1000, 5),
@@ -49,7 +60,12 @@ KINDS: dict[str, tuple[Readout, Circuit]] = {
         Circuit("virtual", (), 50, 20, 10, 5),
     ),
 }
-SHORTS: dict[str, object] = {"cell": (2, 3), "two cells": ([0, 3], [1, 4]), "row": 2, "column": COLUMN}
+SHORTS: dict[str, object] = {
+    "cell": (2, 3),
+    "two cells": ([0, 3], [1, 4]),
+    "row": 2,
+    "column": COLUMN,
+}
 
 
 def changed(place: object, factor: float | Array) -> Array:
@@ -59,7 +75,9 @@ def changed(place: object, factor: float | Array) -> Array:
 
 
 def decades(count: float) -> Array:
-    return USUAL_CELLS * 10 ** np.random.default_rng(4).uniform(-count / 2, count / 2, USUAL_CELLS.shape)
+    return USUAL_CELLS * 10 ** np.random.default_rng(4).uniform(
+        -count / 2, count / 2, USUAL_CELLS.shape
+    )
 
 
 EXTREME_PANELS: dict[str, Array] = {
@@ -71,28 +89,49 @@ EXTREME_PANELS: dict[str, Array] = {
     "shorted column": changed(COLUMN, 1e-6),
     "open and shorted": changed(2, 1e5) * np.where(ALONG == 4, 1e-5, 1.0),
     **{f"clusters {contrast:.0e}": changed(CLUSTER_MASK, contrast) for contrast in (1e3, 1e6, 1e9)},
-    **{f"checkerboard {contrast:.0e}": changed((DOWN + ALONG) % 2 == 1, contrast) for contrast in (1e3, 1e5)},
+    **{
+        f"checkerboard {contrast:.0e}": changed((DOWN + ALONG) % 2 == 1, contrast)
+        for contrast in (1e3, 1e5)
+    },
     **{f"{count} decades": decades(count) for count in (2, 5, 9)},
     "a ramp of six decades": USUAL_CELLS * np.logspace(-3, 3, len(USUAL_CELLS))[:, None],
 }
-BEYOND_IPOPT = ("shorted cell", "shorted row", "shorted column", "clusters 1e+09", "checkerboard 1e+05", "9 decades")
+BEYOND_IPOPT = (
+    "shorted cell",
+    "shorted row",
+    "shorted column",
+    "clusters 1e+09",
+    "checkerboard 1e+05",
+    "9 decades",
+)
 
 
-def solution_of(scene: Scene, recorded: Array, formulation: str, bounds: Bounds | None = None) -> Solution:
+def solution_of(
+    scene: Scene, recorded: Array, formulation: str, bounds: Bounds | None = None
+) -> Solution:
     """The solution of one frame by plain least squares, without an upper bound unless told."""
-    estimator = Estimator((Misfit(),), formulation=formulation, bounds=bounds or Bounds(upper="none"))
+    estimator = Estimator(
+        (Misfit(),), formulation=formulation, bounds=bounds or Bounds(upper="none")
+    )
     return Stream.begin(estimator, scene, 1.0, Readings.of(scene, recorded)).baseline.solution
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("name", EXTREME_PANELS)
 def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
-    """Plain least squares of exact readings; the optimum has no misfit, and no large reading hides a small one."""
+    """Plain least squares of exact readings; the optimum has no misfit, and no large reading hides
+    a small one.
+    """
     cells = EXTREME_PANELS[name]
     measured = in_digits(cells)
     solution = solution_of(Scene(Panel(*cells.shape)), measured, formulation)
-    if formulation == "nodal" and name in BEYOND_IPOPT and solution.status in (Status.FAINT, Status.FLAT):
-        return  # the digits of node voltages end where readings span six decades, and the status says so
+    if (
+        formulation == "nodal"
+        and name in BEYOND_IPOPT
+        and solution.status in (Status.FAINT, Status.FLAT)
+    ):
+        # The digits of node voltages end where readings span six decades, and the status says so.
+        return
     assert solution.status is Status.OPTIMUM
     assert np.abs(in_digits(solution.cell_resistance[0]) / measured - 1).max() < 1e-6
     assert np.abs(solution.cell_resistance[0] / cells - 1).max() < 1e-4
@@ -100,21 +139,28 @@ def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: 
 
 @pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
 def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
-    """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a thousandth."""
+    """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a
+    thousandth.
+    """
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
     cells[place] *= 1e-9
     scene = Scene(Panel(32, 32))
     recorded = scene.circuit.exact_reading(cells)
     solution = solution_of(scene, recorded, "reduced", Bounds())
     assert solution.solved
-    assert solution.status is not Status.OPTIMUM or np.abs(solution.reading[0] / recorded - 1).max() <= 1e-6
+    assert (
+        solution.status is not Status.OPTIMUM
+        or np.abs(solution.reading[0] / recorded - 1).max() <= 1e-6
+    )
 
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("ohm", [1.0, 3e-3, 3e-4, 1e-6])
 @pytest.mark.parametrize("short", SHORTS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_verified_estimates_meet_the_readings_of_shorts(kind: str, short: str, ohm: float, formulation: str) -> None:
+def test_verified_estimates_meet_the_readings_of_shorts(
+    kind: str, short: str, ohm: float, formulation: str
+) -> None:
     """Cells of a third of a milliohm are met; where the digits end, the status is another one.
 
     `auto` gives what IPOPT leaves open to the reduced solver.
@@ -127,20 +173,27 @@ def test_verified_estimates_meet_the_readings_of_shorts(kind: str, short: str, o
     solution = solution_of(Scene(Panel(*cells.shape), readout), volt, formulation)
     misfit = np.abs(circuit.reading(solution.cell_resistance[0])[0] / volt - 1).max()
     if formulation == "nodal" and ohm < 1 and solution.status is not Status.OPTIMUM:
-        return  # the digits of node voltages end six decades below the other cells, and the status says so
+        # The digits of node voltages end six decades below the other cells, and the status says so.
+        return
     assert solution.solved and (solution.status is not Status.OPTIMUM or misfit < 1e-6)
     if ohm == 3e-4 and "cell" in short:
         assert solution.optimum and misfit < 1e-6 and not solution.at_lower.any()
 
 
 def evaluation(
-    terms: tuple[Term, ...], cells: Array, measured: Array, sigma: Array | None = None, previous: Array | None = None
+    terms: tuple[Term, ...],
+    cells: Array,
+    measured: Array,
+    sigma: Array | None = None,
+    previous: Array | None = None,
 ) -> Evaluation:
     scene = Scene(Panel(*measured.shape))
     readings = Readings.of(scene, measured, sigma)
     given = Given.of(readings.alone(), Background(scene, previous=previous))
     wide = (measured[None] * 1e-6, measured[None] * 1e6)
-    return Evaluation.at(Cost(scene.panel, terms, 1), Data(given, *wide, noise_known=sigma is not None), cells[None])
+    return Evaluation.at(
+        Cost(scene.panel, terms, 1), Data(given, *wide, noise_known=sigma is not None), cells[None]
+    )
 
 
 def verified(point: Evaluation) -> Solution:
@@ -151,7 +204,8 @@ def verified(point: Evaluation) -> Solution:
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
-    """Cells of the smaller kind scattered by `relative_error`, which only their own small readings show.
+    """Cells of the smaller kind scattered by `relative_error`, which only their own small readings
+    show.
 
     Clusters, a checkerboard, a block or stripes, up to nine decades apart.
     """
@@ -169,7 +223,9 @@ def test_wrong_small_cells_are_never_verified(number: int, relative_error: float
 
 
 def test_a_factor_may_succeed_on_rounding() -> None:
-    """Forty cells of which only neighbours' differences are told: no pivot is small, the smallest bend is 10⁻¹³."""
+    """Forty cells of which only neighbours' differences are told: no pivot is small, the smallest
+    bend is 10⁻¹³.
+    """
     count = 40
     random = np.random.default_rng(2)
     vectors = np.linalg.qr(random.standard_normal((count, count)))[0]
@@ -183,7 +239,9 @@ def test_a_factor_may_succeed_on_rounding() -> None:
 
 
 def test_a_single_wrong_small_cell_is_not_verified() -> None:
-    """Everything is met but one shorted cell, which is off by a tenth: first-order conditions hold and nobody signs."""
+    """Everything is met but one shorted cell, which is off by a tenth: first-order conditions hold
+    and nobody signs.
+    """
     cells = changed((2, 3), 1e-6)
     perturbed = cells.copy()
     perturbed[2, 3] *= 1.1
@@ -194,7 +252,8 @@ def test_a_single_wrong_small_cell_is_not_verified() -> None:
 
 
 def test_the_certificate_names_a_saddle() -> None:
-    """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm: φ = (r − 1000)² + 2 (100 log r)².
+    """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm: φ = (r − 1000)² + 2
+    (100 log r)².
 
     Between the two minima the cost is stationary, and largest.
     """
@@ -205,7 +264,11 @@ def test_the_certificate_names_a_saddle() -> None:
     cells = np.array([[np.exp(brentq(slope, np.log(30.0), np.log(400.0), xtol=1e-15, rtol=1e-15))]])
     terms = (Misfit(), LogRatio(weight=2.0, loss=Squared()))
     solution = verified(evaluation(terms, cells, np.array([[1000.0]]), previous=np.array([[1.0]])))
-    assert solution.status is Status.SADDLE and not solution.solved and np.isnan(solution.cell_resistance).all()
+    assert (
+        solution.status is Status.SADDLE
+        and not solution.solved
+        and np.isnan(solution.cell_resistance).all()
+    )
 
 
 def test_undetermined_cells_are_called_a_plateau() -> None:
@@ -213,14 +276,20 @@ def test_undetermined_cells_are_called_a_plateau() -> None:
     scene = Scene(Panel(1, 3))
     cells = np.array([[1000.0, 2000.0, 3000.0]])
     readings = Readings(cells, None, np.zeros((1, 3)), np.array([[1.0, 0.0, 1.0]]))
-    data = Data(Given.of(readings.alone(), Background(scene)), cells[None] * 1e-6, cells[None] * 1e6)
-    solution = verified(Evaluation.at(Cost(scene.panel, (Misfit(),), 1, partial=True), data, cells[None]))
+    data = Data(
+        Given.of(readings.alone(), Background(scene)), cells[None] * 1e-6, cells[None] * 1e6
+    )
+    solution = verified(
+        Evaluation.at(Cost(scene.panel, (Misfit(),), 1, partial=True), data, cells[None])
+    )
     assert solution.status is Status.FLAT and solution.solved
 
 
 @pytest.mark.parametrize("noise", [None, 0.05])
 def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -> None:
-    """Cells three millionths off are verified where the noise is ten thousand times as large, and only there."""
+    """Cells three millionths off are verified where the noise is ten thousand times as large, and
+    only there.
+    """
     measured = in_digits(USUAL_CELLS)
     sigma = None if noise is None else noise * measured
     point = evaluation((Misfit(),), USUAL_CELLS * (1 + 3e-6), measured, sigma)
@@ -231,8 +300,12 @@ def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -
 def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gradient(
     share: float, optimum: bool
 ) -> None:
-    """All cells are as before but for rounding; the readings of two loaded cells are missed by 60 percent."""
-    unloaded = USUAL_CELLS * (1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL_CELLS.shape))
+    """All cells are as before but for rounding; the readings of two loaded cells are missed by 60
+    percent.
+    """
+    unloaded = USUAL_CELLS * (
+        1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL_CELLS.shape)
+    )
     measured = in_digits(changed(([2, 3], [3, 3]), 0.3))
     zeros = np.zeros(USUAL_CELLS.size)
 
@@ -243,14 +316,18 @@ def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gra
     largest = float(np.abs(point(1.0).log_gradient(zeros)).max())
     start = point(share * largest / 100)  # the residual is 100 ln(r / r before)
     assert start.kkt_residual(zeros) > 1e-4
-    assert check(start, Outcome(start.cell_resistance, zeros, Status.ITERATIONS, 1)).solved is optimum
+    assert (
+        check(start, Outcome(start.cell_resistance, zeros, Status.ITERATIONS, 1)).solved is optimum
+    )
     outcome = ProjectedNewton(start.cost, Settings()).solve(start.data, start)
     solution = check(start, outcome)
     assert not solution.solved or (solution.objective < 0.99 * start.objective) is not optimum
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)])
+@pytest.mark.parametrize(
+    "readout", [GroundedReadout(sense="all", drive_ohm=50), LoadedColumnsReadout(load_ohm=10000)]
+)
 @pytest.mark.parametrize("seed", [0, 1, 3, 5])
 def test_a_step_shortened_by_the_noise_alone_is_not_accepted(readout: Readout, seed: int) -> None:
     readout = replace(readout, adc_bits=32, noise_lsb=1.0)
@@ -259,8 +336,14 @@ def test_a_step_shortened_by_the_noise_alone_is_not_accepted(readout: Readout, s
     reading = np.asarray(readout.to_recorded(readout.exact_reading(cells), scene))
     frames = np.stack([reading] * 2)
     recording = Recording(scene, frames, np.arange(2.0), np.array([0, 1], np.uint8), 1e-3 * frames)
-    estimator = Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
+    estimator = Estimator(
+        (Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False
+    )
     estimates = reconstruct(recording, estimator)
-    assert [step.solution.status for step in (estimates.baseline, *estimates.steps)] == [Status.OPTIMUM] * 2
-    reproduced = np.asarray(readout.to_recorded(readout.exact_reading(estimates.steps[0].estimate(0)), scene))
+    assert [step.solution.status for step in (estimates.baseline, *estimates.steps)] == [
+        Status.OPTIMUM
+    ] * 2
+    reproduced = np.asarray(
+        readout.to_recorded(readout.exact_reading(estimates.steps[0].estimate(0)), scene)
+    )
     np.testing.assert_allclose(reproduced, reading, rtol=1e-5)

@@ -1,4 +1,6 @@
-"""Recognition on panels of modules, of mouths that no package made, and of a load's size against a random walk."""
+"""Recognition on panels of modules, of mouths that no package made, and of a load's size against a
+random walk.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +11,18 @@ import pytest
 from laws.recognised import PATCH_MM, answered, frame_under, verdict_on
 
 from docs.studies.attachments import CURVES, SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
-from lampest import Array, Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
+from lampest import (
+    Array,
+    Course,
+    Faults,
+    OralDisc,
+    Panel,
+    Rod,
+    Scene,
+    Simulation,
+    TwoPointReadout,
+    simulate,
+)
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.image import Window
@@ -30,9 +43,15 @@ SCALES = (0.1, 0.4, 1.0)
 def test_each_load_over_a_seam_is_one_event(tmp_path: Path) -> None:
     """Columns of modules begin at 0, 74 and 148 mm, rows at 0 and 64."""
     scene = replace(SCENE, faults=Faults(dead_modules=((1, 2),)))
-    mouth = OralDisc(centre_mm=(40, 62), diameter_mm=38, rim_width_mm=6, pressure_kpa=-10, rim_kpa=20)
+    mouth = OralDisc(
+        centre_mm=(40, 62), diameter_mm=38, rim_width_mm=6, pressure_kpa=-10, rim_kpa=20
+    )
     rod = Rod(centre_mm=(180, 25), diameter_mm=30, mass_g=500)
-    taken = simulate(Simulation(schema=1, seed=4, scene=scene, frames=14, frame_period_s=0.25, loads=(mouth, rod)))
+    taken = simulate(
+        Simulation(
+            schema=1, seed=4, scene=scene, frames=14, frame_period_s=0.25, loads=(mouth, rod)
+        )
+    )
     taken.save(tmp_path / "mat.h5")
     answer = detect_recording(tmp_path / "mat.h5")
     assert answer.answer == "sucks" and len(answer.attachments) == 2, answer.why
@@ -44,7 +63,9 @@ def test_each_load_over_a_seam_is_one_event(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
-    simulate(Simulation(schema=1, seed=5, scene=SCENE, frames=60, frame_period_s=0.25)).save(tmp_path / "mat.h5")
+    simulate(Simulation(schema=1, seed=5, scene=SCENE, frames=60, frame_period_s=0.25)).save(
+        tmp_path / "mat.h5"
+    )
     answer = detect_recording(tmp_path / "mat.h5")
     assert answer.answer == "nothing" and not answer.attachments
 
@@ -55,8 +76,14 @@ def test_a_window_equals_the_network_of_its_modules() -> None:
     assert (own.cells[1].start, own.x_mm, own.y_mm, own.numbers) == (7, 74.0, 0.0, (1, 2, 4, 5))
     cells = np.exp(np.random.default_rng(1).uniform(6, 7, own.scene.panel.shape))
     circuit = own.scene.circuit
-    assert circuit.unit == "ohm" and np.all(circuit.series_ohm == 140) and circuit.series_ohm.shape == (12, 14)
-    apart = [SCENE.of_modules[0].circuit.uniform_start(part) for part in (cells[:6, 7:], cells[6:, :7])]
+    assert (
+        circuit.unit == "ohm"
+        and np.all(circuit.series_ohm == 140)
+        and circuit.series_ohm.shape == (12, 14)
+    )
+    apart = [
+        SCENE.of_modules[0].circuit.uniform_start(part) for part in (cells[:6, 7:], cells[6:, :7])
+    ]
     np.testing.assert_array_equal(circuit.uniform_start(cells)[:6, 7:], apart[0])
     np.testing.assert_array_equal(circuit.uniform_start(cells)[6:, :7], apart[1])
     slopes = circuit.network(cells, circuit.ties(cells), None).sensitivity()[:, [3, 100]]
@@ -64,18 +91,28 @@ def test_a_window_equals_the_network_of_its_modules() -> None:
         moved = cells.copy()
         moved.flat[cell] *= np.exp(1e-5)
         ends = [
-            circuit.network(resistances, circuit.ties(resistances), None).reading() for resistances in (cells, moved)
+            circuit.network(resistances, circuit.ties(resistances), None).reading()
+            for resistances in (cells, moved)
         ]
-        np.testing.assert_allclose(slopes[:, column], ((ends[1] - ends[0]) / 1e-5).ravel(), rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(
+            slopes[:, column], ((ends[1] - ends[0]) / 1e-5).ravel(), rtol=1e-3, atol=1e-3
+        )
     offsets = ModelErrors().offsets(cells, own.scene) != 0
     lines = offsets[:, : 4 * 13].reshape(*cells.shape, -1)
-    assert lines.sum(axis=2).max() == 2 and (lines[0, 0] & lines[0, 8]).sum() == 0 == (lines[0, 0] & lines[7, 0]).sum()
+    assert (
+        lines.sum(axis=2).max() == 2
+        and (lines[0, 0] & lines[0, 8]).sum() == 0 == (lines[0, 0] & lines[7, 0]).sum()
+    )
     assert (lines[0, 0] & lines[0, 6]).sum() == 1 == (lines[0, 0] & lines[5, 0]).sum()
 
 
 @pytest.mark.slow
-def test_recognition_examines_only_changed_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of 36 modules carries a rod: one window opens, and a bounded number of looks examines this module alone."""
+def test_recognition_examines_only_changed_places(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of 36 modules carries a rod: one window opens, and a bounded number of looks examines
+    this module alone.
+    """
     examined = list[tuple[int, ...]]()
     verdict = Detector.verdict
 
@@ -87,7 +124,9 @@ def test_recognition_examines_only_changed_places(tmp_path: Path, monkeypatch: p
     scene = replace(SCENE, panel=Panel(modules=Modules(6, 6, EachModule(10, 10), 4.0)))
     rod = Rod(centre_mm=(150, 255), diameter_mm=30, mass_g=500)
     course = Course(start_s=1.0)
-    simulation = Simulation(schema=1, seed=6, scene=scene, frames=20, frame_period_s=0.25, loads=(rod,), course=course)
+    simulation = Simulation(
+        schema=1, seed=6, scene=scene, frames=20, frame_period_s=0.25, loads=(rod,), course=course
+    )
     simulate(simulation).save(tmp_path / "mat.h5")
     progress = list[tuple[int, int]]()
     answer = detect_recording(tmp_path / "mat.h5", on_frame=lambda *counts: progress.append(counts))
@@ -98,10 +137,12 @@ def test_recognition_examines_only_changed_places(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.slow
 def test_breath_is_judged_in_uninterrupted_windows() -> None:
-    """A deep breath is no row of steps: by 14 % of its suction, it changes the readings by more than half of the load.
+    """A deep breath is no row of steps: by 14 % of its suction, it changes the readings by more
+    than half of the load.
 
-    Nor is an outlier in two frames of three. The first 8 s of another mouth leave a breath of 6 % at 0.7 Hz open:
-    frames after a full window are judged before the next is full. The first seconds of a shaken cup look like breath.
+    Nor is an outlier in two frames of three. The first 8 s of another mouth leave a breath of 6 %
+    at 0.7 Hz open: frames after a full window are judged before the next is full. The first seconds
+    of a shaken cup look like breath.
     """
     assert seen("uneven mouth", 4.0, 501003).lamprey < 10
     assert seen("mouth partly off", 4.0, 501001).lamprey < 8
@@ -111,7 +152,9 @@ def test_breath_is_judged_in_uninterrupted_windows() -> None:
 
 @pytest.mark.slow
 def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waves of 0.2 kPa at 0.7 Hz change all cells: under a load by other parts than those that readings share."""
+    """Waves of 0.2 kPa at 0.7 Hz change all cells: under a load by other parts than those that
+    readings share.
+    """
 
     def in_waves(pressure: Array) -> Array:
         wave = 0.2 * np.sin(2 * np.pi * 0.7 * 0.25 * np.arange(len(pressure)))
@@ -129,8 +172,13 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     (attachment,) = answer.attachments
     begin = slid.time[UNLOADED] + TOUCH_S
     assert answer.answer == LAMPREY and "pumping" not in answer.sentence
-    assert attachment.moved_s and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
-    assert abs(attachment.place[0] - mouth.centres_mm[0][0]) == pytest.approx(15, abs=2.5 * attachment.x_mm[1])
+    assert (
+        attachment.moved_s
+        and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
+    )
+    assert abs(attachment.place[0] - mouth.centres_mm[0][0]) == pytest.approx(
+        15, abs=2.5 * attachment.x_mm[1]
+    )
     assert attachment.x_mm[1] < 1
 
 
@@ -138,7 +186,9 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
 @pytest.mark.parametrize("curve", ["straight", "delayed"])
 def test_error_bars_of_suction_and_breath_contain_unmeasured_films(curve: str) -> None:
     watched = [seen("mouth", 4.0, seed, attached_s=9.0, curve=curve) for seed in range(9000, 9004)]
-    suction = np.array([(answer.suction - answer.true_suction) / answer.suction_sd for answer in watched])
+    suction = np.array(
+        [(answer.suction - answer.true_suction) / answer.suction_sd for answer in watched]
+    )
     depth = np.array([(answer.seen_depth - answer.depth) / answer.depth_sd for answer in watched])
     assert np.abs(suction).max() < 2.3 and np.abs(depth).max() < 2.3
 
@@ -185,8 +235,12 @@ def test_a_poorly_determined_diameter_has_the_width_of_its_posterior() -> None:
 @pytest.mark.parametrize(
     ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
 )
-def test_diameters_of_small_rods_lie_within_their_errors(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
-    best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL_PANEL).best
+def test_diameters_of_small_rods_lie_within_their_errors(
+    diameter_mm: float, centre_mm: tuple[float, float]
+) -> None:
+    best = verdict_on(
+        Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL_PANEL
+    ).best
     value, slopes = best.candidate.report(best.parameters)["diameter_mm"]
     error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0

@@ -1,4 +1,6 @@
-"""Every readout against netlists that are solved resistor by resistor, with ideal sources and without Z."""
+"""Every readout against netlists that are solved resistor by resistor, with ideal sources and
+without Z.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -14,7 +16,18 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 import lampest
-from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, simulate
+from lampest import (
+    Array,
+    Diode,
+    Estimator,
+    Faults,
+    InputError,
+    Panel,
+    Recording,
+    Settings,
+    Squared,
+    simulate,
+)
 from lampest.audit.verdict import verdict
 from lampest.cost.terms import LogGradient, LogRatio, Misfit
 from lampest.estimate.prepared import Prepared
@@ -41,15 +54,26 @@ COLUMNS = 6
 DRIVES = tuple(40.0 + 9 * line for line in range(ROWS))
 SENSES = tuple(60.0 + 11 * line for line in range(COLUMNS))
 TWO_POINT = TwoPointReadout(adc_bits=12, noise_lsb=1)
-LOADED = LoadedColumnsReadout(supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1)
-LOADED_LISTS = replace(LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES)
-LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))
+LOADED = LoadedColumnsReadout(
+    supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1
+)
+LOADED_LISTS = replace(
+    LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES
+)
+LOADED_TURNED = replace(
+    LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0)
+)
 SENSED_ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
 SENSED_ONE = replace(SENSED_ALL, sense="one")
 LISTS = replace(
-    SENSED_ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS))
+    SENSED_ALL,
+    drive_ohm=DRIVES,
+    sense_ohm=SENSES,
+    load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS)),
 )
-VIRTUAL = VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, adc_bits=12, noise_lsb=1)
+VIRTUAL = VirtualGroundReadout(
+    drive_ohm=70, sense_ohm=70, feedback_ohm=150, adc_bits=12, noise_lsb=1
+)
 READOUTS: dict[str, Any] = {
     "two point": TWO_POINT,
     "two point across the sensor": replace(TWO_POINT, measured_across="sensor"),
@@ -74,19 +98,26 @@ READOUTS: dict[str, Any] = {
     "one, ideal": replace(SENSED_ONE, drive_ohm=0.0),
     "virtual": VIRTUAL,
     "virtual, columns": replace(VIRTUAL, driven="columns"),
-    "virtual, lists": replace(VIRTUAL, drive_ohm=DRIVES, sense_ohm=SENSES, feedback_ohm=SENSES[::-1]),
+    "virtual, lists": replace(
+        VIRTUAL, drive_ohm=DRIVES, sense_ohm=SENSES, feedback_ohm=SENSES[::-1]
+    ),
     "virtual, ideal": replace(VIRTUAL, drive_ohm=0.0, sense_ohm=0.0),
 }
-PULLED = DrivenReadout(drive_ohm=30, idle_ohm=3300, load_ohm=1000, sense_ohm=20, adc_bits=12, noise_lsb=1)
+PULLED = DrivenReadout(
+    drive_ohm=30, idle_ohm=3300, load_ohm=1000, sense_ohm=20, adc_bits=12, noise_lsb=1
+)
 PAIRS = ((0, 2, 4), (5, 1, 3))
 ONE_NETWORK: dict[str, Any] = {
     "pull-downs": PULLED,
     "pull-downs, one": replace(PULLED, idle_load_ohm=inf),
-    "pull-downs, columns down": replace(PULLED, driven="columns", polarity="down", idle_load_ohm=10e3),
+    "pull-downs, columns down": replace(
+        PULLED, driven="columns", polarity="down", idle_load_ohm=10e3
+    ),
     "floating, one": replace(PULLED, idle_ohm=inf, idle_load_ohm=inf),
     "floating, drained": replace(PULLED, idle_ohm=inf, idle_load_ohm=800.0),
 }
-# With 30 ohm, other lines held on both sides have two sets of cells that give the same readings to the last digit.
+# With 30 ohm, other lines held on both sides have two sets of cells that give the same readings to
+# the last digit.
 MORE_READOUTS: dict[str, Any] = {
     "held": replace(PULLED, idle_ohm=0.0),
     "held, others held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, idle_load_ohm=0.0),
@@ -94,7 +125,9 @@ MORE_READOUTS: dict[str, Any] = {
     "parallel": replace(PULLED, idle_ohm=inf, groups=PAIRS),
     "parallel, loaded columns": replace(LOADED, groups=PAIRS),
     "parallel, grounded": replace(SENSED_ONE, groups=((0, 1, 2, 3), (4, 5))),
-    "parallel, held": replace(PULLED, drive_ohm=5, idle_ohm=0.0, groups=((0, 1), (2, 3), (4, 5)), idle_load_ohm=0.0),
+    "parallel, held": replace(
+        PULLED, drive_ohm=5, idle_ohm=0.0, groups=((0, 1), (2, 3), (4, 5)), idle_load_ohm=0.0
+    ),
     "parallel, columns down": replace(
         PULLED, driven="columns", polarity="down", groups=((0, 1, 2), (3, 4)), idle_load_ohm=2e3
     ),
@@ -121,7 +154,9 @@ KINDS: tuple[Readout, ...] = (
 )
 
 
-def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] = (ROWS, COLUMNS)) -> Recording:
+def panel_of(
+    readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] = (ROWS, COLUMNS)
+) -> Recording:
     """Three unloaded frames and two with a load, with noise of so many σ, none of it quantised."""
     rng = np.random.default_rng(seed)
     scene = Scene(Panel(*shape), readout, systematic="none")
@@ -142,7 +177,9 @@ def test_every_readout_agrees_with_its_netlist() -> None:
     bare = {"pull-downs, bare": replace(PULLED, load_ohm=inf)}
     for name, readout in (READOUTS | MORE_READOUTS | bare).items():
         recording = panel_of(readout, 0.0)
-        modelled = readout.to_recorded(readout.exact_reading(recording.truth_cell_resistance), recording.scene)
+        modelled = readout.to_recorded(
+            readout.exact_reading(recording.truth_cell_resistance), recording.scene
+        )
         ideal = getattr(readout, "drive_ohm", 1.0) == 0
         assert_allclose(modelled, recording.recorded, rtol=1e-7 if ideal else 1e-11, err_msg=name)
 
@@ -152,7 +189,9 @@ def test_every_readout_agrees_with_its_netlist() -> None:
     [
         pytest.param(formulation, readout, id=f"{name}-{formulation}")
         for formulation in ("reduced", "nodal")
-        for name, readout in (READOUTS | (MORE_READOUTS if formulation == "reduced" else {})).items()
+        for name, readout in (
+            READOUTS | (MORE_READOUTS if formulation == "reduced" else {})
+        ).items()
     ],
 )
 def test_noise_free_readings_give_the_cells(readout: Any, formulation: Any) -> None:
@@ -166,7 +205,9 @@ def test_noise_free_readings_give_the_cells(readout: Any, formulation: Any) -> N
 @pytest.mark.parametrize("terms", [LSM, SMOOTH], ids=["plain", "smooth"])
 def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     recording = panel_of(readout, 1.0)
-    nodal, reduced = (reconstruct(recording, Estimator(terms, name)) for name in ("nodal", "reduced"))
+    nodal, reduced = (
+        reconstruct(recording, Estimator(terms, name)) for name in ("nodal", "reduced")
+    )
     assert all(step.solution.solved for step in (*nodal.steps, *reduced.steps))
     held = isinstance(readout, GroundedReadout | VirtualGroundReadout)
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
@@ -180,27 +221,42 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
     step = rng.normal(size=(ROWS, COLUMNS))
     network = readout.network(cells, readout.ties(cells))
     changes = [
-        network.response_of(lambda each, entry=entry: np.broadcast_to(each.changes(step)[entry], cells.shape))
+        network.response_of(
+            lambda each, entry=entry: np.broadcast_to(each.changes(step)[entry], cells.shape)
+        )
         for entry in range(3)
     ]
-    assert_allclose(network.read_change(tuple(changes)), network.forward(step), rtol=1e-9, atol=1e-12)
+    assert_allclose(
+        network.read_change(tuple(changes)), network.forward(step), rtol=1e-9, atol=1e-12
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: int | None) -> None:
-    """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with outlines and wire."""
+    """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with
+    outlines and wire.
+    """
     rng = np.random.default_rng(3)
     shape = (4, 6) if driven == "rows" else (6, 4)
     cells = 3000 * np.exp(rng.normal(size=shape))
     cells[1, 2] = cells[3, 0] = inf  # an outline
-    of_groups = None if groups is None else tuple(tuple(range(first, 6, groups)) for first in range(groups))
+    of_groups = (
+        None if groups is None else tuple(tuple(range(first, 6, groups)) for first in range(groups))
+    )
     drives, loads = (
-        tuple(np.round(rng.uniform(*ends, size=count), 1)) for ends, count in (((20, 90), 4), ((1e3, 2e3), 6))
+        tuple(np.round(rng.uniform(*ends, size=count), 1))
+        for ends, count in (((20, 90), 4), ((1e3, 2e3), 6))
     )
     channels = tuple(np.round(rng.uniform(30, 60, size=6), 1))
-    cases = product((inf, 0.0, 25.0, 3300.0), (None, inf, 0.0, 700.0), (loads, inf), (drives, 0.0), ("up", "down"))
+    cases = product(
+        (inf, 0.0, 25.0, 3300.0),
+        (None, inf, 0.0, 700.0),
+        (loads, inf),
+        (drives, 0.0),
+        ("up", "down"),
+    )
     lines = lampest.Lines(20.0, 30.0, "right", "bottom")
     read = 0
     for idle, idle_load, load, drive, polarity in cases:
@@ -212,33 +268,57 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
             "polarity": polarity,
         }
         try:
-            readout: Any = DrivenReadout(driven=driven, sense_ohm=channels, groups=of_groups, **keys)
+            readout: Any = DrivenReadout(
+                driven=driven, sense_ohm=channels, groups=of_groups, **keys
+            )
         except ValueError:  # no current, or no scale
             continue
-        assert_allclose(readout.to_recorded(readout.exact_reading(cells), None), volts(cells, readout), rtol=1e-11)
+        assert_allclose(
+            readout.to_recorded(readout.exact_reading(cells), None),
+            volts(cells, readout),
+            rtol=1e-11,
+        )
         scene = Scene(Panel(*shape), readout, lines=lines)
-        wired = readout.to_recorded(readout.exact_reading(np.where(np.isinf(cells), 1e9, cells), scene.wiring), scene)
-        assert_allclose(wired, wired_volts(np.where(np.isinf(cells), 1e9, cells), scene), rtol=1e-9, err_msg=str(keys))
+        wired = readout.to_recorded(
+            readout.exact_reading(np.where(np.isinf(cells), 1e9, cells), scene.wiring), scene
+        )
+        assert_allclose(
+            wired,
+            wired_volts(np.where(np.isinf(cells), 1e9, cells), scene),
+            rtol=1e-9,
+            err_msg=str(keys),
+        )
         read += 1
     assert read > 100, "most of the 128 states give readings"
 
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
-    """Two-point readings of two and three groups, their channels told for each line, against netlists."""
+    """Two-point readings of two and three groups, their channels told for each line, against
+    netlists.
+    """
     rng = np.random.default_rng(4)
     rows, columns = (tuple(np.round(rng.uniform(50, 90, size=count), 1)) for count in (5, 6))
     truth = 3000 * np.exp(0.4 * rng.normal(size=(1, 5, 6)))
     for groups in (((0, 2, 4), (5, 1, 3)), ((0, 1), (2, 3), (4, 5))):
         two_point = replace(TWO_POINT, groups=groups, input_ohm=input_ohm)
         scene = Scene(Panel(5, 6), two_point, SeriesPerLine(rows, columns), systematic="none")
-        states = {"drive_ohm": rows, "sense_ohm": columns, "load_ohm": two_point.reference_ohm, "input_ohm": input_ohm}
+        states = {
+            "drive_ohm": rows,
+            "sense_ohm": columns,
+            "load_ohm": two_point.reference_ohm,
+            "input_ohm": input_ohm,
+        }
         volt = volts(truth[0], DrivenReadout(groups=groups, **states))
         recorded = two_point.recorded_from_volt(volt)[None]
-        assert_allclose(scene.circuit.simulated(truth, scene, np.zeros(5), np.zeros(6)), recorded, rtol=1e-11)
+        assert_allclose(
+            scene.circuit.simulated(truth, scene, np.zeros(5), np.zeros(6)), recorded, rtol=1e-11
+        )
         recording = recording_of(scene, np.concatenate([recorded, recorded]), 1)
         assert_allclose(reconstruct(recording, Estimator(LSM)).cell_resistance, truth, rtol=1e-4)
-        told_nothing = replace(recording, scene=replace(scene, readout=replace(two_point, groups=None)))
+        told_nothing = replace(
+            recording, scene=replace(scene, readout=replace(two_point, groups=None))
+        )
         assert np.median(reconstruct(told_nothing, Estimator(LSM)).cell_resistance / truth) > 1.1
 
 
@@ -248,8 +328,14 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         ("{kind: driven, load_ohm: .inf}", "load_ohm, idle_ohm and idle_load_ohm are all infinite"),
         ("{kind: driven, idle_ohm: 0, load_ohm: .inf, idle_load_ohm: 0}", "ratios of cells alone"),
         ("{kind: two_point, idle_ohm: 0}", "t.yaml:3:28: readout.idle_ohm: "),
-        ("{kind: two_point, measured_across: sensor, groups: [[0, 1], [2]]}", "measured_across must be reference"),
-        ("{kind: driven, groups: [[0, 1], [1, 2]]}", "t.yaml:3:25: readout.groups: groups overlap: line 1"),
+        (
+            "{kind: two_point, measured_across: sensor, groups: [[0, 1], [2]]}",
+            "measured_across must be reference",
+        ),
+        (
+            "{kind: driven, groups: [[0, 1], [1, 2]]}",
+            "t.yaml:3:25: readout.groups: groups overlap: line 1",
+        ),
         ("{kind: driven, groups: [[0], [1]]}", "t.yaml:3:25: readout.groups: column 2 is left out"),
         (
             "{kind: grounded, groups: [[0, 1], [2, 3]]}",
@@ -259,7 +345,10 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
             "{kind: driven, driven: columns, groups: [[0, 1], []]}",
             "t.yaml:3:42: readout.groups: every multiplexer has at least one line",
         ),
-        ("{kind: driven, drive_volt: 1, polarity: down}", "drive_volt and converter_volt have no place"),
+        (
+            "{kind: driven, drive_volt: 1, polarity: down}",
+            "drive_volt and converter_volt have no place",
+        ),
     ],
 )
 def test_contradictory_keys_are_refused_at_their_place(
@@ -289,7 +378,8 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     for driven, sensed in np.ndindex(count):
         outside = network_of(np.ones(count), readout, driven, sensed)[rows * columns :]
         network = panel + [
-            (terminals.get(first, first), terminals.get(second, second), ohm) for first, second, ohm in outside
+            (terminals.get(first, first), terminals.get(second, second), ohm)
+            for first, second, ohm in outside
         ]
         at = potentials(network, {"high": high, "low": low})
         place = (sensed, driven) if turned else (driven, sensed)
@@ -307,16 +397,22 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     ],
 )
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
-    """The cells of a dead line are open; its voltages affect neither bounds nor starts of other cells."""
+    """The cells of a dead line are open; its voltages affect neither bounds nor starts of other
+    cells.
+    """
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
     volt[:, 4] = 0.7
-    recording = replace(sound, scene=replace(sound.scene, faults=Faults(dead_rows=(4,))), recorded=volt)
+    recording = replace(
+        sound, scene=replace(sound.scene, faults=Faults(dead_rows=(4,))), recorded=volt
+    )
     estimate = reconstruct(recording, Estimator(LSM, "reduced"))
     assert all(step.solution.solved for step in estimate.steps)
     sound_rows = np.arange(8) != 4
-    assert_allclose(estimate.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3)
+    assert_allclose(
+        estimate.cell_resistance[:, sound_rows], truth_of(sound)[:, sound_rows], rtol=1e-3
+    )
 
 
 def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:
@@ -325,10 +421,17 @@ def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:
     loaded = Recording.load(tmp_path / "panel.h5")
     assert loaded.scene == recording.scene and loaded.path == "/entry/readings/volt"
     assert np.array_equal(loaded.recorded, recording.recorded)
-    lampest.reconstruct(loaded, LSM, formulation="reduced").save(tmp_path / "results.h5", name="LSM")
+    lampest.reconstruct(loaded, LSM, formulation="reduced").save(
+        tmp_path / "results.h5", name="LSM"
+    )
     with h5py.File(tmp_path / "results.h5") as file:
-        (estimator,) = (group for name, group in file["/entry/panel"].items() if name != "recording")
-        assert estimator["reading_model"].attrs["units"] == b"volt" and "two_point_model" not in estimator
+        (estimator,) = (
+            group for name, group in file["/entry/panel"].items() if name != "recording"
+        )
+        assert (
+            estimator["reading_model"].attrs["units"] == b"volt"
+            and "two_point_model" not in estimator
+        )
         assert file["/entry/panel/recording/volt"].attrs["units"] == b"volt"
     (case,) = read_results(tmp_path / "results.h5").cases
     assert case.scene == recording.scene
@@ -341,7 +444,9 @@ def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 @pytest.mark.parametrize("across", ["reference", "sensor"])
-def test_two_point_readings_exclude_the_series_resistance_of_each_line(across: Any, input_ohm: float | None) -> None:
+def test_two_point_readings_exclude_the_series_resistance_of_each_line(
+    across: Any, input_ohm: float | None
+) -> None:
     readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
     cells = cells_of()
     scene = Scene(Panel(*SHAPE), readout, SeriesPerLine(ROW_OHM, COLUMN_OHM))
@@ -353,22 +458,35 @@ def test_two_point_readings_exclude_the_series_resistance_of_each_line(across: A
     assert_allclose(readout.from_recorded(recorded, scene), readout.exact_reading(cells), rtol=1e-9)
     assert_allclose(readout.to_recorded(readout.exact_reading(cells), scene), recorded, rtol=1e-9)
     recording = recording_of(scene, np.stack([recorded] * 2), 1)
-    assert_allclose(reconstruct(recording, Estimator(LSM, "reduced")).cell_resistance[0], cells, rtol=1e-5)
+    assert_allclose(
+        reconstruct(recording, Estimator(LSM, "reduced")).cell_resistance[0], cells, rtol=1e-5
+    )
     # σ is that of the converter: what one σ of volt does to the network's resistance.
     step = 1e-3 * readout.sigma_volt()
-    ends = [readout.from_recorded(readout.recorded_from_volt(volt + sign * step), scene) for sign in (1, -1)]
+    ends = [
+        readout.from_recorded(readout.recorded_from_volt(volt + sign * step), scene)
+        for sign in (1, -1)
+    ]
     assert_allclose(recording.readings().sigma[0], np.abs(ends[0] - ends[1]) / 2e-3, rtol=1e-5)
 
 
 def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> Array:
-    """Volt at the loads while a row is driven: the current at which diode and network share the supply."""
-    saturation = readout.diode.at_ampere / np.expm1(readout.diode.drop_volt / readout.diode.slope_volt)
+    """Volt at the loads while a row is driven: the current at which diode and network share the
+    supply.
+    """
+    saturation = readout.diode.at_ampere / np.expm1(
+        readout.diode.drop_volt / readout.diode.slope_volt
+    )
 
     network = network_of(cells, readout, driven, 0)
 
     def excess(volt: float) -> float:
-        current = (volt - potentials(network, {"high": volt, "low": 0.0})["d", driven]) / readout.drive_ohm
-        return volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
+        current = (
+            volt - potentials(network, {"high": volt, "low": 0.0})["d", driven]
+        ) / readout.drive_ohm
+        return (
+            volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
+        )
 
     behind = float(brentq(excess, 0.0, readout.supply_volt, xtol=1e-15, rtol=1e-14))
     volt = potentials(network, {"high": behind, "low": 0.0})
@@ -378,8 +496,12 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 @pytest.mark.parametrize("polarity", ["up", "down"])
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("diode", [Diode(), LED], ids=["silicon", "led"])
-def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any, polarity: Any) -> None:
-    readout = replace(UNLIKE_READOUT, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
+def test_the_model_contains_a_diode_and_the_converter(
+    diode: Diode, driven: Any, polarity: Any
+) -> None:
+    readout = replace(
+        UNLIKE_READOUT, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3
+    )
     cells = cells_of()
     volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
     recorded = volt if polarity == "up" else 5 - volt
@@ -390,7 +512,10 @@ def test_the_model_contains_a_diode_and_the_converter(diode: Diode, driven: Any,
     noisy = recorded + readout.sigma(recorded) * rng.normal(size=(3, *truth.shape))
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
         recording = recording_of(scene, frames, 2)
-        reduced, nodal = (reconstruct(recording, Estimator(LSM, name, FINE_SETTINGS)) for name in ("reduced", "nodal"))
+        reduced, nodal = (
+            reconstruct(recording, Estimator(LSM, name, FINE_SETTINGS))
+            for name in ("reduced", "nodal")
+        )
         assert all(step.solution.solved for step in (*reduced.steps, *nodal.steps))
         assert_allclose(reduced.cell_resistance, nodal.cell_resistance, rtol=1e-6)
         if close is not None:
@@ -419,7 +544,9 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
-    """All channels and the reference drawn anew for every panel: errors in units of the error bars."""
+    """All channels and the reference drawn anew for every panel: errors in units of the error
+    bars.
+    """
     cells = cells_of()
     rng = np.random.default_rng(8)
     scores = []
@@ -430,7 +557,9 @@ def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> 
     for _ in range(40):
         actual = quiet.off_by(0.02 * rng.uniform(-1, 1))
         channels = 4.0 * rng.normal(size=sum(SHAPE))
-        volt = actual.volt_from_recorded(actual.simulated(cells[None], specified, channels[:4], channels[4:]))
+        volt = actual.volt_from_recorded(
+            actual.simulated(cells[None], specified, channels[:4], channels[4:])
+        )
         frames = np.concatenate([quiet.recorded_from_volt(volt)] * 2)
         estimate = reconstruct(recording_of(specified, frames, 1), Estimator(LSM, "reduced"))
         bars = estimate.steps[0].bars
@@ -439,7 +568,8 @@ def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> 
 
 
 @pytest.mark.parametrize(
-    "readout", [readout for readout in (READOUTS | MORE_READOUTS).values() if readout.unit == "volt"]
+    "readout",
+    [readout for readout in (READOUTS | MORE_READOUTS).values() if readout.unit == "volt"],
 )
 def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
     """Within the change of log g at which its rounds end; from cells nearby it ends there, too."""
@@ -472,13 +602,19 @@ TWO_PANELS = [
 
 @pytest.mark.parametrize("ohm", TWO_PANELS)
 def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: Any) -> None:
-    """Cells on the other side of the largest reading are 20 to 100 times as large; starts were there, or nowhere."""
+    """Cells on the other side of the largest reading are 20 to 100 times as large; starts were
+    there, or nowhere.
+    """
     idle, idle_load, drive, load, level = ohm
-    readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load, adc_bits=16)
+    readout = DrivenReadout(
+        idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load, adc_bits=16
+    )
     cells = level * np.exp(0.2 * np.random.default_rng(3).standard_normal((16, 16)))
     pressed = cells.copy()
     pressed[2:4, 2:4] *= 0.5
-    frames = np.stack([readout.exact_reading(resistances) for resistances in (cells, cells, pressed)])
+    frames = np.stack(
+        [readout.exact_reading(resistances) for resistances in (cells, cells, pressed)]
+    )
     assert_allclose(readout.start(frames[0], np.full(cells.shape, np.inf)), cells, rtol=0.02)
     recording = recording_of(Scene(Panel(16, 16), readout), frames, 2)
     for formulation in ("reduced", "nodal"):
@@ -489,15 +625,21 @@ def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: A
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_a_penalty_does_not_lead_to_the_other_panel(formulation: Any) -> None:
-    """Cells of 300 kilo-ohm cost less than the true ones of 3 kilo-ohm, and further starts reach them."""
-    readout = DrivenReadout(driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0)
+    """Cells of 300 kilo-ohm cost less than the true ones of 3 kilo-ohm, and further starts reach
+    them.
+    """
+    readout = DrivenReadout(
+        driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0
+    )
     cells = 3000 * np.exp(0.3 * np.random.default_rng(3).standard_normal((12, 18)))
     pressed = cells.copy()
     pressed[2:4, 2:4] *= 0.5
     frames = np.stack([readout.exact_reading(panel) for panel in (cells, cells, pressed)])
     recording = recording_of(Scene(Panel(12, 18), readout), frames, 2)
     terms = [Misfit(weighting="noise"), LogGradient(weight=1.0)]
-    estimate = lampest.reconstruct(recording, terms, formulation=formulation, verify=lampest.Verify("all"))
+    estimate = lampest.reconstruct(
+        recording, terms, formulation=formulation, verify=lampest.Verify("all")
+    )
     assert_allclose(estimate.cell_resistance[0], pressed, rtol=0.1)
     # IPOPT begins elsewhere, and on this side of the fold
     assert estimate.steps[0].verification.witness is Witness.SAME
@@ -507,8 +649,12 @@ def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
     """Undamped steps lose their way near the fold: they found the cells of three in four."""
     rng = np.random.default_rng(7)
     is_found = []
-    for idle, idle_load, level in product([0.0, 1000.0, 1e4], [0.0, None], [1000.0, 5000.0, 30_000.0]):
-        readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=120.0, load_ohm=3300.0)
+    for idle, idle_load, level in product(
+        [0.0, 1000.0, 1e4], [0.0, None], [1000.0, 5000.0, 30_000.0]
+    ):
+        readout = DrivenReadout(
+            idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=120.0, load_ohm=3300.0
+        )
         cells = level * np.exp(rng.choice([0.3, 1.0]) * rng.standard_normal((8, 8)))
         panels = readout.panels_alike(readout.exact_reading(cells))
         if panels:
@@ -519,15 +665,21 @@ def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
 
 @pytest.mark.slow
 def test_starts_of_random_circuits_equal_their_cells() -> None:
-    """Before there was a choice of panels, two of five were wrong by half and more; some cells are truly alike."""
+    """Before there was a choice of panels, two of five were wrong by half and more; some cells are
+    truly alike.
+    """
     rng = np.random.default_rng(5)
     wrong = 0
     circuits = 0
     kinds = product([0.0, 50.0, 1000.0, 3300.0, 1e4, inf], [0.0, inf, None], [0.0, 50.0, 120.0])
-    for (idle, idle_load, drive), load, level in product(kinds, [1000.0, 1e4], [1000.0, 5000.0, 30_000.0]):
+    for (idle, idle_load, drive), load, level in product(
+        kinds, [1000.0, 1e4], [1000.0, 5000.0, 30_000.0]
+    ):
         if idle == idle_load == inf:
             continue  # common scale of cells unknown where nothing conducts to ground but one load
-        readout = DrivenReadout(idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load)
+        readout = DrivenReadout(
+            idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load
+        )
         cells = level * np.exp(0.2 * rng.standard_normal((8, 8)))
         start = readout.start(readout.exact_reading(cells), np.full(cells.shape, np.inf))
         circuits += 1
@@ -536,8 +688,12 @@ def test_starts_of_random_circuits_equal_their_cells() -> None:
 
 
 def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
-    """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm, cell for cell."""
-    readout = DrivenReadout(idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0)
+    """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm, cell for
+    cell.
+    """
+    readout = DrivenReadout(
+        idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0
+    )
     cells = 1000 * np.exp(0.2 * np.random.default_rng(3).standard_normal((8, 8)))
     frames = np.stack([readout.exact_reading(cells)] * 3)
     recording = recording_of(Scene(Panel(8, 8), readout), frames, 2)
@@ -547,8 +703,12 @@ def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
 
 
 def test_a_panel_that_is_taken_by_its_prior_alone_is_a_doubt() -> None:
-    """The readings speak for the true cells, on the side where they fall; that they usually rise speaks against."""
-    readout = DrivenReadout(driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0)
+    """The readings speak for the true cells, on the side where they fall; that they usually rise
+    speaks against.
+    """
+    readout = DrivenReadout(
+        driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0
+    )
     cells = 3000 * np.exp(0.3 * np.random.default_rng(3).standard_normal((8, 8)))
     frames = np.stack([readout.exact_reading(cells)] * 3)
     (taken, _), (true, panel) = readout.panels_alike(frames[0])

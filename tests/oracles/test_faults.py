@@ -1,4 +1,6 @@
-"""Broken cells are flagged, readings at their limits are bounds, and intervals of missing readings hold."""
+"""Broken cells are flagged, readings at their limits are bounds, and intervals of missing readings
+hold.
+"""
 
 from dataclasses import replace
 
@@ -23,7 +25,9 @@ MIN_COVERAGE = 0.9  # of 95 % intervals: a missing reading moves all cells of a 
 
 def cells() -> Array:
     """Three frames of some thousand ohm, the last with a pressed patch."""
-    frames = np.repeat(3000 * np.exp(0.2 * np.random.default_rng(0).standard_normal((1, *SHAPE))), 3, axis=0)
+    frames = np.repeat(
+        3000 * np.exp(0.2 * np.random.default_rng(0).standard_normal((1, *SHAPE))), 3, axis=0
+    )
     frames[2, 2:4, 3:5] *= 0.2
     return frames
 
@@ -36,7 +40,9 @@ def recording(truth: Array, readout: TwoPointReadout | None = None) -> Recording
 
 
 def test_unknown_open_cells_and_shorts_are_flagged() -> None:
-    """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
+    """A reading of zero within its noise is a bound, and the cell behind it ends at the least that
+    bounds allow.
+    """
     truth = cells()
     truth[:, 1, 2] = np.inf
     estimate = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
@@ -44,7 +50,9 @@ def test_unknown_open_cells_and_shorts_are_flagged() -> None:
     assert np.all(flags[:, 1, 2]) and flags.sum() == len(flags)
     truth = cells()
     truth[:, 4, 5] = 1e-3
-    estimate = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
+    estimate = reconstruct(
+        recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced")
+    )
     for step in estimate.steps:
         assert step.solution.solved
         assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
@@ -66,21 +74,29 @@ def with_holes(seed: int, missing: int) -> lampest.Recording:
 @pytest.mark.slow
 @pytest.mark.parametrize("terms", [[], [lampest.RelativeChange()], [lampest.Gradient()]])
 def test_intervals_contain_read_cells_despite_missing_readings(terms: list[object]) -> None:
-    """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28 such panels."""
+    """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28
+    such panels.
+    """
     misfit = lampest.Misfit(weighting="noise" if terms else "plain")
     held = []
     widths = []
     for seed in range(12):
-        estimate = lampest.reconstruct(with_holes(seed, 1 + seed % 2), [misfit, *terms], formulation="reduced")
+        estimate = lampest.reconstruct(
+            with_holes(seed, 1 + seed % 2), [misfit, *terms], formulation="reduced"
+        )
         read = np.isfinite(estimate.recording.recorded[2:])
         held.append(in_intervals(estimate)[read].mean())
-        widths.append(np.median((estimate.cell_resistance_upper / estimate.cell_resistance_lower - 1)[read]))
+        widths.append(
+            np.median((estimate.cell_resistance_upper / estimate.cell_resistance_lower - 1)[read])
+        )
     assert np.mean(held) > MIN_COVERAGE and np.median(widths) < 0.3
 
 
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
 def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object) -> None:
-    """Nothing told the baseline of that cell: it went open, and took all others along by 1 %; bars held 45 %."""
+    """Nothing told the baseline of that cell: it went open, and took all others along by 1 %; bars
+    held 45 %.
+    """
     rng = np.random.default_rng(8)
     resting = 1000 * np.exp(0.2 * rng.standard_normal(SHAPE))
     pressed = resting.copy()
@@ -90,7 +106,9 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
     readings = readings + READOUT.sigma(readings) * rng.standard_normal(readings.shape)
     readings[:, 1, 5] = np.nan
     recording = recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
-    estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
+    estimate = lampest.reconstruct(
+        recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced"
+    )
     read = np.isfinite(readings[2:])
     assert in_intervals(estimate)[read].mean() > MIN_COVERAGE
     assert np.median(np.abs(log_errors(estimate))) < 0.005
@@ -98,7 +116,9 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
-    """Ends of the way are optima with that cell held: found again by a solve within bounds that leave it no choice."""
+    """Ends of the way are optima with that cell held: found again by a solve within bounds that
+    leave it no choice.
+    """
     recording = with_holes(3, 1)
     terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))
     readings = recording.readings()
@@ -117,14 +137,22 @@ def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
     exact = (np.log(optimum.cell_resistance) - model.at.position[0]).ravel()
     other_cells = np.arange(displacement.size) != cell
     assert np.abs(displacement - exact)[other_cells].max() < 0.1 * np.abs(exact[other_cells]).max()
-    assert np.abs(tangent(errors, cell) * side - exact)[other_cells].max() > 0.2 * np.abs(exact[other_cells]).max()
+    assert (
+        np.abs(tangent(errors, cell) * side - exact)[other_cells].max()
+        > 0.2 * np.abs(exact[other_cells]).max()
+    )
 
 
 @pytest.mark.parametrize("term", [lampest.Gradient(), lampest.RelativeChange()])
 def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
-    """The penalty decides an unread cell whatever its weight; that it does was taken for a fault of the weight."""
+    """The penalty decides an unread cell whatever its weight; that it does was taken for a fault of
+    the weight.
+    """
     terms = [lampest.Misfit(weighting="noise"), term]
-    estimates = [lampest.reconstruct(with_holes(3, missing), terms, formulation="reduced") for missing in (0, 2)]
+    estimates = [
+        lampest.reconstruct(with_holes(3, missing), terms, formulation="reduced")
+        for missing in (0, 2)
+    ]
     weights = [estimate.steps[0].weights[1] for estimate in estimates]
     assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
 
@@ -134,15 +162,23 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     "readout",
     [
         TwoPointReadout(noise_lsb=0.5, readings=20),
-        lampest.VirtualGroundReadout(noise_lsb=0.5, feedback_ohm=300.0, drive_ohm=50.0, sense_ohm=50.0),
+        lampest.VirtualGroundReadout(
+            noise_lsb=0.5, feedback_ohm=300.0, drive_ohm=50.0, sense_ohm=50.0
+        ),
         lampest.LoadedColumnsReadout(noise_lsb=0.5),
     ],
 )
-def test_a_simulation_breaks_the_cells_that_its_scene_calls_broken(readout: lampest.Readout) -> None:
-    """Other cells are right with these faults alone, no circuit is doubted, and no load lies on the unloaded panel."""
+def test_a_simulation_breaks_the_cells_that_its_scene_calls_broken(
+    readout: lampest.Readout,
+) -> None:
+    """Other cells are right with these faults alone, no circuit is doubted, and no load lies on the
+    unloaded panel.
+    """
     faults = lampest.Faults(open=((0, 0),), shorted=((3, 4),), dead_columns=(5,))
     rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=400.0)
-    simulation = lampest.Simulation(1, 3, Scene(Panel(*SHAPE), readout, faults=faults), frames=3, loads=(rod,))
+    simulation = lampest.Simulation(
+        1, 3, Scene(Panel(*SHAPE), readout, faults=faults), frames=3, loads=(rod,)
+    )
     estimate = lampest.reconstruct(lampest.simulate(simulation), LSM, formulation="reduced")
     truth = estimate.recording.truth_cell_resistance[estimate.frame]
     errors = np.log(estimate.cell_resistance / truth)[:, ~estimate.recording.scene.broken]

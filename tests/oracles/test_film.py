@@ -25,16 +25,26 @@ COURSE = Course(approach_s=10, release_at_s=40, release_s=10)
 TRUE_FILM = Film(hysteresis=0.24, creep_per_decade=0.05)
 SLOW_COURSE = Course(approach_s=10, release_at_s=30, release_s=10)
 OPEN_FILM = Film(creep_per_decade="auto")
-LAMPREY = OralDisc(centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50)
+LAMPREY = OralDisc(
+    centre_mm=(25, 27), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-8, rim_kpa=50
+)
 WEAK_LAMPREY = replace(LAMPREY, pressure_kpa=-0.6, rim_kpa=2.0)
-CUP = SuctionCup(kind="suction_cup", centre_mm=(25, 25), inner_diameter_mm=24, outer_diameter_mm=32, pressure_kpa=-1.5)
+CUP = SuctionCup(
+    kind="suction_cup",
+    centre_mm=(25, 25),
+    inner_diameter_mm=24,
+    outer_diameter_mm=32,
+    pressure_kpa=-1.5,
+)
 ARRIVES = 30
 LEAVES = 70
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 0.24, 0.5])
 @pytest.mark.parametrize("peak", [30.0, -8.0])
-def test_a_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(gap: float, peak: float) -> None:
+def test_a_cycle_loads_along_the_line_and_unloads_along_the_hyperbola(
+    gap: float, peak: float
+) -> None:
     share = np.linspace(0, 1, 101)
     plays = Plays.at_rest(np.array(gap))
     effective = np.zeros(202)
@@ -65,7 +75,9 @@ def test_creep_is_logarithmic_and_fades_by_superposition() -> None:
 def test_the_memory_is_inverted_exactly_even_under_water() -> None:
     generator = np.random.default_rng(3)
     water = np.array([0.0, 0.7])
-    actual = observed = FilmMemory.at_rest(np.full(2, 0.24), np.full(2, 0.08), np.full(2, 0.7), water)
+    actual = observed = FilmMemory.at_rest(
+        np.full(2, 0.24), np.full(2, 0.08), np.full(2, 0.7), water
+    )
     for pressure in generator.uniform(-6, 25, (200, 1)) * np.ones(2):
         actual, change = actual.answered(pressure, 1.3)
         np.testing.assert_allclose(observed.pressure(change, 1.3), pressure, atol=1e-8)
@@ -73,19 +85,30 @@ def test_the_memory_is_inverted_exactly_even_under_water() -> None:
     np.testing.assert_allclose(observed.creep.crept, actual.creep.crept, atol=1e-9)
 
 
-def recorded(film: Film | None = None, specified: Film | None = None, **changes: object) -> Recording:
+def recorded(
+    film: Film | None = None, specified: Film | None = None, **changes: object
+) -> Recording:
     """A rod that is put on slowly, lies, and is taken off slowly: 70 frames of 8 × 8 cells."""
-    plain = Simulation(1, 4, Scene(Panel(8, 8), film=specified), Cells(), 2, 70, 1.0, (ROD,), COURSE, film=film)
+    plain = Simulation(
+        1, 4, Scene(Panel(8, 8), film=specified), Cells(), 2, 70, 1.0, (ROD,), COURSE, film=film
+    )
     return simulate(dataclasses.replace(plain, **changes))
 
 
 def test_bent_cells_have_the_published_values() -> None:
     """Paper, figure 2: 3.05 k, 1.03 k, 560, 350 ohm; -94, -82, -69, -81 % at 40 kPa."""
-    for curvature, ohm, change in ((0, 3050, -0.94), (20, 1030, -0.82), (30.3, 560, -0.69), (58.8, 350, -0.81)):
+    for curvature, ohm, change in (
+        (0, 3050, -0.94),
+        (20, 1030, -0.82),
+        (30.3, 560, -0.69),
+        (58.8, 350, -0.81),
+    ):
         film = Film(curvature_per_m=curvature)
         assert 3050 * film.lowering == pytest.approx(ohm)
         memory = FilmMemory.at_rest(np.zeros(1), np.zeros(1), np.full(1, film.answer), np.zeros(1))
-        assert np.expm1(memory.answered(np.array([40.0]), 1.0)[1]) == pytest.approx([change], rel=1e-6)
+        assert np.expm1(memory.answered(np.array([40.0]), 1.0)[1]) == pytest.approx(
+            [change], rel=1e-6
+        )
     bent = recorded(Film(curvature_per_m=20), cells=Cells(spread=0.0))
     assert bent.truth_cell_resistance[0] == pytest.approx(1030 * np.ones((8, 8)))
 
@@ -96,10 +119,16 @@ def test_unspecified_film_numbers_are_not_simulated() -> None:
     assert "film" in to_yaml(recorded(Film(0.1), specified=Film("auto")).scene)
 
 
-def pressed_film(truth: Film, specified: Film | None, seed: int = 3, course: Course = SLOW_COURSE) -> Recording:
+def pressed_film(
+    truth: Film, specified: Film | None, seed: int = 3, course: Course = SLOW_COURSE
+) -> Recording:
     """A rod on 6 × 6 cells that is put on and taken off, 60 frames."""
     rod = Rod(centre_mm=(25, 25), diameter_mm=40, mass_g=2400)
-    known = {"systematic": Systematic(response_sd=0.0), "film": specified, "response": PublishedResponse()}
+    known = {
+        "systematic": Systematic(response_sd=0.0),
+        "film": specified,
+        "response": PublishedResponse(),
+    }
     scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, **known)
     return simulate(Simulation(1, seed, scene, frames=60, loads=(rod,), course=course, film=truth))
 
@@ -113,7 +142,9 @@ def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Ar
 
 
 def test_a_specified_film_is_corrected() -> None:
-    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames see moments only."""
+    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames
+    see moments only.
+    """
     for specified, worst in ((TRUE_FILM, 0.02), (None, np.inf)):
         pressed, truth = of_truth(pressed_film(TRUE_FILM, specified))
         error = np.abs(pressed.pressure - truth).max() / truth.max()
@@ -152,7 +183,10 @@ def test_unspecified_creep_stays_unknown_without_a_release() -> None:
     film = estimates.film
     assert film.hysteresis == (0.24, pytest.approx(0.024))
     assert film.creep.mean == pytest.approx(Film.usual["creep_per_decade"].mean, rel=0.5)
-    assert film.creep.sd == pytest.approx(Film.usual["creep_per_decade"].sd, rel=0.5) and "assumed" in film.sentence
+    assert (
+        film.creep.sd == pytest.approx(Film.usual["creep_per_decade"].sd, rel=0.5)
+        and "assumed" in film.sentence
+    )
 
 
 @pytest.mark.parametrize(("creep", "residue"), [(0.0, 0.04), (0.05, 0.0), (0.05, 0.04)])
@@ -164,11 +198,18 @@ def test_a_lasting_change_is_not_taken_for_creep(creep: float, residue: float) -
     frames = []
     for frame in range(120):
         pressure = load * (frame < 60)
-        frames.append(film.answer(pressure, 1.0) + residue * load * (frame >= 60) + 0.01 * rng.standard_normal((4, 4)))
+        frames.append(
+            film.answer(pressure, 1.0)
+            + residue * load * (frame >= 60)
+            + 0.01 * rng.standard_normal((4, 4))
+        )
         film = film.after(pressure, 1.0)
     unknown = FilmKnown.specified(Film(creep_per_decade="auto"))
     known = unknown.estimated(-np.array(frames), np.full((120, 4, 4), 0.01), np.arange(120.0))
-    assert known.creep.mean == pytest.approx(creep, abs=0.01) and "estimated from the recording" in known.sentence
+    assert (
+        known.creep.mean == pytest.approx(creep, abs=0.01)
+        and "estimated from the recording" in known.sentence
+    )
     assert known.residue == pytest.approx(residue, abs=0.01)
 
 
@@ -183,46 +224,68 @@ def test_an_impossible_film_response_is_not_taken_for_creep() -> None:
     assert known.sentence.startswith("hysteresis 17 +- 10 %, assumed; creep not estimated")
 
 
-def pressures(ratio: Array, film: Film | None, time: Array | None = None, sure: float = 0.0, **scene: Any) -> Pressure:
+def pressures(
+    ratio: Array, film: Film | None, time: Array | None = None, sure: float = 0.0, **scene: Any
+) -> Pressure:
     """Pressures of ratios (frames, rows, columns) that are known to a fraction."""
     panel = Panel(*ratio.shape[1:])
-    return pressure_of(ratio, (1 - sure) * ratio, (1 + sure) * ratio, Scene(panel, film=film, **scene), time)
+    return pressure_of(
+        ratio, (1 - sure) * ratio, (1 + sure) * ratio, Scene(panel, film=film, **scene), time
+    )
 
 
 @pytest.mark.parametrize("stays", [0.0, 0.02])
 def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
-    """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later presses."""
+    """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later
+    presses.
+    """
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
     pressed = pressures(ratio, OPEN_FILM, np.arange(30.0), sure=0.002)
-    assert pressed.pressing[3:10].all() and not pressed.pressing[12:25].any() and pressed.pressing[25:].all()
+    assert (
+        pressed.pressing[3:10].all()
+        and not pressed.pressing[12:25].any()
+        and pressed.pressing[25:].all()
+    )
 
 
 def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None:
-    """A cell that nobody touches conducts more by 1 % a minute; changes are known to a thousandth."""
+    """A cell that nobody touches conducts more by 1 % a minute; changes are known to a
+    thousandth.
+    """
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
-    with_film, without_film = (pressures(ratio, film, time, sure=0.002) for film in (OPEN_FILM, None))
+    with_film, without_film = (
+        pressures(ratio, film, time, sure=0.002) for film in (OPEN_FILM, None)
+    )
     assert not with_film.pressing.any() and without_film.pressing[5:].all()
     assert with_film.lower.max() < 0 < with_film.upper.min()
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("load", "approach"), [(LAMPREY, 1.0), (WEAK_LAMPREY, 1.0), (WEAK_LAMPREY, 20.0), (CUP, 5.0)])
+@pytest.mark.parametrize(
+    ("load", "approach"), [(LAMPREY, 1.0), (WEAK_LAMPREY, 1.0), (WEAK_LAMPREY, 20.0), (CUP, 5.0)]
+)
 @pytest.mark.parametrize("film", [None, Film(0.2, 0.05)])
 def test_an_attached_load_is_never_taken_for_the_zero(
     load: Shape, approach: float, seed: int, film: Film | None
 ) -> None:
-    """True cells drift and have noise of 0.7 %; a load is attached once it has reached 0.1 kPa anywhere."""
+    """True cells drift and have noise of 0.7 %; a load is attached once it has reached 0.1 kPa
+    anywhere.
+    """
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
+    scene = Scene(
+        Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse()
+    )
     plain = Simulation(1, seed, scene, frames=130, loads=(load,), course=course, film=film)
     recording = simulate(replace(plain, unmodelled=Unmodelled(drift_per_minute=0.01)))
     cells = recording.truth_cell_resistance
     truth = recording.truth_pressure
     noise = np.exp(0.007 * np.random.default_rng(seed).standard_normal(cells.shape))
     ratio = (cells * noise / cells[0])[3:]
-    tared = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:], tare=Tare(10)).tared
+    tared = pressure_of(
+        ratio, ratio, ratio, recording.scene, recording.time[3:], tare=Tare(10)
+    ).tared
     at = np.flatnonzero([bool(reason) for reason in tared])
     pressed = np.abs(truth[3:]).max(axis=(1, 2)) > 0.1
     assert len(at) >= 1 and not any(pressed[last - 9 : last - 4].any() for last in at)

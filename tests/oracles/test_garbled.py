@@ -10,10 +10,13 @@ from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded
 
 PLANS = range(150)
-MIN_STEPS = 12.0  # of the converter from a cell to the next one, below which a displaced frame hardly differs
+# Of the converter from a cell to the next one, below which a displaced frame hardly differs.
+MIN_STEPS = 12.0
 
 
-def garble(codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.random.Generator) -> None:
+def garble(
+    codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.random.Generator
+) -> None:
     """Garble a frame in place."""
     image = codes[frame]
     if kind == "two rows":
@@ -32,7 +35,13 @@ def garble(codes: NDArray[np.int64], frame: int, kind: str, top: int, rng: np.ra
 
 @pytest.mark.parametrize(
     ("kind", "share"),
-    [("two rows", 0.93), ("a column", 0.82), ("the frame", 0.98), ("zeros", 0.98), ("a row of zeros", 0.96)],
+    [
+        ("two rows", 0.93),
+        ("a column", 0.82),
+        ("the frame", 0.98),
+        ("zeros", 0.98),
+        ("a row of zeros", 0.96),
+    ],
 )
 def test_garbled_lines_of_a_frame_are_detected(kind: str, share: float) -> None:
     detected = []

@@ -1,4 +1,6 @@
-"""The health of a panel: faults are named with the line of the scene that says so, and clean recordings have none."""
+"""The health of a panel: faults are named with the line of the scene that says so, and clean
+recordings have none.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -70,14 +72,25 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
 
 @pytest.mark.parametrize(
     ("fault", "share"),
-    [(dead_row, 0.95), (dead_column, 0.95), (joined_rows, 0.7), (joined_columns, 0.7), (shorted_cell, 0.8)],
+    [
+        (dead_row, 0.95),
+        (dead_column, 0.95),
+        (joined_rows, 0.7),
+        (joined_columns, 0.7),
+        (shorted_cell, 0.8),
+    ],
 )
 def test_faults_of_lines_and_cells_are_reported_with_their_line(
     fault: Callable[[Plan], tuple[str, Health]], share: float
 ) -> None:
-    """On even films lines that touch read as single ones do where idle lines are driven, so films are uneven here."""
+    """On even films lines that touch read as single ones do where idle lines are driven, so films
+    are uneven here.
+    """
     uneven = [plan for plan in map(Plan.drawn, range(120)) if np.std(np.log(plan.cells)) > 0.1]
-    lines = [(line in [finding.line for finding in report.findings]) for line, report in map(fault, uneven)]
+    lines = [
+        (line in [finding.line for finding in report.findings])
+        for line, report in map(fault, uneven)
+    ]
     assert len(lines) > 20 and np.mean(lines) > share
 
 
@@ -91,8 +104,13 @@ def test_a_noisy_row_and_a_noisy_cell_are_named() -> None:
         cell = codes.copy()
         row[:, 3] += np.rint(6 * plan.noise_lsb * rng.standard_normal(row[:, 3].shape)).astype(int)
         cell[:, 4, 1] += np.rint(15 * plan.noise_lsb * rng.standard_normal(len(cell))).astype(int)
-        assert any("row 3" in text and "noisy" in text for text in faulty(health(plan, np.maximum(row, 0))))
-        assert any("[4, 1]" in text and "noisy" in text for text in faulty(health(plan, np.maximum(cell, 0))))
+        assert any(
+            "row 3" in text and "noisy" in text for text in faulty(health(plan, np.maximum(row, 0)))
+        )
+        assert any(
+            "[4, 1]" in text and "noisy" in text
+            for text in faulty(health(plan, np.maximum(cell, 0)))
+        )
 
 
 def test_a_repeated_frame_and_a_gap_in_time_are_named() -> None:
@@ -129,4 +147,7 @@ def test_shares_of_missing_and_saturated_readings_are_reported() -> None:
     values = recording.recorded.copy()
     values[:, 0, :2] = np.nan
     report = Health.of(replace(recording, recorded=values))
-    assert report.missing == pytest.approx(2 / values[0].size) and "missing" in dict(report.table)["readings"]
+    assert (
+        report.missing == pytest.approx(2 / values[0].size)
+        and "missing" in dict(report.table)["readings"]
+    )

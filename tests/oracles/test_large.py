@@ -1,4 +1,6 @@
-"""Conjugate gradients on larger panels find what a factorisation finds; their preconditioner is what it says."""
+"""Conjugate gradients on larger panels find what a factorisation finds; their preconditioner is
+what it says.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +24,14 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    GradientOfRelativeChange,
+    Misfit,
+    RelativeChange,
+    Term,
+)
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import Stencil
@@ -45,12 +54,20 @@ ESTIMATORS: dict[str, tuple[Term, ...]] = {
 }
 
 
-# Absolute penalties have several minima where the noise is strong, and either way may end in another.
+# Absolute penalties have several minima where the noise is strong, and either way may end in
+# another.
 @pytest.mark.parametrize(
     ("name", "noise"),
-    [(name, noise) for name in ESTIMATORS for noise in (1.0, 5.0) if (name, noise) != ("absolute", 5.0)],
+    [
+        (name, noise)
+        for name in ESTIMATORS
+        for noise in (1.0, 5.0)
+        if (name, noise) != ("absolute", 5.0)
+    ],
 )
-def test_estimates_by_products_and_by_factors_agree(name: str, noise: float, request: pytest.FixtureRequest) -> None:
+def test_estimates_by_products_and_by_factors_agree(
+    name: str, noise: float, request: pytest.FixtureRequest
+) -> None:
     """One unloaded frame and two with a pressed ring, noise in units of the readout's σ."""
     generator = np.random.default_rng(5)
     truth = np.repeat(3000 * np.exp(0.2 * generator.standard_normal((1, *SHAPE))), 3, axis=0)
@@ -68,7 +85,9 @@ def test_estimates_by_products_and_by_factors_agree(name: str, noise: float, req
     for factored_step, product_step in zip(factored.steps, products.steps, strict=True):
         assert factored_step.solution.solved
         assert product_step.solution.solved
-        assert product_step.solution.objective == pytest.approx(factored_step.solution.objective, rel=1e-6, abs=1e-6)
+        assert product_step.solution.objective == pytest.approx(
+            factored_step.solution.objective, rel=1e-6, abs=1e-6
+        )
 
 
 def test_the_stencil_inverts_its_operator() -> None:
@@ -90,25 +109,37 @@ def test_the_stencil_inverts_its_operator() -> None:
 @pytest.fixture
 def by_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small panels are solved as large ones are, by products."""
-    for module, name in ((hessian, "DENSE_CELLS"), (hessian, "MATRIX_CELLS"), (floating, "DENSE_CELLS")):
+    for module, name in (
+        (hessian, "DENSE_CELLS"),
+        (hessian, "MATRIX_CELLS"),
+        (floating, "DENSE_CELLS"),
+    ):
         monkeypatch.setattr(module, name, 0)
 
 
 def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluation:
-    """The readings' own start with so much relative noise that a third of its cells, or most, stand at a bound."""
+    """The readings' own start with so much relative noise that a third of its cells, or most, stand
+    at a bound.
+    """
     generator = np.random.default_rng(seed)
     scene = Scene(Panel(*shape), TwoPointReadout())
     exact = two_point_resistance(3000 * np.exp(0.2 * generator.standard_normal(shape)))
     value = np.maximum(exact * (1 + noise * generator.standard_normal(shape)), 10)[None]
     estimator = Estimator((Misfit(),), formulation="reduced")
     data = estimator.data(Readings.of(scene, value, noise * exact[None]), Background(scene))
-    return Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None))
+    return Evaluation.at(
+        estimator.cost(scene, 1, partial=data.partial), data, convex_cells(data, None)
+    )
 
 
 @pytest.mark.usefixtures("by_products")
 @pytest.mark.parametrize(
     ("seed", "noise", "shape", "iterations", "crowd"),
-    [(1, 0.3, (6, 7), (12, 13), 19), (0, 1.0, (6, 7), (21, 22), 39), (8, 0.3, (18, 20), (17, 17), 290)],
+    [
+        (1, 0.3, (6, 7), (12, 13), 19),
+        (0, 1.0, (6, 7), (21, 22), 39),
+        (8, 0.3, (18, 20), (17, 17), 290),
+    ],
 )
 def test_the_interior_point_method_and_the_projected_method_agree(
     seed: int,
@@ -153,7 +184,9 @@ def by_differences(barrier: Barrier, function: Callable[[Barrier], Any]) -> Arra
 
 
 def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> None:
-    """With JᵀWJ at the start, where second derivatives are indefinite, and with these after one step."""
+    """With JᵀWJ at the start, where second derivatives are indefinite, and with these after one
+    step.
+    """
     push = np.random.default_rng(1).standard_normal(barrier.conductance.shape) / barrier.conductance
     later = barrier.advanced()
     assert later is not None
@@ -168,7 +201,8 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
 
 
 def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
-    """From equal cells to a verified minimum, in fewer iterations than one for every ten cells of the patch.
+    """From equal cells to a verified minimum, in fewer iterations than one for every ten cells of
+    the patch.
 
     The patch has a hundredth of its resistance: in log r the cost of LSR-∇CR is concave there.
     """

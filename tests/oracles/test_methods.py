@@ -1,4 +1,6 @@
-"""The rungs of the ladder against closed forms and the full solution, and the paper's own solver."""
+"""The rungs of the ladder against closed forms and the full solution, and the paper's own
+solver.
+"""
 
 from typing import Any
 
@@ -7,7 +9,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from docs.studies.as_published import Weights, left_by_solver
-from lampest import Array, Estimates, Method, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
+from lampest import (
+    Array,
+    Estimates,
+    Method,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    two_point_resistance,
+)
 from lampest.cost.losses import Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds, Estimator
@@ -33,7 +44,9 @@ def recording(*cells: Array, noise: float = 0.0) -> Recording:
     return recording_of(Scene(Panel(*cells[0].shape)), readings, 1, sigma=exact * max(noise, 1e-6))
 
 
-def estimate_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
+def estimate_by(
+    method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any
+) -> Estimates:
     estimate = reconstruct(data, Estimator(terms, method, **options))
     assert all(step.solution.solved for step in estimate.steps)
     return estimate
@@ -42,18 +55,23 @@ def estimate_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, 
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(), RelativeChange(weight=10))])
 def test_many_steps_reach_the_optimum(terms: tuple[Term, ...]) -> None:
     data = recording(resting((5, 6)), 1.1 * resting((5, 6)), 1.2 * resting((5, 6)), noise=1e-4)
-    reached, optimum = (estimate_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED))
+    reached, optimum = (
+        estimate_by(method, data, terms) for method in (TruncatedMethod(steps=100), REDUCED)
+    )
     assert_allclose(reached.cell_resistance, optimum.cell_resistance, rtol=1e-6)
 
 
 @pytest.mark.parametrize("terms", [LSM, RIDGE, SMOOTH, (Misfit(loss=Huber(corner=5.0)),)])
-def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tuple[Term, ...]) -> None:
+def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(
+    terms: tuple[Term, ...],
+) -> None:
     errors = []
     direction = np.random.default_rng(2).standard_normal((6, 7))
     for size in (1e-2, 1e-3):
         data = recording(resting((6, 7)), resting((6, 7)) * np.exp(size * direction))
         linearised, optimum = (
-            estimate_by(method, data, terms).cell_resistance[0] for method in (LinearisedMethod(), REDUCED)
+            estimate_by(method, data, terms).cell_resistance[0]
+            for method in (LinearisedMethod(), REDUCED)
         )
         errors.append(np.max(np.abs(np.log(linearised / optimum))))
     assert errors[0] < 0.1
@@ -61,7 +79,9 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(terms: tupl
 
 
 def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
-    """Lines outweigh cells in what conjugate gradients minimise; they must not stop before a cell is resolved."""
+    """Lines outweigh cells in what conjugate gradients minimise; they must not stop before a cell
+    is resolved.
+    """
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
@@ -79,21 +99,33 @@ def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
         ("LSR-dCR", RelativeChange(weight=1.0)),
     ],
 )
-def test_the_converged_published_method_reaches_the_verified_optimum(method: str, term: CellResistance) -> None:
-    """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
+def test_the_converged_published_method_reaches_the_verified_optimum(
+    method: str, term: CellResistance
+) -> None:
+    """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a
+    percent.
+    """
     rng = np.random.default_rng(4)
     panel = Panel(4, 5)
     cells = np.stack([2000 * np.exp(0.2 * rng.standard_normal(panel.shape))] * 3)
     cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
-    readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))
+    readings = TwoPointReadout().exact_reading(cells) * np.exp(
+        1e-3 * rng.standard_normal(cells.shape)
+    )
     measured = recording_of(Scene(panel, TwoPointReadout()), readings, 1)
     weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
     published = left_by_solver(method, panel, measured.recorded[0], measured.recorded[1:], weights)
     formulation = OptimalMethod("reduced", joint=True)
-    estimate = reconstruct(measured, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
-    assert set(published.why) <= {"cost", "step", "gradient"} and published.joint == (method == "LSR-dCR")
+    estimate = reconstruct(
+        measured, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none"))
+    )
+    assert set(published.why) <= {"cost", "step", "gradient"} and published.joint == (
+        method == "LSR-dCR"
+    )
     assert published.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
     assert published.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
     assert published.change == pytest.approx(estimate.relative_change, abs=2.0)
     model = TwoPointReadout().exact_reading(published.cells)
-    assert published.data_error == pytest.approx(100 * np.abs(model / measured.recorded[1:] - 1), abs=1e-9)
+    assert published.data_error == pytest.approx(
+        100 * np.abs(model / measured.recorded[1:] - 1), abs=1e-9
+    )

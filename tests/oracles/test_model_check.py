@@ -1,4 +1,6 @@
-"""A right circuit is not called wrong, a wrong one is noticed and the right one named, where the data can show it."""
+"""A right circuit is not called wrong, a wrong one is noticed and the right one named, where the
+data can show it.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +36,8 @@ SHAPE = (5, 7)
 CELLS = 3000 * np.exp(np.random.default_rng(4).standard_normal(SHAPE))
 
 
-# An amplifier's rails keep readings from breaking its laws unless the resistances at its lines are large.
+# An amplifier's rails keep readings from breaking its laws unless the resistances at its lines are
+# large.
 CIRCUITS = (
     TwoPointReadout(),
     lampest.LoadedColumnsReadout(drive_ohm=300.0),
@@ -53,13 +56,20 @@ def test_every_kind_is_among_the_circuits() -> None:
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
 def test_a_circuit_bounds_its_series_resistance(circuit: Readout) -> None:
-    scene = Scene(lampest.Panel(*SHAPE, 10.0), circuit, series_resistance_ohm=200.0 if circuit.in_series else 0.0)
+    scene = Scene(
+        lampest.Panel(*SHAPE, 10.0),
+        circuit,
+        series_resistance_ohm=200.0 if circuit.in_series else 0.0,
+    )
     recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
     bare = scene.with_series(0.0)
     assert bare.specified_in_series == 0
     series_ohm = scene.specified_in_series
     assert series_ohm in (200.0, 300.0, 3000.0)
-    assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= series_ohm
+    assert (
+        bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded)
+        >= series_ohm
+    )
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
@@ -71,7 +81,9 @@ def test_laws_of_a_circuit_hold_only_for_its_own_readings(circuit: Readout) -> N
         assert test.excess[0] <= 1e-6 / 1e-4
         spoilt = exact.copy()
         spoilt[0, 2, 3] = 3 * exact.max() if circuit.unit == "ohm" else 1.01 * circuit.supply_volt
-        broken = {law_test.law: law_test for law_test in circuit.free_tests(spoilt, sigma)}[test.law]
+        broken = {law_test.law: law_test for law_test in circuit.free_tests(spoilt, sigma)}[
+            test.law
+        ]
         assert broken.excess[0] > 10
 
 
@@ -94,7 +106,9 @@ def test_a_wrong_circuit_is_rejected_and_the_right_one_named(seed: int) -> None:
 
 
 def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
-    circuit = lampest.LoadedColumnsReadout(load_ohm=10_000.0, drive_ohm=1080.0, adc_bits=12, readings=1, noise_lsb=1.0)
+    circuit = lampest.LoadedColumnsReadout(
+        load_ohm=10_000.0, drive_ohm=1080.0, adc_bits=12, readings=1, noise_lsb=1.0
+    )
     cells = 3000 * np.exp(0.2 * np.random.default_rng(4).standard_normal((6, 8)))
     cells[2, 6] = 0.5
     exact = np.repeat(circuit.exact_reading(cells)[None], 4, axis=0)
@@ -108,12 +122,19 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     ("circuit", "seed"),
     [
         (TwoPointReadout(adc_bits=10, readings=4, noise_lsb=2.0, reference_ohm=300.0), 3),
-        (lampest.LoadedColumnsReadout(adc_bits=10, readings=4, noise_lsb=2.0, drive_ohm=50.0, load_ohm=3000.0), 1),
+        (
+            lampest.LoadedColumnsReadout(
+                adc_bits=10, readings=4, noise_lsb=2.0, drive_ohm=50.0, load_ohm=3000.0
+            ),
+            1,
+        ),
     ],
     ids=["a resistance in series", "a leak"],
 )
 def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed: int) -> None:
-    """Half of the cells change by a few percent, which a wrong circuit or an effect would bring about as well."""
+    """Half of the cells change by a few percent, which a wrong circuit or an effect would bring
+    about as well.
+    """
     rng = np.random.default_rng(seed)
     scene = Scene(Panel(12, 9), circuit)
     row, column = np.indices((12, 9))
@@ -124,19 +145,29 @@ def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed:
         across = rng.uniform(0, 8)
         cells[3:] *= np.exp(-depth * np.exp(-((row - down) ** 2 + (column - across) ** 2) / 8))
     exact = np.stack([circuit.to_recorded(circuit.exact_reading(frame), scene) for frame in cells])
-    prepared = Prepared(recording_of(scene, exact + circuit.sigma(exact) * rng.standard_normal(exact.shape), 3))
-    assert prepared.check.explains and prepared.noise.corrected_effects is None, prepared.check.sentence
+    prepared = Prepared(
+        recording_of(scene, exact + circuit.sigma(exact) * rng.standard_normal(exact.shape), 3)
+    )
+    assert prepared.check.explains and prepared.noise.corrected_effects is None, (
+        prepared.check.sentence
+    )
 
 
 @pytest.mark.slow
 def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
-    """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be uniform or larger."""
+    """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be
+    uniform or larger.
+    """
     readout = TwoPointReadout()
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
     exact = readout.exact_reading(CELLS)
     sigma = 0.03 * exact
-    noisy = (exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE) for seed in range(120))
-    tails = [fitted(scene, Readings.of(scene, readings, sigma), patient=True).tail for readings in noisy]
+    noisy = (
+        exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE) for seed in range(120)
+    )
+    tails = [
+        fitted(scene, Readings.of(scene, readings, sigma), patient=True).tail for readings in noisy
+    ]
     standard_error = 0.02  # of a share of 0.05 in 120 draws
     assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * standard_error
     assert np.min(tails) > 1e-4
@@ -163,14 +194,21 @@ def test_differing_channels_are_not_taken_for_another_series_resistance() -> Non
     systematic = Systematic(reference_tolerance=0.01, channel_spread_ohm=3)
     panel = Panel(modules=Modules(2, 2, EachModule(10, 10)))
     scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, systematic=systematic)
-    mouth = OralDisc(centre_mm=(97, 99), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=60)
+    mouth = OralDisc(
+        centre_mm=(97, 99), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=60
+    )
     errors = Unmodelled(channel_spread_ohm=3, reference_tolerance=0.01)
-    simulation = Simulation(1, 35, scene, frames=4, baseline_frames=5, loads=(mouth,), unmodelled=errors)
+    simulation = Simulation(
+        1, 35, scene, frames=4, baseline_frames=5, loads=(mouth,), unmodelled=errors
+    )
     assert Prepared(simulate(simulation).modules[1]).check.better == ""
     rod = Recording.load(Path(__file__).parents[2] / "data" / "rod.h5")
     forgotten = replace(rod, scene=replace(rod.scene, series_resistance_ohm=0.0))
     better = Prepared(forgotten).check.better  # 133 and 135 ohm explain the readings equally well
-    assert better.split(", ")[-1] in ("series_resistance_ohm near 130", "series_resistance_ohm near 140")
+    assert better.split(", ")[-1] in (
+        "series_resistance_ohm near 130",
+        "series_resistance_ohm near 140",
+    )
 
 
 @pytest.mark.parametrize("seed", [411, 413])
@@ -184,7 +222,9 @@ WIDE_PANEL = Panel(8, 8)
 
 
 def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
-    """Codes of one scene, six unloaded frames and six with three pressed cells, described by another scene."""
+    """Codes of one scene, six unloaded frames and six with three pressed cells, described by
+    another scene.
+    """
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))
     cells[frames:, 2, 3] /= 4
@@ -199,9 +239,15 @@ def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) ->
 
 CONVERTER: dict[str, Any] = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
 TWO_POINT_SCENE = Scene(WIDE_PANEL, TwoPointReadout(**CONVERTER), 140.0, systematic="none")
-HOBBY = Scene(WIDE_PANEL, LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER), systematic="none")
+HOBBY = Scene(
+    WIDE_PANEL,
+    LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=150.0, **CONVERTER),
+    systematic="none",
+)
 ONE_LOAD = Scene(
-    WIDE_PANEL, GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER), systematic="none"
+    WIDE_PANEL,
+    GroundedReadout(sense="one", drive_ohm=70.0, load_ohm=1000.0, **CONVERTER),
+    systematic="none",
 )
 
 
@@ -216,7 +262,9 @@ def test_multiplexers_in_parallel_are_named(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", [TWO_POINT_SCENE, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"])
+@pytest.mark.parametrize(
+    "scene", [TWO_POINT_SCENE, HOBBY, ONE_LOAD], ids=["two_point", "loaded_columns", "grounded"]
+)
 def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
     for actual in (scene, grouped(scene)):
         assert Prepared(misdescribed(actual, actual, 1)).check.mark == "yes"
@@ -231,11 +279,15 @@ def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: 
 
 
 @pytest.mark.parametrize(
-    "scene", [TWO_POINT_SCENE, pytest.param(HOBBY, marks=pytest.mark.slow)], ids=["two_point", "loaded_columns"]
+    "scene",
+    [TWO_POINT_SCENE, pytest.param(HOBBY, marks=pytest.mark.slow)],
+    ids=["two_point", "loaded_columns"],
 )
 def test_readings_listed_column_by_column_are_named(scene: Scene) -> None:
     tall, wide = (replace(scene, panel=Panel(*shape)) for shape in ((12, 8), (8, 12)))
     recording = misdescribed(tall, wide, 2)
     check = Prepared(recording).check
     other_side = "" if scene is TWO_POINT_SCENE else ", readout.driven: columns"
-    assert check.better == f"readings listed column by column (lampest import --transpose){other_side}"
+    assert (
+        check.better == f"readings listed column by column (lampest import --transpose){other_side}"
+    )

@@ -1,4 +1,6 @@
-"""A panel of modules: one scene, one recording, one image; estimated alone, coupled over the seams, or many at once."""
+"""A panel of modules: one scene, one recording, one image; estimated alone, coupled over the seams,
+or many at once.
+"""
 
 from dataclasses import replace
 
@@ -27,7 +29,10 @@ panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}
 readout: {kind: two_point, reference_ohm: 1000, adc_bits: 12, readings: 20, noise_lsb: 0.7}
 series_resistance_ohm: 140
 """
-FAULTS = "faults: {dead_modules: [[1, 2]], open: [[4, 5]]}\nmodules: [{at: [0, 1], series_resistance_ohm: 150}]\n"
+FAULTS = (
+    "faults: {dead_modules: [[1, 2]], open: [[4, 5]]}\nmodules: [{at: [0, 1], "
+    "series_resistance_ohm: 150}]\n"
+)
 LAYOUT = Modules(2, 3, EachModule(3, 4), 3.0)
 COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
 READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
@@ -64,7 +69,10 @@ def test_a_scene_survives_its_text_and_counts_seams() -> None:
         ("modules: [{at: [0, 1]}, {at: [0, 1]}]", "named twice"),
         ("modules: [{at: [0, 1], faults: {dead_rows: [3]}}]", "there is no row 3"),
         ("modules: [{at: [0, 1], readout: {kind: grounded}}]", "another kind"),
-        ("faults: {dead_modules: [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]}", "nothing is left"),
+        (
+            "faults: {dead_modules: [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]}",
+            "nothing is left",
+        ),
     ],
 )
 def test_impossible_modules_give_one_sentence(keys: str, sentence: str) -> None:
@@ -74,7 +82,9 @@ def test_impossible_modules_give_one_sentence(keys: str, sentence: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("penalty", [None, lampest.Gradient(weight=1e-7), lampest.RelativeChange(weight=1e-3)])
+@pytest.mark.parametrize(
+    "penalty", [None, lampest.Gradient(weight=1e-7), lampest.RelativeChange(weight=1e-3)]
+)
 def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | None) -> None:
     recording = simulated(scene_of(SCENE + FAULTS))
     terms = [lampest.Misfit(), *([] if penalty is None else [penalty])]
@@ -85,20 +95,38 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     total = np.zeros(3)
     for number in range(5):
         cells = (..., *LAYOUT.cells(number))
-        alone = Recording(recording.scene.of_modules[number], recording.recorded[cells], recording.time, recording.role)
+        alone = Recording(
+            recording.scene.of_modules[number],
+            recording.recorded[cells],
+            recording.time,
+            recording.role,
+        )
         estimate = lampest.reconstruct(alone, terms, formulation="reduced")
         total += [step.solution.objective for step in estimate.steps]
-        np.testing.assert_allclose(image.cell_resistance[cells], estimate.cell_resistance, rtol=1e-6)
-        np.testing.assert_allclose(image.baseline_resistance[cells], estimate.baseline_resistance, rtol=1e-6)
-        np.testing.assert_allclose(image.cell_resistance_errors[cells], estimate.cell_resistance_errors, rtol=1e-4)
+        np.testing.assert_allclose(
+            image.cell_resistance[cells], estimate.cell_resistance, rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            image.baseline_resistance[cells], estimate.baseline_resistance, rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            image.cell_resistance_errors[cells], estimate.cell_resistance_errors, rtol=1e-4
+        )
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
 def test_modules_of_a_single_line_have_the_shared_errors() -> None:
-    """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
-    text = "systematic: typical\npanel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n"
+    """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be
+    6 % off.
+    """
+    text = (
+        "systematic: typical\npanel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: "
+        "6}}}\n"
+    )
     text += SCENE[SCENE.index("readout") :]
-    estimate = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
+    estimate = lampest.reconstruct(
+        simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced"
+    )
     assert estimate.at_lower_bound.all()
     assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
@@ -110,7 +138,9 @@ def test_modules_in_parallel_threads_give_the_same_bytes(monkeypatch: pytest.Mon
     for cores in (1, 3):
         monkeypatch.setattr("lampest.estimate.batch.MIN_PANELS_PER_THREAD", 1)
         monkeypatch.setattr("os.sched_getaffinity", lambda process, cores=cores: set(range(cores)))
-        results.append(lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes())
+        results.append(
+            lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes()
+        )
     assert results[0] == results[1]
 
 
@@ -123,16 +153,23 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     recording = simulated(scene_of(f"panel: {{{panel}}}\n{SCENE[SCENE.index('readout') :]}{dead}"))
     estimator = Estimator((Misfit(), RelativeChange(weight=1e-3)), "reduced")
     readings = recording.readings()
-    initial = stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
+    initial = stream = begin_stream(
+        estimator, recording.scene, 0.1, readings[recording.role == 0].mean()
+    )
     first, second, third = recording.measured_frames()
     for frame in (first, second):
         stream, _ = stream.push(readings[frame])
     carried = CarriedOver.of(stream)
     restarted = stream.restarted(initial)
     restored = carried.onto(initial)
-    shapes = [{name: values.shape for name, values in of.arrays.items()} for of in (carried, CarriedOver.of(restored))]
+    shapes = [
+        {name: values.shape for name, values in of.arrays.items()}
+        for of in (carried, CarriedOver.of(restored))
+    ]
     assert not restored.first and shapes[0] == shapes[1]
-    assert all(part is None or part.prepared is None for part in (restarted.modules or (restarted,)))
+    assert all(
+        part is None or part.prepared is None for part in (restarted.modules or (restarted,))
+    )
     (_, expected), (_, step) = (each.push(readings[third]) for each in (restarted, restored))
     assert_allclose(step.cell_resistance, expected.cell_resistance, rtol=1e-12)
     assert_allclose(step.bars.change.deviation, expected.bars.change.deviation, rtol=1e-10)
@@ -140,9 +177,9 @@ def test_a_sequence_resumes_from_its_saved_arrays(panel: str) -> None:
     pairs = np.random.default_rng(1).standard_normal((2, 2, 4, 5))
     track = replace(part.track, memory=SampledMemory(pairs[0], 3), answers=pairs[1])
     tracked = replace(part, track=track)
-    track = CarriedOver.of(replace(stream, modules=(tracked, *stream.modules[1:])) if stream.modules else tracked).onto(
-        stream
-    )
+    track = CarriedOver.of(
+        replace(stream, modules=(tracked, *stream.modules[1:])) if stream.modules else tracked
+    ).onto(stream)
     track = (track.modules[0] if stream.modules else track).track
     assert isinstance(track.memory, SampledMemory) and track.memory.frames == 3
     assert_allclose([track.memory.samples, track.answers], pairs)
@@ -156,7 +193,9 @@ def rod_on_four_modules() -> Recording:
 
 
 def coupled(recording: Recording, *terms: lampest.Term) -> lampest.Estimates:
-    return lampest.reconstruct(recording, [lampest.Misfit(), *terms], formulation="reduced", error_bars=False)
+    return lampest.reconstruct(
+        recording, [lampest.Misfit(), *terms], formulation="reduced", error_bars=False
+    )
 
 
 def apart(recording: Recording, *terms: lampest.Term) -> lampest.Estimates:
@@ -170,10 +209,16 @@ def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: f
     layout = COUPLED
     panel = recording.scene.panel
     measured = layout.split(recording.recorded[frame] - 140.0)
-    misfit = sum(np.sum((two_point_resistance(c) - m) ** 2) for c, m in zip(layout.split(cells), measured, strict=True))
+    misfit = sum(
+        np.sum((two_point_resistance(c) - m) ** 2)
+        for c, m in zip(layout.split(cells), measured, strict=True)
+    )
     x, y = (line / panel.pitch_mm for line in panel.centres_mm())
     logarithm = np.log(cells)
-    steps = (np.diff(logarithm, axis=0) / np.diff(y)[:, None], np.diff(logarithm, axis=1) / np.diff(x))
+    steps = (
+        np.diff(logarithm, axis=0) / np.diff(y)[:, None],
+        np.diff(logarithm, axis=1) / np.diff(x),
+    )
     return float(misfit + weight * sum(np.sum(step**2) for step in steps))
 
 
@@ -184,13 +229,17 @@ def test_a_penalty_without_neighbours_couples_no_modules() -> None:
     separate = apart(recording, penalty)
     assert all(status == "optimum verified" for status in estimate.status)
     np.testing.assert_allclose(estimate.cell_resistance, separate.cell_resistance, rtol=1e-5)
-    np.testing.assert_allclose(estimate.baseline_resistance, separate.baseline_resistance, rtol=1e-5)
+    np.testing.assert_allclose(
+        estimate.baseline_resistance, separate.baseline_resistance, rtol=1e-5
+    )
 
 
 def test_differences_over_seams_are_weighted_by_their_distance() -> None:
     recording = rod_on_four_modules()
     weight = 3e4
-    estimate, uncoupled = (solve(recording, lampest.LogGradient(weight=weight)) for solve in (coupled, apart))
+    estimate, uncoupled = (
+        solve(recording, lampest.LogGradient(weight=weight)) for solve in (coupled, apart)
+    )
     assert estimate.solved.all()
     random = np.random.default_rng(1)
     for place, frame in enumerate(estimate.frame):
@@ -211,7 +260,9 @@ def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
         coupled(replace(recording, scene=wired), lampest.Gradient(weight=1e-6))
 
 
-@pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))])
+@pytest.mark.parametrize(
+    "terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))]
+)
 def test_frames_solved_in_blocks_equal_frames_solved_separately(
     terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,20 +276,29 @@ def test_frames_solved_in_blocks_equal_frames_solved_separately(
     prepared = Prepared(replace(recording, recorded=recorded, raw_sums=None))
     pushed = list[Stream]()
     push = Stream.push
-    monkeypatch.setattr(Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings))
+    monkeypatch.setattr(
+        Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings)
+    )
     estimate = reconstruct(prepared, Estimator(terms, "reduced"))
     assert len(pushed) == 3  # the first frame, and those that are not read whole
-    stream = first_stream(prepared.recording, prepared.noise.readings, estimate.estimator, prepared.noise)
+    stream = first_stream(
+        prepared.recording, prepared.noise.readings, estimate.estimator, prepared.noise
+    )
     for frame, together in zip(measured, estimate.steps, strict=True):
         stream, step = stream.push(prepared.noise.readings[int(frame)])
         assert together.status == step.status
-        # Where a reading is missing, a solve ends within a hundredth of its cell's standard deviation.
+        # Where a reading is missing, a solve ends within a hundredth of its cell's standard
+        # deviation.
         tolerance = 1e-3 if frame == measured[3] else 1e-7
         assert_allclose(together.cell_resistance, step.cell_resistance, rtol=tolerance)
         if step.bars is None:
             assert together.bars is None and frame == measured[5]
             continue
         for name, expected in vars(step.bars.frame).items():
-            assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
-        assert_allclose(together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance)
+            assert_allclose(
+                getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9
+            )
+        assert_allclose(
+            together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance
+        )
         assert_allclose(together.bars.reading, step.bars.reading, rtol=10 * tolerance)

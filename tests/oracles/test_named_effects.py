@@ -1,4 +1,6 @@
-"""An effect is a key of the scene: absent it is not modelled and costs nothing, `estimated` results hold its number."""
+"""An effect is a key of the scene: absent it is not modelled and costs nothing, `estimated` results
+hold its number.
+"""
 
 import re
 from dataclasses import replace
@@ -8,7 +10,16 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import LogGradient, LogRatio, Misfit, Panel, Recording, Scene, Systematic, TwoPointReadout
+from lampest import (
+    LogGradient,
+    LogRatio,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    Systematic,
+    TwoPointReadout,
+)
 from lampest.audit import advice, effects
 from lampest.estimate import memory, prepared, resolve
 from lampest.estimate.prepared import Prepared
@@ -23,34 +34,50 @@ WEIGHTED = Misfit(weighting="noise")
 
 
 def standing_load(seed: int, **keys: object) -> Recording:
-    """A load with sharp edges on a mat with an outline; it stands from the first measured frame and sways by 2 %."""
+    """A load with sharp edges on a mat with an outline; it stands from the first measured frame and
+    sways by 2 %.
+    """
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))
     present = ((row - 5.5) / 6.6) ** 2 + ((column - 3.5) / 4.4) ** 2 < 1
-    cells = np.repeat(4000 * np.exp(0.1 * rng.standard_normal((1, ROWS, COLUMNS))), UNLOADED + FRAMES, axis=0)
-    pressed = 1.4 * ((abs(row - 3) < 2) & (abs(column - 3) < 2)) + 1.1 * ((abs(row - 8) < 2) & (abs(column - 4) < 2))
+    cells = np.repeat(
+        4000 * np.exp(0.1 * rng.standard_normal((1, ROWS, COLUMNS))), UNLOADED + FRAMES, axis=0
+    )
+    pressed = 1.4 * ((abs(row - 3) < 2) & (abs(column - 3) < 2)) + 1.1 * (
+        (abs(row - 8) < 2) & (abs(column - 4) < 2)
+    )
     sway = 1 + 0.02 * np.sin(1.1 * np.arange(FRAMES) + 0.4)
     cells[UNLOADED:] *= np.exp(-pressed * sway[:, None, None])
     exact = lampest.two_point_resistance(np.where(present, cells, 1e12)) + 140
     lsb = 5 / 4096
-    codes = np.round(5000 / (1000 + exact) / lsb + rng.standard_normal((8, *exact.shape))).mean(axis=0)
+    codes = np.round(5000 / (1000 + exact) / lsb + rng.standard_normal((8, *exact.shape))).mean(
+        axis=0
+    )
     listed = tuple((int(j), int(k), 10.0 * k, 10.0 * j) for j, k in np.argwhere(present))
     readout = TwoPointReadout(adc_bits=12, readings=8, noise_lsb=1)
     scene = Scene(Panel(ROWS, COLUMNS, 10.0, listed), readout, 140.0, **keys)
     recorded = 1000 * (5 - codes * lsb) / (codes * lsb)
-    return recording_of(scene, recorded, UNLOADED, truth_cell_resistance=np.where(present, cells, np.nan))
+    return recording_of(
+        scene, recorded, UNLOADED, truth_cell_resistance=np.where(present, cells, np.nan)
+    )
 
 
-@pytest.mark.parametrize("keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}])
+@pytest.mark.parametrize(
+    "keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}]
+)
 @pytest.mark.parametrize("penalty", [LogGradient(), LogRatio()])
-def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(keys: dict, penalty: lampest.Term) -> None:
+def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(
+    keys: dict, penalty: lampest.Term
+) -> None:
     recording = standing_load(1, **keys)
     estimate = lampest.reconstruct(recording, [WEIGHTED, penalty])
     error = np.abs(estimate.cell_resistance / recording.truth_cell_resistance[estimate.frame] - 1)
     assert np.nanmedian(error) < 0.01 and np.nanquantile(error, 0.95) < 0.025
 
 
-def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Estimates depend on no advice, and wait for none."""
 
     def refuse(*_: object, **__: object) -> None:
@@ -77,7 +104,12 @@ def test_an_absent_effect_changes_no_reading_and_a_specified_one_is_modelled() -
     noise = Prepared(plain).noise
     np.testing.assert_array_equal(noise.readings.value, plain.readings().value)
     np.testing.assert_array_equal(noise.readings.sigma, plain.readings().sigma)
-    for keys in ({"systematic": Systematic(reading_error=0.01)}, {"gain": 0.01}, {"ripple": 2.0}, {"motion": 1.0}):
+    for keys in (
+        {"systematic": Systematic(reading_error=0.01)},
+        {"gain": 0.01},
+        {"ripple": 2.0},
+        {"motion": 1.0},
+    ):
         wider = lampest.reconstruct(replace(plain, scene=replace(plain.scene, **keys)))
         narrow = lampest.reconstruct(plain)
         assert np.nanmedian(wider.cell_resistance_errors / narrow.cell_resistance_errors) > 1.01
@@ -92,7 +124,9 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     assert scene.estimated["gain"][0] == pytest.approx(scene.gain)
     assert scene.systematic.reading_error == estimate.noise.reading_error
     assert not estimate.checks
-    (line,) = re.findall(r"systematic.reading_error: [\d.e-]+ ± [\d.e-]+ \(relative\)", estimate.fit_report())
+    (line,) = re.findall(
+        r"systematic.reading_error: [\d.e-]+ ± [\d.e-]+ \(relative\)", estimate.fit_report()
+    )
     assert f"    {line}" in estimate.fit_report().partition("[[Estimated]]")[2]
 
 
@@ -104,10 +138,15 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
         ({"motion": "estimated"}, "cells explain each frame"),
         ({"converter_memory": "estimated"}, "record unloaded frames"),
         ({"creep": "estimated"}, "record unloaded frames"),
-        ({"systematic": Systematic(reference_tolerance="estimated")}, "record five or more unloaded frames"),
+        (
+            {"systematic": Systematic(reference_tolerance="estimated")},
+            "record five or more unloaded frames",
+        ),
     ],
 )
-def test_warnings_name_undetermined_effects_and_the_needed_recording(keys: dict, advised: str) -> None:
+def test_warnings_name_undetermined_effects_and_the_needed_recording(
+    keys: dict, advised: str
+) -> None:
     recording = standing_load(5, **keys)
     loaded = replace(recording, role=np.ones_like(recording.role))
     estimate = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
@@ -116,7 +155,9 @@ def test_warnings_name_undetermined_effects_and_the_needed_recording(keys: dict,
 
 
 def test_a_reference_tolerance_keeps_its_prior() -> None:
-    estimate = lampest.reconstruct(standing_load(6, systematic=Systematic(reference_tolerance="estimated")))
+    estimate = lampest.reconstruct(
+        standing_load(6, systematic=Systematic(reference_tolerance="estimated"))
+    )
     assert any("lampest calibrate" in line for line in estimate.noise.warnings)
     assert estimate.recording.scene.systematic.reference_tolerance == 0.06
 
@@ -124,8 +165,12 @@ def test_a_reference_tolerance_keeps_its_prior() -> None:
 def test_the_memory_of_a_converter_is_estimated() -> None:
     recording = standing_load(7)
     volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
-    remembered = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(volt.shape)
+    remembered = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(
+        volt.shape
+    )
     recorded = recording.scene.circuit.recorded_from_volt(remembered)
-    forgetful = replace(recording, recorded=recorded, scene=replace(recording.scene, converter_memory="estimated"))
+    forgetful = replace(
+        recording, recorded=recorded, scene=replace(recording.scene, converter_memory="estimated")
+    )
     size, deviation = Prepared(forgetful).noise.estimated["converter_memory"]
     assert abs(size - 0.08) < max(3 * deviation, 0.005)

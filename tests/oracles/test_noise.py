@@ -1,4 +1,6 @@
-"""What frames say of their own noise, and still cells of errors that all frames share, against drawn ones."""
+"""What frames say of their own noise, and still cells of errors that all frames share, against
+drawn ones.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,11 +32,16 @@ from tests.estimates import in_intervals, log_errors, recording_of
 LINES = 10
 CHANNELS = 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
-MIN_COVERAGE = 0.85  # of 95 % intervals: the errors of a recording are shared, so that few recordings scatter
+# Of 95 % intervals: the errors of a recording are shared, so that few recordings scatter.
+MIN_COVERAGE = 0.85
 
 
-def drawn(rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0) -> Array:
-    """Deviations about their mean, in σ: noise, a gain a frame, an offset a line, a wave that all lines share."""
+def drawn(
+    rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0
+) -> Array:
+    """Deviations about their mean, in σ: noise, a gain a frame, an offset a line, a wave that all
+    lines share.
+    """
     loud = 3000.0
     noise = rng.standard_normal((frames, LINES, CHANNELS))
     noise += gain * loud * rng.standard_normal((frames, 1, 1))
@@ -50,23 +57,36 @@ def scatter_of(rng: np.random.Generator, frames: int, **sizes: float) -> Scatter
 
 def test_components_of_noise_are_estimated_and_absent_ones_are_not() -> None:
     for frames in (2, 3, 5, 10):
-        alone = [scatter_of(np.random.default_rng(100 * frames + number), frames) for number in range(60)]
+        alone = [
+            scatter_of(np.random.default_rng(100 * frames + number), frames) for number in range(60)
+        ]
         assert np.mean([noise.own for noise in alone]) == pytest.approx(1, abs=0.02)
         assert (
-            sum(min(noise.gain_tail, noise.ripple_tail) < SIGNIFICANCE or noise.line_ripple.size for noise in alone)
+            sum(
+                min(noise.gain_tail, noise.ripple_tail) < SIGNIFICANCE or noise.line_ripple.size
+                for noise in alone
+            )
             <= 2
         )
     rng = np.random.default_rng(1)
-    assert np.mean([scatter_of(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(0.002, rel=0.25)
+    assert np.mean([scatter_of(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(
+        0.002, rel=0.25
+    )
     apart = [scatter_of(rng, 5, offset=3.0) for _ in range(20)]
-    assert np.mean([(noise.line_ripple**2).sum() / CHANNELS for noise in apart]) == pytest.approx(9, rel=0.2)
+    assert np.mean([(noise.line_ripple**2).sum() / CHANNELS for noise in apart]) == pytest.approx(
+        9, rel=0.2
+    )
     assert np.mean([noise.own for noise in apart]) == pytest.approx(1, abs=0.06)
     wave = [scatter_of(rng, 10, wave=3.0) for _ in range(20)]
-    assert np.mean([(noise.common_ripple**2).sum() / CHANNELS for noise in wave]) == pytest.approx(4.5, rel=0.5)
+    assert np.mean([(noise.common_ripple**2).sum() / CHANNELS for noise in wave]) == pytest.approx(
+        4.5, rel=0.5
+    )
 
 
 @pytest.mark.parametrize("samples", [1, 2, 4, 9, 40])
-def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sample(samples: int) -> None:
+def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sample(
+    samples: int,
+) -> None:
     """Beside noise of size 1. Of no effect the size is a share of the noise."""
     rng = np.random.default_rng(samples)
     for true in (3.0, 30.0, 1e5):
@@ -75,37 +95,52 @@ def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sam
         assert np.mean(mean) == pytest.approx(true, rel=0.12)
         following = np.abs(true * rng.standard_normal(400))
         assert 0.8 < np.mean(following < 1.96 * np.hypot(mean, deviation)) < 0.98
-    absent = np.mean([posterior_size(square, samples, 1.0)[0] for square in rng.chisquare(samples, 400)])
+    absent = np.mean(
+        [posterior_size(square, samples, 1.0)[0] for square in rng.chisquare(samples, 400)]
+    )
     assert absent < 1.3 / samples**0.25  # as far as chance hides an effect
 
 
 def test_loads_and_wrong_noise_cause_no_outliers() -> None:
-    """Cells under a mouth overshoot in the first frame: by 50 σ, after a step of 1,450. Readings over their own σ vary
+    """Cells under a mouth overshoot in the first frame: by 50 σ, after a step of 1,450. Readings
+    over their own σ vary
     five times less than they scatter. Under a foot predictions miss by as much in most frames."""
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
     mouth = AuditTask(audit, "as specified", 702).recording()
     foot = lampest.datasets.load("insole_standing")
-    for recording in (mouth, foot, *(recorded(seed, scene_of(0.7, None), 3.0) for seed in range(8))):
+    for recording in (
+        mouth,
+        foot,
+        *(recorded(seed, scene_of(0.7, None), 3.0) for seed in range(8)),
+    ):
         assert not Prepared(recording).cleaned.outliers.any()
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None:
-    """Under the load it would move the cells of its row and column by a tenth and more, whatever its value is."""
+    """Under the load it would move the cells of its row and column by a tenth and more, whatever
+    its value is.
+    """
     recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen = recording.recorded.copy()
     missing = recording.recorded.copy()
     frozen[:, 4, 5], missing[:, 4, 5] = factor * recording.recorded[0, 4, 5], np.nan
-    froze, missed = (Prepared(replace(recording, recorded=values, raw_sums=None)) for values in (frozen, missing))
+    froze, missed = (
+        Prepared(replace(recording, recorded=values, raw_sums=None)) for values in (frozen, missing)
+    )
     plain = replace(LSM, error_bars=False)
-    np.testing.assert_array_equal(*(reconstruct(prepared, plain).cell_resistance for prepared in (froze, missed)))
+    np.testing.assert_array_equal(
+        *(reconstruct(prepared, plain).cell_resistance for prepared in (froze, missed))
+    )
     assert "one value in all frames at row 4, column 5" in froze.frame_noise.sentence
     assert "one value" not in missed.frame_noise.sentence
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.2, 0.4, 0.6, 1.0, 3.0])
 def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) -> None:
-    """`noise` is in steps of the converter; a load moves half of the rows and none of the others."""
+    """`noise` is in steps of the converter; a load moves half of the rows and none of the
+    others.
+    """
     rng = np.random.default_rng(int(100 * noise))
     flagged = 0
     for frames in (4, 8, 20, 100):
@@ -117,7 +152,9 @@ def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) ->
 
 
 def test_outliers_are_detected_under_a_breathing_load() -> None:
-    """Readings go by ten to forty σ from frame to frame, and lags of their median hid leaps of five times as much."""
+    """Readings go by ten to forty σ from frame to frame, and lags of their median hid leaps of five
+    times as much.
+    """
     rng = np.random.default_rng(3)
     detected = 0
     missed = 0
@@ -126,7 +163,11 @@ def test_outliers_are_detected_under_a_breathing_load() -> None:
     place = np.hypot(*(np.indices((9, 9)) - 4.0))
     for _ in range(6):
         breath = 1 + 0.15 * np.sin(2 * np.pi * (0.08 * np.arange(8) + rng.uniform()))
-        cells = 3000 * np.exp(0.2 * rng.standard_normal((9, 9))) * np.exp(-1.5 * breath[:, None, None] * (place < 2))
+        cells = (
+            3000
+            * np.exp(0.2 * rng.standard_normal((9, 9)))
+            * np.exp(-1.5 * breath[:, None, None] * (place < 2))
+        )
         exact = two_point_resistance(cells)
         sigma = 5e-4 * exact
         hit = rng.random(exact.shape) < 5e-3
@@ -152,24 +193,38 @@ def recorded(
     frames: int = 8,
     unloaded: int = 5,
 ) -> Recording:
-    """Frames of a panel pressed on a few cells: means of 20 readings of 12 bits of a divider across 1000 ohm.
+    """Frames of a panel pressed on a few cells: means of 20 readings of 12 bits of a divider across
+    1000 ohm.
 
-    gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the scene's.
+    gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the
+        scene's.
     """
     rng = np.random.default_rng(seed)
     lsb = 5 / 2**12
-    cells = np.repeat(3000 * np.exp(0.2 * rng.standard_normal((1, *scene.panel.shape))), frames, axis=0)
+    cells = np.repeat(
+        3000 * np.exp(0.2 * rng.standard_normal((1, *scene.panel.shape))), frames, axis=0
+    )
     cells[unloaded:, 2:5, 3:6] *= 0.3
     exact = two_point_resistance(cells) + 140
-    exact = (exact * np.exp(static * rng.standard_normal(exact.shape[1:])) if static else exact) + series
+    exact = (
+        exact * np.exp(static * rng.standard_normal(exact.shape[1:])) if static else exact
+    ) + series
     volt = 5 * 1000 / (1000 + exact) * (1 + gain * rng.standard_normal((frames, 1, 1)))
     volt += lsb * np.sqrt((noise_lsb**2 + 1 / 12) / 20) * rng.standard_normal(exact.shape)
     readings = (5 - volt) / volt * 1000 * (1 + reference)
     return recording_of(scene, readings, unloaded, truth_cell_resistance=cells)
 
 
-def scene_of(noise: float | str | None, systematic: Systematic | str | None = None, **keys: str) -> Scene:
-    return Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=noise), 140.0, systematic=systematic, **keys)
+def scene_of(
+    noise: float | str | None, systematic: Systematic | str | None = None, **keys: str
+) -> Scene:
+    return Scene(
+        Panel(8, 8),
+        TwoPointReadout(adc_bits=12, noise_lsb=noise),
+        140.0,
+        systematic=systematic,
+        **keys,
+    )
 
 
 def coverage_of(recording: Recording) -> tuple[float, float]:
@@ -177,7 +232,9 @@ def coverage_of(recording: Recording) -> tuple[float, float]:
     estimate = reconstruct(recording, LSM)
     cells = recording.truth_cell_resistance
     change = 100 * (cells[estimate.frame] / cells[0] - 1)
-    changed = (estimate.relative_change_lower <= change) & (change <= estimate.relative_change_upper)
+    changed = (estimate.relative_change_lower <= change) & (
+        change <= estimate.relative_change_upper
+    )
     return float(in_intervals(estimate).mean()), float(changed.mean())
 
 
@@ -187,16 +244,25 @@ def test_unspecified_noise_is_estimated_from_the_frames(setting: str | None) -> 
     estimated = Prepared(own).noise.estimated
     assert ("readout.noise_lsb" in estimated) == (setting == "estimated")
     assert estimated.get("readout.noise_lsb", (2.5, 0))[0] == pytest.approx(2.5, abs=0.5)
-    ratio = reconstruct(own, LSM).cell_resistance_errors / reconstruct(known, LSM).cell_resistance_errors
+    ratio = (
+        reconstruct(own, LSM).cell_resistance_errors
+        / reconstruct(known, LSM).cell_resistance_errors
+    )
     assert np.median(ratio) == pytest.approx(1, abs=0.1)
     noise_of_few = Prepared(recorded(1, scene_of(setting), frames=6, unloaded=3)).noise
     assert (noise_of_few.sigma_factor == 1) == (setting is None)
 
 
 @pytest.mark.parametrize("unloaded", [5, 0])
-@pytest.mark.parametrize(("true", "specified"), [(0.7, 8.4), (8.4, 0.7)], ids=["too large", "too small"])
-def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(true: float, specified: float, unloaded: int) -> None:
-    wrong, right = (recorded(2, scene_of(noise), true, unloaded=unloaded) for noise in (specified, true))
+@pytest.mark.parametrize(
+    ("true", "specified"), [(0.7, 8.4), (8.4, 0.7)], ids=["too large", "too small"]
+)
+def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(
+    true: float, specified: float, unloaded: int
+) -> None:
+    wrong, right = (
+        recorded(2, scene_of(noise), true, unloaded=unloaded) for noise in (specified, true)
+    )
     noise = Prepared(wrong).noise
     expected = Prepared(right).noise
     assert np.median(noise.readings.sigma / expected.readings.sigma) == pytest.approx(1, abs=0.12)
@@ -214,7 +280,9 @@ def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(true: float, sp
 def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:
     for gain in (0.004, "estimated"):
         assert min(coverage_of(recorded(seed, scene_of(0.7, gain=gain), gain=0.004))) > MIN_COVERAGE
-    size, deviation = Prepared(recorded(seed, scene_of(0.7, gain="estimated"), gain=0.004)).noise.estimated["gain"]
+    size, deviation = Prepared(
+        recorded(seed, scene_of(0.7, gain="estimated"), gain=0.004)
+    ).noise.estimated["gain"]
     assert abs(size - 0.004) < 3 * deviation
     unnamed = Prepared(recorded(seed, scene_of(0.7), gain=0.004))
     assert "gain" not in unnamed.noise.sentence
@@ -222,20 +290,28 @@ def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int)
 
 
 def own_part(recording: Recording) -> tuple[float, float]:
-    """Share of cells whose error beside their frame's median is within the own part, and its size over that error."""
+    """Share of cells whose error beside their frame's median is within the own part, and its size
+    over that error.
+    """
     estimate = reconstruct(recording, LSM)
     error = log_errors(estimate)
     error -= np.median(error, axis=(1, 2), keepdims=True)
     size = 1.4826 * np.median(np.abs(error))
-    return float(np.mean(np.abs(error) < 1.96 * estimate.sigma_own)), float(np.median(estimate.sigma_own) / size)
+    return float(np.mean(np.abs(error) < 1.96 * estimate.sigma_own)), float(
+        np.median(estimate.sigma_own) / size
+    )
 
 
 def pressed(seed: int, systematic: Systematic | None = None, **effects: float) -> Recording:
     """A mouth on a quiet board: its rim is the steepest change that films give."""
     readout = TwoPointReadout(adc_bits=10, readings=20, noise_lsb=0.7)
     x_mm, y_mm = (45 + np.random.default_rng(seed).uniform(-5, 5, 2)).tolist()
-    disc = lampest.OralDisc(centre_mm=(x_mm, y_mm), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90)
-    course = lampest.Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
+    disc = lampest.OralDisc(
+        centre_mm=(x_mm, y_mm), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90
+    )
+    course = lampest.Course(
+        start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1
+    )
     scene = Scene(Panel(10, 10), readout, 140.0, systematic=systematic)
     unmodelled = Unmodelled(**effects)
     plain = Simulation(1, seed, scene, baseline_frames=5, frames=6, loads=(disc,), course=course)
@@ -253,8 +329,12 @@ SERIES = Systematic(series_tolerance_ohm="estimated")
         ({"gain_spread": 0.005}, {"gain": "estimated"}),
     ],
 )
-def test_own_deviations_cover_errors_that_differ_between_cells(effect: dict[str, float], keys: dict[str, str]) -> None:
-    """Ripple raises some cells and lowers others, a gain moves each by its resistance, a series loaded ones by more."""
+def test_own_deviations_cover_errors_that_differ_between_cells(
+    effect: dict[str, float], keys: dict[str, str]
+) -> None:
+    """Ripple raises some cells and lowers others, a gain moves each by its resistance, a series
+    loaded ones by more.
+    """
     scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.7), 140.0, **keys)
     plain = Simulation(1, 8, scene, baseline_frames=5, frames=4, unmodelled=Unmodelled(**effect))
     series = "series_resistance_ohm" in effect
@@ -269,8 +349,12 @@ def test_the_rim_of_a_mouth_is_not_taken_for_a_model_error() -> None:
     assert all(Prepared(pressed(seed)).warnings == () for seed in (43, 50))
 
 
-@pytest.mark.parametrize(("series", "reference"), [(50, 0.0), (-50, 0.0), (0, 0.05), (0, -0.05), (30, -0.04)])
-def test_typical_errors_cover_a_wrong_series_resistance_and_reference(series: float, reference: float) -> None:
+@pytest.mark.parametrize(
+    ("series", "reference"), [(50, 0.0), (-50, 0.0), (0, 0.05), (0, -0.05), (30, -0.04)]
+)
+def test_typical_errors_cover_a_wrong_series_resistance_and_reference(
+    series: float, reference: float
+) -> None:
     """Each moves all cells together, so that a recording is covered or not as a whole."""
     for seed in (31, 32, 33):
         silent = recorded(seed, scene_of(0.7, "typical"), series=series, reference=reference)
@@ -292,19 +376,34 @@ STATIC_LINE = "systematic: {reading_error: estimated}"
     ],
 )
 def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, seeds: range) -> None:
-    """Large ones bend the answer and press cells against their bounds; no cells give the readings of the largest."""
+    """Large ones bend the answer and press cells against their bounds; no cells give the readings
+    of the largest.
+    """
     recordings = [recorded(seed, scene_of(0.7, STATIC), static=size) for seed in seeds]
-    sizes = [Prepared(recording).noise.estimated["systematic.reading_error"][0] for recording in recordings]
+    sizes = [
+        Prepared(recording).noise.estimated["systematic.reading_error"][0]
+        for recording in recordings
+    ]
     assert np.median(sizes) == pytest.approx(size, rel=0.4)
     unnamed = [Prepared(recorded(seed, scene_of(0.7), static=size)) for seed in seeds[:4]]
     assert not any(prepared.noise.reading_error for prepared in unnamed)
-    assert all(STATIC_LINE in {finding.line for finding in unnamed_effects(prepared)} for prepared in unnamed)
-    assert np.mean([coverage_of(recording) for recording in recordings[:4]], axis=0).min() > MIN_COVERAGE
+    assert all(
+        STATIC_LINE in {finding.line for finding in unnamed_effects(prepared)}
+        for prepared in unnamed
+    )
+    assert (
+        np.mean([coverage_of(recording) for recording in recordings[:4]], axis=0).min()
+        > MIN_COVERAGE
+    )
 
 
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
-    """An error of 0.2 % is too small to be advised; intervals of such recordings contained 72 to 84 %."""
-    recordings = [recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)]
+    """An error of 0.2 % is too small to be advised; intervals of such recordings contained 72 to 84
+    %.
+    """
+    recordings = [
+        recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)
+    ]
     assert np.mean([coverage_of(recording) for recording in recordings], axis=0).min() > 0.8
 
 
@@ -319,7 +418,9 @@ def test_a_specified_static_error_holds_and_none_is_invented() -> None:
     recording = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static=0.005)
     assert Prepared(recording).noise.reading_error == 0.02
     for seed in range(9, 13):
-        size, _ = Prepared(recorded(seed, scene_of(0.7, STATIC))).noise.estimated["systematic.reading_error"]
+        size, _ = Prepared(recorded(seed, scene_of(0.7, STATIC))).noise.estimated[
+            "systematic.reading_error"
+        ]
         assert size < 0.002
         assert not unnamed_effects(Prepared(recorded(seed, scene_of(0.7))))
 
@@ -327,21 +428,30 @@ def test_a_specified_static_error_holds_and_none_is_invented() -> None:
 @pytest.mark.slow
 def test_error_bars_allow_for_loads_that_move_within_a_frame() -> None:
     """Neighbours in time say nothing of such readings but how far they may be off."""
-    mouth = lampest.OralDisc(centre_mm=(35, 35), diameter_mm=30, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90)
+    mouth = lampest.OralDisc(
+        centre_mm=(35, 35), diameter_mm=30, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90
+    )
     scene = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0, motion="estimated")
     moving = Unmodelled(load_speed_mm_s=25.0)
     plain = Simulation(1, 1, scene, baseline_frames=5, frames=5, loads=(mouth,), unmodelled=moving)
     recordings = [simulate(replace(plain, seed=seed)) for seed in (1, 2)]
     assert all(Prepared(recording).noise.estimated["motion"][0] > 0.5 for recording in recordings)
     unnamed = [replace(recording, scene=replace(scene, motion=None)) for recording in recordings]
-    assert all("motion: estimated" in {finding.line for finding in unnamed_effects(Prepared(torn))} for torn in unnamed)
+    assert all(
+        "motion: estimated" in {finding.line for finding in unnamed_effects(Prepared(torn))}
+        for torn in unnamed
+    )
     assert np.mean([in_intervals(reconstruct(recording, LSM)) for recording in recordings]) > 0.7
     named = [replace(recording, scene=replace(scene, motion=1.0)) for recording in recordings]
     assert np.mean([in_intervals(reconstruct(recording, LSM)) for recording in named]) > 0.8
 
 
 def breathing(
-    seed: int, covered: NDArray[np.bool_], pressure: float, frames: int = 15, systematic: Systematic | None = None
+    seed: int,
+    covered: NDArray[np.bool_],
+    pressure: float,
+    frames: int = 15,
+    systematic: Systematic | None = None,
 ) -> Recording:
     """Of a panel scanned in no time, of which some cells are pressed by a load that breathes."""
     rng = np.random.default_rng(seed)
@@ -352,7 +462,9 @@ def breathing(
     exact = 5000 / (two_point_resistance(cells) + 1140)
     code = exact * 1023 / 5 + 0.7 * rng.standard_normal((20, *exact.shape))
     volt = np.clip(np.round(code), 0, 1023).mean(axis=0) * 5 / 1023
-    scene = Scene(Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, systematic=systematic)
+    scene = Scene(
+        Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, systematic=systematic
+    )
     return recording_of(scene, (5 - volt) / volt * 1000, 5, truth_cell_resistance=cells)
 
 
@@ -362,14 +474,19 @@ def test_breathing_loads_are_not_taken_for_outliers_motion_or_static_errors(seed
     """A hand whose edge presses ever less, a panel half covered, and a mouth whose inside sucks."""
     down, across = np.indices((10, 10)) - 4.5
     far = np.hypot(down, across)
-    loads = (np.exp(-((far / 3) ** 2)), across < 0, np.exp(-((far - 1.7) ** 2) / 0.3) - 0.8 * (far < 1.2))
+    loads = (
+        np.exp(-((far / 3) ** 2)),
+        across < 0,
+        np.exp(-((far - 1.7) ** 2) / 0.3) - 0.8 * (far < 1.2),
+    )
     for covered in loads:
         prepared = Prepared(breathing(seed, covered, 4.0))
         assert prepared.noise.sentence == "" and unnamed_effects(prepared) == ()
 
 
 def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
-    """A body changes few cells, smoothly and by 14 %: 15 standard deviations of it were left possible. Of 40 ohm, where
+    """A body changes few cells, smoothly and by 14 %: 15 standard deviations of it were left
+    possible. Of 40 ohm, where
     35 are usual, the rms of the remaining possible errors is near the actual one."""
     down, across = np.indices((10, 10)) - 4.5
     body = np.maximum(1 - (down / 5) ** 2 - ((across - 1) / 2) ** 2, 0)
@@ -377,7 +494,11 @@ def test_still_cells_show_a_series_resistance_and_a_gentle_load_none() -> None:
     assert gentle.estimated["systematic.series_tolerance_ohm"][0] < 1.5 * 35
     wrong = recorded(11, scene_of(0.7, SERIES), series=40)
     size, deviation = Prepared(wrong).noise.estimated["systematic.series_tolerance_ohm"]
-    assert size == pytest.approx(40, rel=0.3) and deviation < size and min(coverage_of(wrong)) > MIN_COVERAGE
+    assert (
+        size == pytest.approx(40, rel=0.3)
+        and deviation < size
+        and min(coverage_of(wrong)) > MIN_COVERAGE
+    )
 
 
 def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
@@ -387,30 +508,43 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
     for seed in (7, 8, 13):
         recording = simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
         noise = Prepared(recording).noise
-        assert noise.estimated["systematic.reading_error"][0] < 0.01 and not noise.possible_errors.in_sigma > 0.001
+        assert (
+            noise.estimated["systematic.reading_error"][0] < 0.01
+            and not noise.possible_errors.in_sigma > 0.001
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("loaded", [1, 2])
 def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path) -> None:
-    """As where one frame too many is called unloaded: no median of three shows it. Detect says it once."""
+    """As where one frame too many is called unloaded: no median of three shows it. Detect says it
+    once.
+    """
     recording = lampest.datasets.load("rod")
     frames = [0, 1, 2, *range(8, 8 + loaded), *range(12, 15)]
     role = (np.arange(len(frames)) >= 3 + loaded).astype(np.uint8)
-    chosen = lampest.Recording(recording.scene, recording.recorded[frames], np.arange(len(frames)) / 4, role)
+    chosen = lampest.Recording(
+        recording.scene, recording.recorded[frames], np.arange(len(frames)) / 4, role
+    )
     assert any("touched the panel" in line for line in Prepared(chosen).warnings)
     chosen.save(tmp_path / "touched.h5")
     answer = detect_recording(tmp_path / "touched.h5")
-    assert "touched the panel" in answer.why and not any("touched" in line for line in answer.warnings)
+    assert "touched the panel" in answer.why and not any(
+        "touched" in line for line in answer.warnings
+    )
 
 
 def test_a_varying_gain_is_not_taken_for_a_load_in_the_unloaded_frames() -> None:
-    """The supply moves all readings of a frame; without MAX_GAIN one in fifteen such recordings passed for touched."""
+    """The supply moves all readings of a frame; without MAX_GAIN one in fifteen such recordings
+    passed for touched.
+    """
     recording = lampest.datasets.load("lamprey_35mm")
     circuit = recording.scene.circuit
     rng = np.random.default_rng(5)
     volt = circuit.volt_from_recorded(recording.recorded[[0, 1, 2, 0, 1, 2]])
     for _ in range(30):
         swayed = circuit.recorded_from_volt(volt * (1 + 0.03 * rng.standard_normal((6, 1, 1))))
-        unloaded = lampest.Recording(recording.scene, swayed, np.arange(6) / 4, np.zeros(6, np.uint8))
+        unloaded = lampest.Recording(
+            recording.scene, swayed, np.arange(6) / 4, np.zeros(6, np.uint8)
+        )
         assert noise_factor(unloaded.readings()) > 1 and not touched(unloaded)

@@ -1,4 +1,6 @@
-"""Leaks, contacts and saturation are taken off the frames that have them; the network is written anew here."""
+"""Leaks, contacts and saturation are taken off the frames that have them; the network is written
+anew here.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +33,8 @@ def panel(
     saturated: float = 1.0,
     **keys: str,
 ) -> Recording:
-    """A hand on some cells; contact : of a row, so many ohm more, from a frame on. saturated : share of full scale.
+    """A hand on some cells; contact : of a row, so many ohm more, from a frame on. saturated :
+    share of full scale.
 
     keys : of the scene.
     """
@@ -47,7 +50,9 @@ def panel(
     code = np.minimum(1023 * 1000 / (1140 + ohm), saturated * 1023)
     noisy = np.round(code + 0.7 * rng.standard_normal((20, *code.shape)))
     volt = np.minimum(noisy, np.round(saturated * 1023)).mean(axis=0) * 5 / 1023
-    scene = Scene(lampest.Panel(ROWS, COLUMNS), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, **keys)
+    scene = Scene(
+        lampest.Panel(ROWS, COLUMNS), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, **keys
+    )
     return recording_of(scene, (5 - volt) / volt * 1000, UNLOADED)
 
 
@@ -61,7 +66,9 @@ def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
-    """In the only loaded frame one reading is off by 25 ohm, which neighbours in time cannot show."""
+    """In the only loaded frame one reading is off by 25 ohm, which neighbours in time cannot
+    show.
+    """
     recording = panel(seed)
     recorded = recording.recorded[: UNLOADED + 1].copy()
     recorded[-1, 0, 9] = 0.7 * recorded[:-1, 0, 9].mean() + 0.3 * recording.recorded[-1, 0, 9] + 25
@@ -86,14 +93,21 @@ def test_leaks_and_contacts_are_corrected_in_their_frames(effect: dict) -> None:
     assert dirty.estimated and all(size > deviation for size, deviation in dirty.estimated.values())
     unnamed = Prepared(panel(1, **effect))
     assert unnamed.noise.corrected_effects is None
-    assert {finding.line for finding in unnamed_effects(unnamed)} & {"leaks: estimated", "contacts: estimated"}
+    assert {finding.line for finding in unnamed_effects(unnamed)} & {
+        "leaks: estimated",
+        "contacts: estimated",
+    }
     assert clean.sigma is not None
     assert 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
-    open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
+    open_ohm = np.hypot(
+        dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value
+    )
     errors = np.abs((dirty.readings.value - clean.value) / open_ohm)
     assert np.quantile(errors, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
     assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
-    assert bool(np.any(dirty.frame.effect_errors[0])) == ("leak_from" not in effect and "contact" not in effect)
+    assert bool(np.any(dirty.frame.effect_errors[0])) == (
+        "leak_from" not in effect and "contact" not in effect
+    )
 
 
 @pytest.mark.slow
@@ -101,7 +115,12 @@ def test_detect_uses_frames_without_the_leak() -> None:
     recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED)
     known = known_of(Prepared(recording))
     assert isinstance(known, Known)
-    frames = [value for value, _, _ in measured_frames(recording, known, np.ones(len(recording.role), dtype=bool))]
+    frames = [
+        value
+        for value, _, _ in measured_frames(
+            recording, known, np.ones(len(recording.role), dtype=bool)
+        )
+    ]
     assert np.allclose(frames, Prepared(recording).noise.readings.value[UNLOADED:], rtol=1e-3)
     assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=1e-2)
 
@@ -109,7 +128,11 @@ def test_detect_uses_frames_without_the_leak() -> None:
 def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:
     recording = panel(8, contact=(3, 200.0, 0), **ESTIMATED)
     prepared = Prepared(recording).effects
-    assert prepared.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
+    assert (
+        prepared.name
+        and prepared.pair is None
+        and Prepared(recording).noise.corrected_effects is None
+    )
 
 
 def test_the_size_of_a_leak_is_estimated_and_a_converter_curve_is_not_taken_for_an_effect() -> None:
@@ -122,15 +145,29 @@ def test_the_size_of_a_leak_is_estimated_and_a_converter_curve_is_not_taken_for_
 def test_the_edge_of_a_large_load_is_not_taken_for_a_contact() -> None:
     """The load covers whole columns, presses the last one little, and breathes."""
     block = Block(centre_mm=(17.5, 45.0), length_mm=35.0, width_mm=90.0, mass_g=4000.0)
-    course = Course(start_s=-0.08, approach_s=0.06, attachment_s=0.9316, breathing_hz=0.80338, breathing_depth=0.1)
+    course = Course(
+        start_s=-0.08,
+        approach_s=0.06,
+        attachment_s=0.9316,
+        breathing_hz=0.80338,
+        breathing_depth=0.1,
+    )
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
     times = {"frames": 18, "frame_period_s": 0.1, "course": course}
-    recording = simulate(Simulation(1, 9125, scene, Cells(spread=0.085013), loads=(block,), **times))
+    recording = simulate(
+        Simulation(1, 9125, scene, Cells(spread=0.085013), loads=(block,), **times)
+    )
     assert Prepared(recording).effects.name == ""
 
 
 @pytest.mark.slow
 def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
-    """Channels of 3 ohm shift the cells of a rim, which are as low as 100 ohm, by several percent."""
+    """Channels of 3 ohm shift the cells of a rim, which are as low as 100 ohm, by several
+    percent.
+    """
     for mouth in ("lamprey_25mm", "lamprey_35mm"):
-        assert not [line for line in Prepared(lampest.datasets.load(mouth)).warnings if "outliers" not in line]
+        assert not [
+            line
+            for line in Prepared(lampest.datasets.load(mouth)).warnings
+            if "outliers" not in line
+        ]

@@ -43,17 +43,23 @@ def recording(cells: Array, noise: float, seed: int = 0, unloaded: int = 0) -> R
     exact = two_point_resistance(cells)
     rng = np.random.default_rng(seed)
     resistance = exact * (1 + noise * rng.standard_normal(exact.shape))
-    return recording_of(Scene(Panel(*cells.shape[1:])), resistance, unloaded, sigma=exact * max(noise, 1e-4))
+    return recording_of(
+        Scene(Panel(*cells.shape[1:])), resistance, unloaded, sigma=exact * max(noise, 1e-4)
+    )
 
 
 def test_an_outlier_spoils_squares_but_not_absolute_values() -> None:
-    """One reading of thirty is 20 % off on an even panel: who believes it, sees a cell that is not there."""
+    """One reading of thirty is 20 % off on an even panel: who believes it, sees a cell that is not
+    there.
+    """
     cells = truth((5, 6), 1, 11, spread=0.02)
     recorded = recording(cells, 1e-4)
     recorded.resistance[0, 2, 3] *= 1.2
     errors = {}
     for loss in (Huber(corner=5.0), Absolute(), Squared()):
-        estimate = reconstruct(recorded, Estimator((Misfit(loss=loss), Gradient(weight=1e-3)))).cell_resistance
+        estimate = reconstruct(
+            recorded, Estimator((Misfit(loss=loss), Gradient(weight=1e-3)))
+        ).cell_resistance
         errors[loss.kind] = np.max(np.abs(estimate / cells - 1))
     assert errors["squared"] > 0.5
     assert errors["absolute"] < 0.05
@@ -66,28 +72,38 @@ def test_a_loss_with_a_corner_starts_at_the_optimum_of_squares(seed: int) -> Non
     wild = readings.recorded.copy()
     wild[2, 3, 4] *= 2.0
     readings = replace(readings, recorded=wild)
-    chosen = Estimator((Misfit(weighting="noise", loss=Huber(corner=3.0)), Gradient(weight=1e-6)), "reduced")
+    chosen = Estimator(
+        (Misfit(weighting="noise", loss=Huber(corner=3.0)), Gradient(weight=1e-6)), "reduced"
+    )
     estimate = reconstruct(readings, chosen)
-    assert max(step.solution.iterations for step in estimate.steps) <= 25  # from afar it takes 40 to 140
+    # From afar it takes 40 to 140.
+    assert max(step.solution.iterations for step in estimate.steps) <= 25
     data = chosen.data(readings.readings()[2].alone(), Background(readings.scene))
     cost = chosen.cost(readings.scene, 1)
     rng = np.random.default_rng(seed)
     starts = data.apparent_resistance * np.exp(rng.uniform(0, 3, (4, *data.measured.shape)))
-    ends = [solved_from(ProjectedNewton(cost, chosen.solver), evaluated(cost, data, start)) for start in starts]
+    ends = [
+        solved_from(ProjectedNewton(cost, chosen.solver), evaluated(cost, data, start))
+        for start in starts
+    ]
     least = min(end.objective for end in ends if end.solved)
     assert estimate.steps[2].solution.objective <= least * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("formulation", ["per_pixel", "nodal", "reduced", "auto"])
 def test_a_cell_without_a_finite_optimum_ends_at_the_resolution(formulation: Any) -> None:
-    """Plain least squares with 3 % noise: where the misfit falls all the way to an open cell, it is called open."""
+    """Plain least squares with 3 % noise: where the misfit falls all the way to an open cell, it is
+    called open.
+    """
     recorded = recording(truth((5, 7), 1, 14, spread=0.8), 3e-2, seed=14)
     solution = reconstruct(recorded, Estimator((Misfit(),), formulation)).steps[0].solution
     assert solution.solved
     upper = recorded.resistance**2 / recorded.sigma
     assert np.sum(solution.open_cell) == 3
     assert np.array_equal(solution.open_cell, solution.cell_resistance >= 0.99 * upper)
-    assert_allclose(solution.cell_resistance[solution.open_cell], upper[solution.open_cell], rtol=1e-6)
+    assert_allclose(
+        solution.cell_resistance[solution.open_cell], upper[solution.open_cell], rtol=1e-6
+    )
     reading, response = Circuit("two_point").reading(solution.cell_resistance[0])
     slope = (reading - recorded.resistance[0]).ravel() @ response
     assert np.all(slope[solution.open_cell.ravel()] < 0)
@@ -100,7 +116,9 @@ def test_a_single_row_has_a_closed_form(lower: Any) -> None:
     bounds = Bounds(lower, "none")
     plain = reconstruct(recorded, Estimator((Misfit(),), bounds=bounds))
     assert_allclose(plain.cell_resistance[0], recorded.resistance[1], rtol=1e-6)
-    tikhonov = reconstruct(recorded, Estimator((Misfit(), CellResistance(weight=1e-3)), bounds=bounds))
+    tikhonov = reconstruct(
+        recorded, Estimator((Misfit(), CellResistance(weight=1e-3)), bounds=bounds)
+    )
     assert_allclose(tikhonov.cell_resistance[0], recorded.resistance[1] / (1 + 1e-3), rtol=1e-6)
 
 
@@ -113,7 +131,9 @@ def test_the_optimum_is_verified_from_an_unchanged_start(formulation: str, weigh
     scene = Scene(Panel(3, 3), readout=GroundedReadout(load_ohm=1000.0, adc_bits=12, noise_lsb=2.5))
     cells = np.repeat(5000 * np.exp(0.2 * rng.standard_normal((1, 3, 3))), 8, axis=0)
     cells[6:, 1, 1] /= 2
-    recording = Recording(scene, measured(scene, cells, Unmodelled(), 0)[0], time, (time > 4).astype(np.uint8))
+    recording = Recording(
+        scene, measured(scene, cells, Unmodelled(), 0)[0], time, (time > 4).astype(np.uint8)
+    )
     terms = (Misfit(weighting="noise"), LogRatio(weight=weight))
     estimates = reconstruct(recording, Estimator(terms, formulation, error_bars=False))
     assert [step.solution.status for step in estimates.steps] == 3 * [Status.OPTIMUM]

@@ -1,4 +1,6 @@
-"""Pressure from resistance against pressures put in: round trips, coverage of the interval, flags, open ends."""
+"""Pressure from resistance against pressures put in: round trips, coverage of the interval, flags,
+open ends.
+"""
 
 import dataclasses
 
@@ -22,10 +24,20 @@ SCENES = {
 
 def log_change(pressure: Array, scene: Scene) -> Array:
     """ln(f(p_w + p)/f(p_w)) + α (T − T_b), written out once more; (frames, rows, columns)."""
-    film = 9.81e-3 * (scene.water.top_row_depth_mm + 10 * np.arange(4))[:, None] if scene.water else 0.0
+    film = (
+        9.81e-3 * (scene.water.top_row_depth_mm + 10 * np.arange(4))[:, None]
+        if scene.water
+        else 0.0
+    )
     warm = scene.temperature
-    shift = warm.coefficient_per_kelvin * (warm.measured_celsius - warm.baseline_celsius) if warm else 0.0
-    return np.asarray(np.log(ratio_from_pressure(film + pressure) / ratio_from_pressure(film)) + shift)
+    shift = (
+        warm.coefficient_per_kelvin * (warm.measured_celsius - warm.baseline_celsius)
+        if warm
+        else 0.0
+    )
+    return np.asarray(
+        np.log(ratio_from_pressure(film + pressure) / ratio_from_pressure(film)) + shift
+    )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -42,36 +54,50 @@ def test_pressures_come_back_from_their_cells(name: str) -> None:
 
 def test_the_simulation_applies_the_response_of_the_scene() -> None:
     scene = Scene(Panel(8, 8), water=Water(50.0), temperature=COOLING)
-    cup = SuctionCup(centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8)
-    simulation = Simulation(schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,))
+    cup = SuctionCup(
+        centre_mm=(35, 35), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-8
+    )
+    simulation = Simulation(
+        schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,)
+    )
     recording = simulate(simulation)
     cells = recording.truth_cell_resistance
     pressure = recording.truth_pressure
     ratio = cells[1:] / cells[0]
     pressed = pressure_of(ratio, ratio, ratio, scene)
-    np.testing.assert_allclose(pressed.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9)
+    np.testing.assert_allclose(
+        pressed.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9
+    )
     assert pressed.pressure.min() < -5 and pressed.pressure.max() > 5
     untold = simulate(dataclasses.replace(simulation, scene=Scene(Panel(8, 8)), water=Water(50.0)))
     np.testing.assert_array_equal(untold.truth_cell_resistance[0], cells[0])
-    np.testing.assert_allclose(cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=1e-12)
+    np.testing.assert_allclose(
+        cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("sd", [0.003, 0.05, 0.2])
 def test_the_interval_covers_the_truth(name: str, sd: float) -> None:
-    """4,000 draws of estimate, response and temperature coefficient, each with the error that it is said to have."""
+    """4,000 draws of estimate, response and temperature coefficient, each with the error that it is
+    said to have.
+    """
     generator = np.random.default_rng([7, round(1000 * sd)])
     scene = SCENES[name]
     draws = 4000
     pressure = generator.uniform(-6, 20, (draws, 4, 3))
     warm = scene.temperature
     shift = warm.logarithm if warm else 0.0
-    change = (log_change(pressure, scene) - shift) * (1 + RESPONSE_SD * generator.standard_normal(pressure.shape))
+    change = (log_change(pressure, scene) - shift) * (
+        1 + RESPONSE_SD * generator.standard_normal(pressure.shape)
+    )
     change += shift + sd * generator.standard_normal(pressure.shape)
     if warm:
         error = warm.coefficient_sd_per_kelvin * generator.standard_normal(pressure.shape)
         change += error * (warm.measured_celsius - warm.baseline_celsius)
-    pressed = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene)
+    pressed = pressure_of(
+        np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene
+    )
     covered = np.mean((pressed.lower <= pressure) & (pressure <= pressed.upper))
     six_standard_errors = 0.02  # of the share of 4,000 draws
     assert 0.95 - six_standard_errors < covered < 0.95 + six_standard_errors
@@ -79,7 +105,9 @@ def test_the_interval_covers_the_truth(name: str, sd: float) -> None:
 
 
 def test_pressures_are_flagged_where_the_curve_ends() -> None:
-    pressure = np.array([-10.5, -9.0, -8.0, 0.0, 20.0, 30.9, 31.5, 200.0])[:, None, None] * np.ones((4, 3))
+    pressure = np.array([-10.5, -9.0, -8.0, 0.0, 20.0, 30.9, 31.5, 200.0])[:, None, None] * np.ones(
+        (4, 3)
+    )
     ratio = np.exp(log_change(pressure, AIR))
     flags = pressure_of(ratio, ratio, ratio, AIR).saturated
     assert flags.dtype == np.uint8

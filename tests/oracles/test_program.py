@@ -1,4 +1,6 @@
-"""The program of node voltages: IPOPT solves it alone, and its optima are those of the solver without voltages."""
+"""The program of node voltages: IPOPT solves it alone, and its optima are those of the solver
+without voltages.
+"""
 
 import subprocess
 import sys
@@ -51,7 +53,9 @@ WIRES: dict[str, dict[str, Any]] = {
 }
 
 
-def recording_of(readout: lampest.Readout, shape: tuple[int, int] = (4, 5), **wires: Any) -> lampest.Recording:
+def recording_of(
+    readout: lampest.Readout, shape: tuple[int, int] = (4, 5), **wires: Any
+) -> lampest.Recording:
     """An unloaded frame and two with other cells, with noise; one reading is missing."""
     rng = np.random.default_rng(sum(shape))
     scene = lampest.Scene(lampest.Panel(*shape), readout, **wires)
@@ -88,12 +92,17 @@ def test_ipopt_alone_solves_every_frame_in_its_own_iterations(
     method: str, formulation: Any, counted: list[int]
 ) -> None:
     estimate = lampest.reconstruct(
-        recording_of(READOUTS["two_point"]), METHODS[method], formulation=formulation, error_bars=False
+        recording_of(READOUTS["two_point"]),
+        METHODS[method],
+        formulation=formulation,
+        error_bars=False,
     )
     assert len(counted) >= 3 and min(counted) > 0
     for step in estimate.steps:
         assert step.solution.optimum, step.status
-        assert 0 < step.solution.iterations in counted or step.solution.iterations == sum(counted[-2:])
+        assert 0 < step.solution.iterations in counted or step.solution.iterations == sum(
+            counted[-2:]
+        )
         assert step.solution.solver == f"IPOPT {formulation}"
 
 
@@ -102,13 +111,18 @@ def test_ipopt_alone_solves_every_frame_in_its_own_iterations(
 def test_a_solver_that_returns_its_start_is_not_verified(
     method: str, formulation: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def start_of(interface: Interface, instance: Instance, warm: Multipliers | None = None) -> ProgramResult:
+    def start_of(
+        interface: Interface, instance: Instance, warm: Multipliers | None = None
+    ) -> ProgramResult:
         zeros = np.zeros_like(instance.start), np.zeros_like(instance.equations[0])
         return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0)
 
     monkeypatch.setattr(Interface, "minimise", start_of)
     estimate = lampest.reconstruct(
-        recording_of(READOUTS["two_point"]), METHODS[method], formulation=formulation, error_bars=False
+        recording_of(READOUTS["two_point"]),
+        METHODS[method],
+        formulation=formulation,
+        error_bars=False,
     )
     assert not any(step.solution.solved for step in estimate.steps)
 
@@ -122,7 +136,9 @@ def test_optima_of_every_circuit_equal_those_of_the_reduced_solver(
     recording = recording_of(READOUTS[readout], shape, **WIRES[wires])
     cells = {}
     for formulation in ("reduced", "nodal", "per_pixel"):
-        estimate = lampest.reconstruct(recording, METHODS["smooth"], formulation=formulation, error_bars=False)
+        estimate = lampest.reconstruct(
+            recording, METHODS["smooth"], formulation=formulation, error_bars=False
+        )
         assert set(estimate.status) == {"optimum verified"}
         cells[formulation] = np.log(estimate.cell_resistance)
     assert_allclose(cells["nodal"], cells["reduced"], atol=1e-7)
@@ -135,7 +151,9 @@ def test_a_pair_of_frames_has_the_optimum_of_the_reduced_solver(joint: bool) -> 
     costs = []
     for kind in ("reduced", "nodal"):
         method = lampest.OptimalMethod(kind=kind, joint=joint)
-        estimate = lampest.reconstruct(recording, METHODS["LSR-dCR"], formulation=method, error_bars=False)
+        estimate = lampest.reconstruct(
+            recording, METHODS["LSR-dCR"], formulation=method, error_bars=False
+        )
         costs.append(estimate.steps[0].solution.objective)
     assert costs[1] <= costs[0] * (1 + 1e-9)
 
@@ -146,7 +164,11 @@ def test_node_voltages_equal_those_of_a_netlist(wires: str) -> None:
     cells = 3000 * np.exp(np.random.default_rng(5).standard_normal((4, 5)))
     ties = scene.circuit.ties(scene.circuit.exact_reading(cells, scene.wiring))
     circuit = Circuit.of((4, 5), scene.wiring)
-    assert_allclose(circuit.voltages(cells, ties)[circuit.terminals], impedance_of(cells, scene, ties), rtol=1e-9)
+    assert_allclose(
+        circuit.voltages(cells, ties)[circuit.terminals],
+        impedance_of(cells, scene, ties),
+        rtol=1e-9,
+    )
 
 
 # A second witness
@@ -156,12 +178,16 @@ def test_node_voltages_equal_those_of_a_netlist(wires: str) -> None:
 def test_the_strongest_frame_is_solved_again_from_another_start(formulation: Any) -> None:
     recording = recording_of(READOUTS["two_point"])
     options: dict[str, Any] = {"formulation": formulation, "error_bars": False}
-    estimate = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("strongest"), **options)
+    estimate = lampest.reconstruct(
+        recording, METHODS["smooth"], verify=lampest.Verify("strongest"), **options
+    )
     case = estimate.result()
     assert sorted(case.verified) == [Witness.NONE, Witness.SAME]
     assert case.verified_difference[case.verified == Witness.SAME] < 1e-6
     assert np.isnan(case.verified_difference[case.verified == Witness.NONE]).all()
-    all_verified = lampest.reconstruct(recording, METHODS["smooth"], verify=lampest.Verify("all"), **options).result()
+    all_verified = lampest.reconstruct(
+        recording, METHODS["smooth"], verify=lampest.Verify("all"), **options
+    ).result()
     assert list(all_verified.verified) == [Witness.SAME] * 2
     assert lampest.reconstruct(recording, METHODS["smooth"], **options).result().verified is None
 
@@ -175,7 +201,9 @@ def test_a_lower_optimum_of_the_witness_is_kept(monkeypatch: pytest.MonkeyPatch)
 
     def worse(solver: ProjectedNewton, data: Any, start: Any) -> lampest.Outcome:
         outcome = usual(solver, data, start)
-        return replace(outcome, cell_resistance=1.2 * outcome.cell_resistance, at=None, certificate=None)
+        return replace(
+            outcome, cell_resistance=1.2 * outcome.cell_resistance, at=None, certificate=None
+        )
 
     def trusted(start: Any, outcome: lampest.Outcome) -> lampest.Solution:
         solution = lampest.approximation(start.cost, start.data, outcome)
@@ -192,13 +220,18 @@ def test_a_lower_optimum_of_the_witness_is_kept(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_witness_compares_objectives() -> None:
-    estimate = lampest.reconstruct(recording_of(READOUTS["two_point"]), METHODS["smooth"], formulation="reduced")
+    estimate = lampest.reconstruct(
+        recording_of(READOUTS["two_point"]), METHODS["smooth"], formulation="reduced"
+    )
     solution = estimate.steps[0].solution
     factor = {"lower": 0.9, "same": 1 + 1e-9, "higher": 1.1}
     verdicts = {
-        name: compared(solution, replace(solution, objective=solution.objective * f)) for name, f in factor.items()
+        name: compared(solution, replace(solution, objective=solution.objective * f))
+        for name, f in factor.items()
     }
-    assert verdicts["lower"].witness is Witness.LOWER and verdicts["lower"].decrease == pytest.approx(0.1)
+    assert verdicts["lower"].witness is Witness.LOWER and verdicts[
+        "lower"
+    ].decrease == pytest.approx(0.1)
     assert verdicts["same"] == Verification(Witness.SAME, 0.0)
     assert verdicts["higher"].witness is Witness.HIGHER
     failed = replace(solution, status=lampest.Status.ITERATIONS)
@@ -222,7 +255,9 @@ def own_program(**options: Any) -> tuple[lampest.OwnProgram, lampest.Reconstruct
 
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(formulation: str) -> None:
+def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(
+    formulation: str,
+) -> None:
     program, estimate = own_program(formulation=formulation)
     solved = program.solve()
     assert solved.status == "optimum verified" and solved.iterations > 0
@@ -232,7 +267,9 @@ def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(
     hessian = Hessian(evaluation, Smoothing.start(evaluation))
     assert hessian.free.all()
     deviations = np.sqrt(np.linalg.inv(hessian.matrix / 2).diagonal()).reshape(4, 5)
-    assert_allclose(solved.cell_resistance_errors[0] / solved.cell_resistance[0], deviations, rtol=1e-5)
+    assert_allclose(
+        solved.cell_resistance_errors[0] / solved.cell_resistance[0], deviations, rtol=1e-5
+    )
 
 
 def test_two_equal_cells_have_one_value_and_smaller_error_bars() -> None:
@@ -242,7 +279,9 @@ def test_two_equal_cells_have_one_value_and_smaller_error_bars() -> None:
     tied = program.subject_to("equal", cells[0, 0] - cells[3, 4]).solve()
     assert tied.status == "optimum verified"
     assert tied.cell_resistance[0, 0, 0] == pytest.approx(tied.cell_resistance[0, 3, 4], rel=1e-9)
-    assert tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
+    assert (
+        tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
+    )
 
 
 def test_the_total_conductance_can_be_fixed_or_limited() -> None:
@@ -259,17 +298,25 @@ def test_the_total_conductance_can_be_fixed_or_limited() -> None:
 
 
 def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
-    """The formula of a mean: the standard deviation is σ/√n where all readings have the same noise."""
+    """The formula of a mean: the standard deviation is σ/√n where all readings have the same
+    noise.
+    """
     scene = lampest.Scene(lampest.Panel(4, 5), READOUTS["two_point"])
     reading = lampest.two_point_resistance(np.full((4, 5), 1000.0))
     sigma = scene.circuit.sigma(reading)
     noise = sigma * np.random.default_rng(3).standard_normal((3, 4, 5))
-    recording = lampest.Recording.from_array(reading + 25.0 + noise, unit="ohm", baseline=0, scene=scene)
-    program = lampest.program(recording, [NOISE], frames=[0, 1, 2], bounds=lampest.Bounds("none", "none"))
+    recording = lampest.Recording.from_array(
+        reading + 25.0 + noise, unit="ohm", baseline=0, scene=scene
+    )
+    program = lampest.program(
+        recording, [NOISE], frames=[0, 1, 2], bounds=lampest.Bounds("none", "none")
+    )
     program, series = program.with_unknown("series_ohm", sd=1e3)
     program = program.with_reading(lambda y: y + series)
     for frame in range(3):
-        program = program.subject_to(f"resistors {frame}", casadi.vec(program.cells(frame)) / 1000.0, 1.0)
+        program = program.subject_to(
+            f"resistors {frame}", casadi.vec(program.cells(frame)) / 1000.0, 1.0
+        )
     solved = program.solve()
     used = program.evaluations[0].data.sigma.mean()
     assert solved["series_ohm"][0] == pytest.approx(25.0 + noise.mean(), abs=0.1 * used)
@@ -279,12 +326,30 @@ def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda program: program.subject_to("own", program.cells()), r"constraint own is 4 × 5, not a column"),
-        (lambda program: program.subject_to("own", casadi.SX(3)), r"depends on none of the unknowns conductance"),
-        (lambda program: program.with_reading(lambda y: y[:3]), r"the changed reading is 3 × 1; it must be 20 × 1"),
-        (lambda program: program.with_cost(program.reading), r"an own cost is 20 × 1; it must be 1 × 1"),
-        (lambda program: program.with_unknown("conductance"), r"has an unknown conductance already"),
-        (lambda program: program.with_unknown("own", lower=2.0, upper=1.0), r"needs lower < upper and sd > 0"),
+        (
+            lambda program: program.subject_to("own", program.cells()),
+            r"constraint own is 4 × 5, not a column",
+        ),
+        (
+            lambda program: program.subject_to("own", casadi.SX(3)),
+            r"depends on none of the unknowns conductance",
+        ),
+        (
+            lambda program: program.with_reading(lambda y: y[:3]),
+            r"the changed reading is 3 × 1; it must be 20 × 1",
+        ),
+        (
+            lambda program: program.with_cost(program.reading),
+            r"an own cost is 20 × 1; it must be 1 × 1",
+        ),
+        (
+            lambda program: program.with_unknown("conductance"),
+            r"has an unknown conductance already",
+        ),
+        (
+            lambda program: program.with_unknown("own", lower=2.0, upper=1.0),
+            r"needs lower < upper and sd > 0",
+        ),
         (lambda program: program.solve()["own"], r"has no own unknown own; it has none"),
     ],
 )
@@ -336,5 +401,7 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
-    completed = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=100)
+    completed = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, timeout=100
+    )
     assert completed.stdout == "interrupted\n", completed.stderr

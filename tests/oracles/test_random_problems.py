@@ -1,7 +1,8 @@
-"""No other solver finds less: random problems, heavy weights, absolute losses, joint pairs, two minima, far-off models.
+"""No other solver finds less: random problems, heavy weights, absolute losses, joint pairs, two
+minima, far-off models.
 
-The costs are those of a second statement of the equations, `tests/least_cost.py`. Under the mark `soak` a thousand
-random problems are compared.
+The costs are those of a second statement of the equations, `tests/least_cost.py`. Under the mark
+`soak` a thousand random problems are compared.
 """
 
 from dataclasses import replace
@@ -9,14 +10,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lampest import Array, Course, Estimator, OralDisc, Panel, Readings, Scene, Solution, Stream, Unmodelled, Water
+from lampest import (
+    Array,
+    Course,
+    Estimator,
+    OralDisc,
+    Panel,
+    Readings,
+    Scene,
+    Solution,
+    Stream,
+    Unmodelled,
+    Water,
+)
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_types
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    TwoPointReadout,
+    VirtualGroundReadout,
+)
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -26,17 +44,31 @@ from tests.random_problem import RandomProblem
 
 MAX_SMALL_CELLS = 40  # cells: problems that are solved in every way within a second
 SMALL_PROBLEMS = [
-    number for number in range(110) if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= MAX_SMALL_CELLS
+    number
+    for number in range(110)
+    if np.prod(RandomProblem.drawn(11, number).cells.shape[1:]) <= MAX_SMALL_CELLS
 ][:40]
-# Ended without an estimate once, as (seed, number): gradients that a heavy penalty multiplies are rounding; kinks of
-# readings and of penalties at once; cells tied loosely by a heavy penalty that met their bounds one by one; a plateau
-# across which nothing but rounding is left of the gradient.
-ONCE_UNSOLVED = [(1, 17), (1, 21), (2, 19), (2, 28), (2, 35), (2, 45), (31, 28), (31, 36), (31, 183), (31, 576)]
+# Ended without an estimate once, as (seed, number): gradients that a heavy penalty multiplies are
+# rounding; kinks of readings and of penalties at once; cells tied loosely by a heavy penalty that
+# met their bounds one by one; a plateau across which nothing but rounding is left of the gradient.
+ONCE_UNSOLVED = [
+    (1, 17),
+    (1, 21),
+    (2, 19),
+    (2, 28),
+    (2, 35),
+    (2, 45),
+    (31, 28),
+    (31, 36),
+    (31, 183),
+    (31, 576),
+]
 ONCE_UNSOLVED += [(31, 714), (31, 173), (31, 218), (53, 61)]
 PROBLEMS = [pytest.param(11, n, marks=pytest.mark.slow) for n in SMALL_PROBLEMS if n != 6]
 PROBLEMS += [pytest.param(*numbers, marks=pytest.mark.slow) for numbers in ONCE_UNSOLVED]
 PROBLEMS += [pytest.param(1, number, marks=pytest.mark.soak) for number in range(1000)]
-# Every term, loss and readout, holes and rails, joined rows; of relative terms first frames, which may be joint pairs.
+# Every term, loss and readout, holes and rails, joined rows; of relative terms first frames, which
+# may be joint pairs.
 STATED_PROBLEMS = [1, 5, 10, 12, 16, 17, 21, 30, 31, 36, 40, 61, 62, 73, 79, 86, 172, 207]
 NO_ESTIMATE = (Status.UNREAD, Status.UNRESTED, Status.ROUNDED)
 SHAPE = (6, 5)
@@ -45,7 +77,9 @@ CIRCUITS = {
     "two_point": TwoPointReadout(reference_ohm=3000.0, **CONVERTER),
     "loaded": LoadedColumnsReadout(drive_ohm=1000.0, load_ohm=1e4, **CONVERTER),
     "grounded": GroundedReadout(drive_ohm=70.0, sense_ohm=70.0, load_ohm=1000.0, **CONVERTER),
-    "virtual": VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=3000.0, **CONVERTER),
+    "virtual": VirtualGroundReadout(
+        drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=3000.0, **CONVERTER
+    ),
 }
 MAX_EXCESS = 1e-6  # share of the cost of an estimate that another solver may save
 
@@ -56,24 +90,34 @@ def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool)
     for number in STATED_PROBLEMS:
         problem = replace(RandomProblem.drawn(11, number), joint=joint)
         random = np.random.default_rng(number)
-        place = np.log(problem.data.uniform_start).ravel() + 0.1 * random.standard_normal(problem.data.measured.size)
+        place = np.log(problem.data.uniform_start).ravel() + 0.1 * random.standard_normal(
+            problem.data.measured.size
+        )
         value, slope = problem.oracle.as_squares(place, 0.0)
         stated = problem.oracle.value(place)
         assert np.sum(value**2) == pytest.approx(stated, rel=1e-12), problem.about
         step = 1e-6 * np.random.default_rng(1).standard_normal(len(place))
         sides = [problem.oracle.as_squares(place + sign * step, 0.0)[0] for sign in (1, -1)]
         by_differences = (sides[0] - sides[1]) / 2
-        np.testing.assert_allclose(slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max())
-        at = Evaluation.at(problem.cost, problem.data, np.exp(place).reshape(problem.data.measured.shape))
+        np.testing.assert_allclose(
+            slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max()
+        )
+        at = Evaluation.at(
+            problem.cost, problem.data, np.exp(place).reshape(problem.data.measured.shape)
+        )
         assert at.objective == pytest.approx(stated, rel=1e-11), problem.about
         if not at.cost.slope.size:  # no absolute loss, which enters through duals
             gradient = at.log_gradient(np.zeros(0)).ravel()
-            np.testing.assert_allclose(gradient, 2 * value @ slope, atol=1e-9 * np.abs(gradient).max())
+            np.testing.assert_allclose(
+                gradient, 2 * value @ slope, atol=1e-9 * np.abs(gradient).max()
+            )
 
 
 @pytest.mark.parametrize(("seed", "number"), PROBLEMS)
 def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
-    """There may be no estimate where too little is read, or where the sentence says that arithmetic is at its end."""
+    """There may be no estimate where too little is read, or where the sentence says that arithmetic
+    is at its end.
+    """
     problem = RandomProblem.drawn(seed, number)
     try:
         solution = problem.solved().solution
@@ -87,7 +131,9 @@ def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
 
 @pytest.mark.slow
 def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
-    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: once it took all iterations."""
+    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: once it took all
+    iterations.
+    """
     problem = replace(RandomProblem.drawn(97, 130), joint=True)
     cost = problem.estimator.cost(problem.scene, 2, partial=problem.data.partial)
     start = evaluated(cost, problem.data, problem.data.uniform_start)
@@ -103,7 +149,9 @@ def pressed(noise: float) -> tuple[Array, Array]:
     change = np.zeros(SHAPE)
     change[1:4, 2:4] = -1.2
     circuit = Scene(Panel(*SHAPE)).circuit
-    exact = np.stack([circuit.exact_reading(cells) for cells in (resting, resting * np.exp(change))])
+    exact = np.stack(
+        [circuit.exact_reading(cells) for cells in (resting, resting * np.exp(change))]
+    )
     return exact * (1 + noise * random.standard_normal(exact.shape)), noise * exact
 
 
@@ -113,29 +161,48 @@ def posed(estimator: Estimator, scene: Scene, measured: Array, sigma: Array) -> 
     return estimator.data(Readings(measured, sigma, zeros, zeros + 1), Background(scene))
 
 
-def solved(terms: tuple[Term, ...], scene: Scene, measured: Array, sigma: Array) -> tuple[Solution, Data]:
+def solved(
+    terms: tuple[Term, ...], scene: Scene, measured: Array, sigma: Array
+) -> tuple[Solution, Data]:
     estimator = Estimator(terms, formulation="reduced")
     data = posed(estimator, scene, measured, sigma)
-    return best_solution(estimator.problem(scene, len(measured), 1.0, partial=data.partial), data, None), data
+    return best_solution(
+        estimator.problem(scene, len(measured), 1.0, partial=data.partial), data, None
+    ), data
 
 
-def solved_with(kind: str, weight: float, *, scaled: bool, loss: Loss, noise: float) -> tuple[Solution, LeastCost]:
-    """A pair jointly, or the frame alone for a penalty that compares nothing; and the same stated anew."""
+def solved_with(
+    kind: str, weight: float, *, scaled: bool, loss: Loss, noise: float
+) -> tuple[Solution, LeastCost]:
+    """A pair jointly, or the frame alone for a penalty that compares nothing; and the same stated
+    anew.
+    """
     measured, sigma = pressed(noise)
     term = term_types()[kind](weight=weight, loss=loss)
     frames = slice(0 if term.needs_previous else 1, 2)
     misfit = Misfit(weighting="noise" if scaled else "plain")
     solution, data = solved((misfit, term), Scene(Panel(*SHAPE)), measured[frames], sigma[frames])
-    return solution, LeastCost.of(data, Penalty("misfit", 1.0, scaled=scaled), Penalty(kind, weight, loss.kind))
+    return solution, LeastCost.of(
+        data, Penalty("misfit", 1.0, scaled=scaled), Penalty(kind, weight, loss.kind)
+    )
 
 
 @pytest.mark.parametrize("scaled", [False, True])
 @pytest.mark.parametrize("weight", [1e9, 1e12])
 @pytest.mark.parametrize(
-    "kind", ["gradient", "relative_change", "gradient_of_relative_change", "log_ratio", "total_variation_of_change"]
+    "kind",
+    [
+        "gradient",
+        "relative_change",
+        "gradient_of_relative_change",
+        "log_ratio",
+        "total_variation_of_change",
+    ],
 )
 def test_heavy_squares_are_verified(kind: str, weight: float, scaled: bool) -> None:
-    """Second derivatives are rounding along what a penalty leaves free; at 10¹² a frame may end with that sentence."""
+    """Second derivatives are rounding along what a penalty leaves free; at 10¹² a frame may end
+    with that sentence.
+    """
     solution, least = solved_with(kind, weight, scaled=scaled, loss=Squared(), noise=0.01)
     if weight > 1e9 and solution.status in (Status.ROUNDED, Status.STALLED):
         return
@@ -161,23 +228,34 @@ def test_absolute_losses_end_within_a_hundred_millionth_of_the_least_cost(
     place = np.log(solution.cell_resistance).ravel()
     if weight < 1e6:
         assert solution.status is Status.OPTIMUM and solution.kkt_residual < 1e-6
-        assert least.value(least.minimised(place, 200)) >= least.value(place) * (1 - 1e-8) - 1e-12 * least.blank()
+        assert (
+            least.value(least.minimised(place, 200))
+            >= least.value(place) * (1 - 1e-8) - 1e-12 * least.blank()
+        )
         return
     assert solution.status is Status.FLAT and np.ptp(place) < 1e-8
-    misfit = [least.value(np.full_like(place, place.mean() + aside)) for aside in (-1e-4, 0.0, 1e-4)]
+    misfit = [
+        least.value(np.full_like(place, place.mean() + aside)) for aside in (-1e-4, 0.0, 1e-4)
+    ]
     assert misfit[1] < min(misfit[0], misfit[2])
 
 
 @pytest.mark.parametrize(("side", "loss"), [(20, Squared()), (11, Absolute())])
-def test_absolute_losses_of_a_large_panel_take_no_more_steps(side: int, loss: Squared | Absolute) -> None:
+def test_absolute_losses_of_a_large_panel_take_no_more_steps(
+    side: int, loss: Squared | Absolute
+) -> None:
     """Once 300 and more, by conjugate gradients along smoothed corners."""
-    estimator = Estimator((Misfit(weighting="noise", loss=loss), TotalVariation(weight=1.0)), formulation="reduced")
+    estimator = Estimator(
+        (Misfit(weighting="noise", loss=loss), TotalVariation(weight=1.0)), formulation="reduced"
+    )
     scene = Scene(Panel(side, side))
     random = np.random.default_rng(5)
     cells = 3000 * np.exp(0.2 * random.standard_normal((side, side)))
     cells[side // 3 : side // 2 + 1, side // 3 :] *= 0.3
     exact = scene.circuit.exact_reading(cells)[None]
-    data = posed(estimator, scene, exact * (1 + 0.003 * random.standard_normal(exact.shape)), 0.003 * exact)
+    data = posed(
+        estimator, scene, exact * (1 + 0.003 * random.standard_normal(exact.shape)), 0.003 * exact
+    )
     cost = estimator.cost(scene, 1, partial=data.partial)
     start = Evaluation.at(cost, data, data.uniform_start)
     solution = check(start, ProjectedNewton(cost, Settings()).solve(data, start))
@@ -187,13 +265,25 @@ def test_absolute_losses_of_a_large_panel_take_no_more_steps(side: int, loss: Sq
 
 @pytest.mark.slow
 def test_more_starts_find_the_lower_of_two_minima() -> None:
-    """A mouth of 25 mm through channels of 20 ohm that the scene does not tell; once 0.4 to 0.7 % above the lower."""
+    """A mouth of 25 mm through channels of 20 ohm that the scene does not tell; once 0.4 to 0.7 %
+    above the lower.
+    """
     scene = Scene(Panel(10, 10), TwoPointReadout(), water=Water(50))
-    disc = OralDisc(centre_mm=(44, 46), diameter_mm=25, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90, tilt=0.25)
-    course = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
-    plain = Simulation(1, 77, scene, Cells(resistance_ohm=3050, spread=0.2, patch_mm=6), 3, 21, loads=(disc,))
-    recording = simulate(replace(plain, course=course, unmodelled=Unmodelled(series_resistance_ohm=20)))
-    estimator = Estimator((Misfit(), Gradient(weight=1e-3)), "reduced", Settings(starts=9), error_bars=False)
+    disc = OralDisc(
+        centre_mm=(44, 46), diameter_mm=25, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90, tilt=0.25
+    )
+    course = Course(
+        start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1
+    )
+    plain = Simulation(
+        1, 77, scene, Cells(resistance_ohm=3050, spread=0.2, patch_mm=6), 3, 21, loads=(disc,)
+    )
+    recording = simulate(
+        replace(plain, course=course, unmodelled=Unmodelled(series_resistance_ohm=20))
+    )
+    estimator = Estimator(
+        (Misfit(), Gradient(weight=1e-3)), "reduced", Settings(starts=9), error_bars=False
+    )
     readings = recording.readings()
     random = np.random.default_rng(0)
     stream = first_stream(recording, readings, estimator)
@@ -208,7 +298,9 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
-    """A foam skin, nearly open where nothing presses, with contacts, memory and joined rows that its scene omits."""
+    """A foam skin, nearly open where nothing presses, with contacts, memory and joined rows that
+    its scene omits.
+    """
     random = np.random.default_rng(3)
     side = 16
     readout = CIRCUITS[kind]
@@ -226,8 +318,12 @@ def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
 
 @pytest.mark.parametrize("weight", [0.0, 1e-3])
 @pytest.mark.parametrize("kind", CIRCUITS)
-def test_a_frame_with_a_wrong_model_is_solved_quickly_at_any_weight(kind: str, weight: float) -> None:
-    solution = solution_of_a_skin(kind, Misfit(weighting="noise"), term_types()["log_gradient"](weight=weight))
+def test_a_frame_with_a_wrong_model_is_solved_quickly_at_any_weight(
+    kind: str, weight: float
+) -> None:
+    solution = solution_of_a_skin(
+        kind, Misfit(weighting="noise"), term_types()["log_gradient"](weight=weight)
+    )
     assert solution.solved or solution.status is Status.STALLED
     assert solution.iterations < 200
 

@@ -8,7 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest import Array, Data, LogGradient, Panel, Readings, Recording, Scene, two_point_resistance
+from lampest import (
+    Array,
+    Data,
+    LogGradient,
+    Panel,
+    Readings,
+    Recording,
+    Scene,
+    two_point_resistance,
+)
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
@@ -42,7 +51,9 @@ def loaded(side: int = 8, factor: float = 0.15) -> Array:
 
 
 def with_errors(cells: Array, seed: int, static: float = 0.0) -> tuple[Array, Array]:
-    """Readings (frames, rows, columns) and σ of their noise; static : error of each reading in all frames."""
+    """Readings (frames, rows, columns) and σ of their noise; static : error of each reading in all
+    frames.
+    """
     rng = np.random.default_rng(seed)
     exact = two_point_resistance(cells)
     wrong = exact * (1 + static * rng.standard_normal(exact.shape[-2:]))
@@ -62,22 +73,33 @@ def log_error(cells: Array, truth: Array) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(seed: int) -> None:
-    """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and 23."""
+def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(
+    seed: int,
+) -> None:
+    """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and
+    23.
+    """
     truth = loaded()
     data, cost = problem_of(truth, seed, static=0.07)
     scale, (estimate,) = references([data], cost)
     assert 8 <= scale.best <= 32 and scale.gain(1.0) > 6
     assert 0.4 < scale.tail / 1.96 / (0.07 / NOISE) < 1.6, "95 % of the errors"
     plain = lampest.reconstruct(recording_of(Scene(Panel(8, 8)), data.measured), [Misfit()])
-    assert log_error(estimate.cells[0], truth) < 0.3 < 5 * 0.3 < log_error(plain.cell_resistance[0], truth)
+    assert (
+        log_error(estimate.cells[0], truth)
+        < 0.3
+        < 5 * 0.3
+        < log_error(plain.cell_resistance[0], truth)
+    )
     z = np.log(estimate.cells[0] / truth).ravel() / np.sqrt(np.diag(estimate.covariance))
     assert 0.7 < rms(z) < 1.3
 
 
 @pytest.mark.parametrize("factor", [0.15, 0.5, 5.0])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(factor: float, seed: int) -> None:
+def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(
+    factor: float, seed: int
+) -> None:
     data, cost = problem_of(loaded(factor=factor), seed)
     scale, (estimate,) = references([data], cost)
     assert scale.best == 1
@@ -85,8 +107,12 @@ def test_errors_are_the_noise_where_the_circuit_is_right_and_loads_have_edges(fa
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_normal_tails_mistake_edges_for_errors_of_the_readings(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    truth = np.full((10, 10), 3000.0) * np.exp(0.02 * np.random.default_rng(seed).standard_normal((10, 10)))
+def test_normal_tails_mistake_edges_for_errors_of_the_readings(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = np.full((10, 10), 3000.0) * np.exp(
+        0.02 * np.random.default_rng(seed).standard_normal((10, 10))
+    )
     truth[4:6, 3:5] *= 5
     data, cost = problem_of(truth, seed)
     assert references([data], cost)[0].best == 1
@@ -129,18 +155,25 @@ def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["insole_walking", "insole_standing"])
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
-def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
+def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(
+    name: str, loss: Loss, least: float
+) -> None:
     """A tenth of the usable readings is withheld."""
     complete = Recording.load(Path(__file__).parents[2] / "data" / f"{name}.h5")
     readings = complete.readings()
     rng = np.random.default_rng(3)
-    usable = readings.plain & complete.scene.panel.present & ~impossible_readings(complete.scene.circuit, readings)
+    usable = (
+        readings.plain
+        & complete.scene.panel.present
+        & ~impossible_readings(complete.scene.circuit, readings)
+    )
     withheld = usable & (rng.random(usable.shape) < 0.1)
     recording = replace(complete, recorded=np.where(withheld, np.nan, complete.recorded))
     estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
     sigma = estimate.reading_sigma
     model = np.stack([step.solution.reading[-1] for step in estimate.steps])
-    assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))  # of missing ones, too
+    # Of missing ones, too.
+    assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved]))
     judged = withheld & estimate.solved[:, None, None]
     inside = np.abs(complete.readings().value - model)[judged] < 1.96 * sigma[judged]
     assert judged.sum() > 300 and least <= inside.mean() <= 0.98
@@ -161,7 +194,9 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
 
 
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
-    """The bars of the same weight, given as a number, are smaller; most where the weight matters most."""
+    """The bars of the same weight, given as a number, are smaller; most where the weight matters
+    most.
+    """
     recording = frames_under_load(0.07, 2)
     chosen = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
     weight = chosen.steps[0].weights[1]
@@ -170,7 +205,9 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     assert_allclose(given.cell_resistance, chosen.cell_resistance, rtol=1e-5)
     chosen_sigma, given_sigma = (estimate.sigma_own for estimate in (chosen, given))
     added_sigma = np.sqrt(np.maximum(chosen_sigma**2 - given_sigma**2, 0))
-    assert np.all(chosen_sigma > 0.999 * given_sigma) and added_sigma.max() > 0.05 * given_sigma.max()
+    assert (
+        np.all(chosen_sigma > 0.999 * given_sigma) and added_sigma.max() > 0.05 * given_sigma.max()
+    )
     moved = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight * np.exp(0.05))])
     slope = np.abs(np.log(moved.cell_resistance / given.cell_resistance)) / 0.05
     assert_allclose(added_sigma.max(axis=(1, 2)), (sigma * slope).max(axis=(1, 2)), rtol=0.15)
@@ -183,14 +220,19 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
 ) -> None:
     recording = frames_under_load(0.0, 3)
     every = (WEIGHTED, *penalties)
-    estimate = lampest.reconstruct(recording, every, auto_weight=AutoWeight(per=per), error_bars=False)
+    estimate = lampest.reconstruct(
+        recording, every, auto_weight=AutoWeight(per=per), error_bars=False
+    )
     assert estimate.solved.all()
     chosen = np.array(estimate.steps[-1].weights)
     sigma = np.array(estimate.steps[-1].weight_sigma)
     assert np.isnan(sigma[0]) and np.all(np.isfinite(sigma[1:]) | (chosen[1:] > 0))
     error = rms(log_errors(estimate)[-1])
     for factor in (0.01, 100.0):
-        terms = [replace(term, weight=factor * weight) for term, weight in zip(penalties, chosen[1:], strict=True)]
+        terms = [
+            replace(term, weight=factor * weight)
+            for term, weight in zip(penalties, chosen[1:], strict=True)
+        ]
         alternative = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
         assert error < 1.02 * rms(log_errors(alternative)[-1])
 
@@ -199,6 +241,8 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
 def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -> None:
     """A table in ohm: neither σ nor a converter."""
     recording = frames_under_load(static, 1)
-    estimate = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
+    estimate = lampest.reconstruct(
+        replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none")
+    )
     specified = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
     assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(specified))

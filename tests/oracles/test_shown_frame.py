@@ -1,4 +1,6 @@
-"""The frame that pictures show: the one in which the film feels what was applied, suction included."""
+"""The frame that pictures show: the one in which the film feels what was applied, suction
+included.
+"""
 
 from pathlib import Path
 
@@ -6,7 +8,16 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest import MEASURED, UNLOADED, Panel, Readings, Recording, TwoPointReadout, read_simulations, simulate
+from lampest import (
+    MEASURED,
+    UNLOADED,
+    Panel,
+    Readings,
+    Recording,
+    TwoPointReadout,
+    read_simulations,
+    simulate,
+)
 from lampest.report.strongest import likely_change, strongest_index
 
 ROOT = Path(__file__).parents[2]
@@ -15,7 +26,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize("panel", ["clean", "real"])
 @pytest.mark.parametrize("name", ["air_10kpa", "air_20kpa", "water_10kpa", "water_20kpa"])
 def test_the_shown_frame_contains_a_sucking_cup(name: str, panel: str) -> None:
-    """Before it does, its rim alone moves readings further; also where cells differ by factors and readings are off."""
+    """Before it does, its rim alone moves readings further; also where cells differ by factors and
+    readings are off.
+    """
     if panel == "clean":
         recording = Recording.load(ROOT / "data" / f"cup_{name}.h5")
     else:
@@ -30,7 +43,9 @@ def test_the_shown_frame_contains_a_sucking_cup(name: str, panel: str) -> None:
     assert loaded[shown].min() < 0.99 * loaded.min() < 0
     if panel == "clean":
         by_readings = np.argmax(np.abs(np.log(measured / resting)).mean(axis=(1, 2)))
-        assert loaded[by_readings].min() > 0.1 * loaded.min(), "readings alone would show another frame"
+        assert loaded[by_readings].min() > 0.1 * loaded.min(), (
+            "readings alone would show another frame"
+        )
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (8, 5), (1, 6), (6, 1), (2, 2)])

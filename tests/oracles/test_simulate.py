@@ -1,4 +1,6 @@
-"""Simulated recordings against closed forms, the shipped files and the published figures; each unmodelled effect."""
+"""Simulated recordings against closed forms, the shipped files and the published figures; each
+unmodelled effect.
+"""
 
 import dataclasses
 from dataclasses import replace
@@ -7,7 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest import Array, GroundedReadout, OralDisc, Panel, Ring, Rod, Scene, SuctionCup, TwoPointReadout
+from lampest import (
+    Array,
+    GroundedReadout,
+    OralDisc,
+    Panel,
+    Ring,
+    Rod,
+    Scene,
+    SuctionCup,
+    TwoPointReadout,
+)
 from lampest.panel.readouts.wiring import Lines
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Course, read_simulations, run, simulate
@@ -21,13 +33,17 @@ SHIPPED += tuple(f"cup_{medium}_{kpa}kpa" for medium in ("air", "water") for kpa
 FINE_PANEL = Panel(160, 160, 0.5)
 EXACT = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
 ROD = Rod(kind="rod", centre_mm=(45, 45), diameter_mm=30, mass_g=300)
-SIMULATED = sorted(path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole"))
+SIMULATED = sorted(
+    path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole")
+)
 
 
 def plain(**changes: object) -> Simulation:
     """A small simulation without anything unmodelled."""
     scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
-    return dataclasses.replace(Simulation(schema=1, seed=7, scene=scene, baseline_frames=1, frames=4), **changes)
+    return dataclasses.replace(
+        Simulation(schema=1, seed=7, scene=scene, baseline_frames=1, frames=4), **changes
+    )
 
 
 def shipped(name: str) -> Recording:
@@ -35,7 +51,9 @@ def shipped(name: str) -> Recording:
 
 
 def change(values: Array) -> Array:
-    """Change in percent of a full frame, all loads in place, against the mean of the three unloaded frames."""
+    """Change in percent of a full frame, all loads in place, against the mean of the three unloaded
+    frames.
+    """
     return 100 * (values[10] / values[:3].mean(axis=0) - 1)
 
 
@@ -49,9 +67,14 @@ def test_a_shipped_file_equals_its_simulation(name: str) -> None:
     assert computed.scene == stored.scene
     assert list(stored.role) == [0] * 3 + [1] * 21
     np.testing.assert_array_equal(computed.time, stored.time)
-    # Other processors round exp and the solution of the network otherwise; a code may then tip, but hardly ever does.
-    np.testing.assert_allclose(computed.truth_cell_resistance, stored.truth_cell_resistance, rtol=1e-9)
-    np.testing.assert_allclose(computed.truth_pressure, stored.truth_pressure, rtol=1e-9, atol=1e-12)
+    # Other processors round exp and the solution of the network otherwise; a code may then tip, but
+    # hardly ever does.
+    np.testing.assert_allclose(
+        computed.truth_cell_resistance, stored.truth_cell_resistance, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        computed.truth_pressure, stored.truth_pressure, rtol=1e-9, atol=1e-12
+    )
     np.testing.assert_allclose(computed.raw_sums, stored.raw_sums, atol=1)
     np.testing.assert_allclose(computed.resistance, stored.resistance, rtol=1e-3)
     assert (ROOT / "data" / f"{name}.h5").stat().st_size < 200_000
@@ -59,7 +82,9 @@ def test_a_shipped_file_equals_its_simulation(name: str) -> None:
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     paths = tmp_path / "a" / "same.h5", tmp_path / "b" / "same.h5"
-    assert [run(ROOT / "configs" / "lamprey_35mm.yaml", path) for path in paths] == [[path] for path in paths]
+    assert [run(ROOT / "configs" / "lamprey_35mm.yaml", path) for path in paths] == [
+        [path] for path in paths
+    ]
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
@@ -70,30 +95,54 @@ def test_the_force_on_a_panel_equals_that_of_the_load() -> None:
         (Rod(kind="rod", centre_mm=(39, 41), diameter_mm=40, mass_g=680, tilt=0.3), 680 * 9.81),
         (Ring(kind="ring", centre_mm=(40, 40), mass_g=850, **circles), 850 * 9.81),
         (SuctionCup(kind="suction_cup", centre_mm=(40, 38), pressure_kpa=-10, **circles), 0),
-        (OralDisc(kind="oral_disc", centre_mm=(40, 40), diameter_mm=35, rim_width_mm=5, pressure_kpa=-15), 0),
+        (
+            OralDisc(
+                kind="oral_disc",
+                centre_mm=(40, 40),
+                diameter_mm=35,
+                rim_width_mm=5,
+                pressure_kpa=-15,
+            ),
+            0,
+        ),
     ):
         contact, suction = load.mean_pressure(FINE_PANEL, 0.5)
-        assert (contact + suction).sum() * 0.25 == pytest.approx(force_mn, abs=2e-3 * contact.sum() * 0.25)
+        assert (contact + suction).sum() * 0.25 == pytest.approx(
+            force_mn, abs=2e-3 * contact.sum() * 0.25
+        )
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
     contact, _ = rod.mean_pressure(Panel(3, 3), 6)
     np.testing.assert_allclose(contact[1] / contact[1, 0], [1, 0.5, 0], atol=0.01)
 
 
 def test_suction_decays_and_is_pumped_up_and_pulled_off() -> None:
-    course = Course(start_s=10, approach_s=2, attachment_s=3, pump_s=40, pump_loss=0.3, release_at_s=200, pull_off=0.5)
-    contact, suction = course.contact_and_suction(np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200]))
+    course = Course(
+        start_s=10,
+        approach_s=2,
+        attachment_s=3,
+        pump_s=40,
+        pump_loss=0.3,
+        release_at_s=200,
+        pull_off=0.5,
+    )
+    contact, suction = course.contact_and_suction(
+        np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200])
+    )
     expected = [1, 1, 0.7**0.5, 0.7, 0.7 ** (1 / 40), 0.7**0.5, 1.5 * 0.7 ** (24.99 / 40), 0]
     np.testing.assert_allclose(suction, expected, rtol=1e-3)
     np.testing.assert_allclose(contact[:-1], 1)
 
 
 @pytest.mark.parametrize(
-    ("name", "covered", "centre"), [("lamprey_35mm", (4, 4), (4, 4)), ("lamprey_25mm", (3, 3), (4, 5))]
+    ("name", "covered", "centre"),
+    [("lamprey_35mm", (4, 4), (4, 4)), ("lamprey_25mm", (3, 3), (4, 5))],
 )
 def test_the_simulated_lamprey_resembles_the_papers(
     name: str, covered: tuple[int, int], centre: tuple[int, int]
 ) -> None:
-    """Paper, figure 8-a: −82.6 % to −1.8 %; figure 9: a mouth of 35 mm covers 4 × 4 cells, one of 25 mm 3 × 3."""
+    """Paper, figure 8-a: −82.6 % to −1.8 %; figure 9: a mouth of 35 mm covers 4 × 4 cells, one of
+    25 mm 3 × 3.
+    """
     recording = shipped(name)
     measured = change(recording.readings().value)
     cells = change(recording.truth_cell_resistance)
@@ -115,9 +164,13 @@ def test_raw_sums_are_stored_only_within_sixteen_bits() -> None:
     assert recording.raw_sums is None and recording.raw_readings is None
 
 
-def with_effects(readout: TwoPointReadout | GroundedReadout = EXACT, seed: int = 5, **effects: float) -> Recording:
+def with_effects(
+    readout: TwoPointReadout | GroundedReadout = EXACT, seed: int = 5, **effects: float
+) -> Recording:
     """Six unloaded and six loaded frames of a 10 × 10 panel."""
-    plain = Simulation(1, seed, Scene(Panel(10, 10), readout), baseline_frames=6, frames=6, loads=(ROD,))
+    plain = Simulation(
+        1, seed, Scene(Panel(10, 10), readout), baseline_frames=6, frames=6, loads=(ROD,)
+    )
     return simulate(replace(plain, unmodelled=Unmodelled(**effects)))
 
 
@@ -127,7 +180,8 @@ def volt(recording: Recording) -> Array:
 
 
 def test_effects_have_their_specified_size() -> None:
-    """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a common drift, a
+    """Noise, a gain of each frame, errors of readings that all frames share, a stage that clips, a
+    common drift, a
     reference that is off, and wire as if a scene told it."""
     clean = with_effects()
     ratio = with_effects(reference_tolerance=0.01).recorded / clean.recorded
@@ -137,17 +191,29 @@ def test_effects_have_their_specified_size() -> None:
     wired = with_effects(wire_ohm_per_cell=0.5)
     specified = simulate(Simulation(1, 5, scene, baseline_frames=6, frames=6, loads=(ROD,)))
     assert np.allclose(wired.recorded, specified.recorded, rtol=1e-9) and wired.scene.lines is None
-    assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), "an absent effect"
+    assert np.array_equal(clean.recorded, with_effects(supply_ripple_hz=50.0).recorded), (
+        "an absent effect"
+    )
     coarse = TwoPointReadout(adc_bits=16, readings=1, noise_lsb=5.0)
     silent = volt(with_effects(replace(coarse, noise_lsb=0.0)))
-    single, triple = ((volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0))
-    assert (single, triple) == (pytest.approx(5 * 5 / 2**16, rel=0.1), pytest.approx(3 * single, rel=0.1))
+    single, triple = (
+        (volt(with_effects(coarse, noise_factor=factor)) - silent).std() for factor in (1.0, 3.0)
+    )
+    assert (single, triple) == (
+        pytest.approx(5 * 5 / 2**16, rel=0.1),
+        pytest.approx(3 * single, rel=0.1),
+    )
     gain = volt(with_effects(gain_spread=0.01)) / volt(clean)
     assert np.ptp(gain, axis=(1, 2)).max() < 1e-5 and 0.004 < gain[:, 0, 0].std() < 0.02
     ratio = with_effects(reading_error=0.1).recorded / clean.recorded
-    assert np.ptp(ratio, axis=0).max() < 1e-3 and np.log(ratio[0]).std() == pytest.approx(0.1, rel=0.3)
+    assert np.ptp(ratio, axis=0).max() < 1e-3 and np.log(ratio[0]).std() == pytest.approx(
+        0.1, rel=0.3
+    )
     assert volt(with_effects(saturation=0.6)).max() == pytest.approx(3.0, abs=1e-5)
-    drift = np.log(with_effects(common_drift_per_minute=0.6).truth_cell_resistance / clean.truth_cell_resistance)
+    drift = np.log(
+        with_effects(common_drift_per_minute=0.6).truth_cell_resistance
+        / clean.truth_cell_resistance
+    )
     assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))
 
 
@@ -155,7 +221,9 @@ def test_a_leak_joins_lines_and_a_contact_adds_to_one_row_after_its_begin() -> N
     plain = with_effects()
     wet = with_effects(leak_ohm=5e3, begins_s=8.0)
     assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
-    np.testing.assert_allclose(wet.recorded[9], two_point_resistances(wet.truth_cell_resistance[9], 5e3), rtol=1e-4)
+    np.testing.assert_allclose(
+        wet.recorded[9], two_point_resistances(wet.truth_cell_resistance[9], 5e3), rtol=1e-4
+    )
     increase = with_effects(contact_ohm=200.0, begins_s=8.0).recorded - plain.recorded
     assert not increase[:8].any()
     (row,) = np.flatnonzero(increase[8:].any(axis=(0, 2)))
@@ -174,7 +242,9 @@ def test_the_cohort_has_thirty_different_lampreys() -> None:
 
 
 def test_a_real_scene_equals_the_clean_one_on_another_panel() -> None:
-    """The same loads, times and water; one panel for all eight, which the scene does not tell of."""
+    """The same loads, times and water; one panel for all eight, which the scene does not tell
+    of.
+    """
     panels = set()
     for path in SIMULATED:
         ((_, clean),) = read_simulations(ROOT / "configs" / f"{path.stem}.yaml")

@@ -1,4 +1,6 @@
-"""A converter's small memory is named where evidence shows it, and the edge of a load is not taken for one."""
+"""A converter's small memory is named where evidence shows it, and the edge of a load is not taken
+for one.
+"""
 
 from dataclasses import replace
 
@@ -16,12 +18,18 @@ CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1}
 COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
 
 
-def recording_of(readout: Readout, cells: Array, memory: float, generator: np.random.Generator) -> Recording:
-    """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share of the channel before."""
+def recording_of(
+    readout: Readout, cells: Array, memory: float, generator: np.random.Generator
+) -> Recording:
+    """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share of the
+    channel before.
+    """
     volt = with_memory(readout, memory, readout.exact_reading(cells))
     codes = np.round(volt / readout.lsb_volt + generator.standard_normal(volt.shape))
     role = np.repeat([0, 1], FRAMES).astype(np.uint8)
-    return Recording(Scene(Panel(8, 8), readout), codes * readout.lsb_volt, np.arange(2.0 * FRAMES), role)
+    return Recording(
+        Scene(Panel(8, 8), readout), codes * readout.lsb_volt, np.arange(2.0 * FRAMES), role
+    )
 
 
 def pressed_mat(memory: float) -> Recording:
@@ -50,14 +58,18 @@ def test_understated_noise_is_not_taken_for_memory() -> None:
 
 
 def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
-    """Edge cells that follow the load in the order of the scan have changed by a share of what the load has."""
+    """Edge cells that follow the load in the order of the scan have changed by a share of what the
+    load has.
+    """
     generator = np.random.default_rng(100)
     cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))
     cells = np.repeat(cells[None], 2 * FRAMES, axis=0)
     row, column = np.indices((8, 8))
     for _ in range(generator.integers(1, 4)):
         distance = np.hypot(row - generator.uniform(0, 8), column - generator.uniform(0, 8))
-        cells[FRAMES:] *= np.exp(-generator.uniform(0.3, 2) * np.exp(-((distance / generator.uniform(1, 3)) ** 4)))
+        cells[FRAMES:] *= np.exp(
+            -generator.uniform(0.3, 2) * np.exp(-((distance / generator.uniform(1, 3)) ** 4))
+        )
     readout = GroundedReadout(load_ohm=1000, drive_ohm=50, **CONVERTER)
     assert memory_gain(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
 
@@ -66,7 +78,10 @@ def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
     ("name", "line"),
     [
         ("converter_memory near 0.08", "converter_memory: 0.08"),
-        ("readout.groups: [[0, 1], [2, 3]] (read in parallel)", "readout: {groups: [[0, 1], [2, 3]]}"),
+        (
+            "readout.groups: [[0, 1], [2, 3]] (read in parallel)",
+            "readout: {groups: [[0, 1], [2, 3]]}",
+        ),
     ],
 )
 def test_the_advised_line_is_valid_in_the_scene(name: str, line: str) -> None:

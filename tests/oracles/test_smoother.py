@@ -1,4 +1,6 @@
-"""The smoother against dense matrices, a minimiser that knows its stated cost alone, and simulated truth."""
+"""The smoother against dense matrices, a minimiser that knows its stated cost alone, and simulated
+truth.
+"""
 
 from dataclasses import replace
 from typing import Literal
@@ -40,11 +42,18 @@ FRAMES = 12
 
 
 def panel(
-    seed: int, side: int = 6, systematic: Systematic | Literal["none"] | None = None, resting: int = RESTING
+    seed: int,
+    side: int = 6,
+    systematic: Systematic | Literal["none"] | None = None,
+    resting: int = RESTING,
 ) -> Recording:
-    """A rod from the fifth frame on, a tap in the ninth alone; the readout's noise, nothing else."""
+    """A rod from the fifth frame on, a tap in the ninth alone; the readout's noise, nothing
+    else.
+    """
     rng = np.random.default_rng(seed)
-    cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((side, side))), (resting + FRAMES, 1, 1))
+    cells = np.tile(
+        3000 * np.exp(0.2 * rng.standard_normal((side, side))), (resting + FRAMES, 1, 1)
+    )
     cells[resting + 4 :, :2, 1:3] *= 0.3
     cells[resting + 8, -2, -2] *= 0.5
     scene = Scene(Panel(side, side), TwoPointReadout(), systematic=systematic)
@@ -75,60 +84,93 @@ def test_the_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
 def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> None:
     """The residuals of which Φ is the sum of squares, and their derivatives by differences.
 
-    Three frames of squares, with errors that one frame shares, off the end of Φ and far from its anchor.
+    Three frames of squares, with errors that one frame shares, off the end of Φ and far from its
+    anchor.
     """
     recording = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     rng = np.random.default_rng(2)
     estimator = Estimator((Misfit(weighting="noise"),), "reduced")
     readings = recording.readings()
-    data = [estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(3)]
+    data = [
+        estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(3)
+    ]
     cells = np.log(recording.truth_cell_resistance[:3]).reshape(3, -1)
     anchor = cells + 1e4 * rng.standard_normal(cells.shape)
-    initial = Joint.of([estimator.cost(recording.scene, 1)] * 3, data, Shared.of(recording.scene), cells)
+    initial = Joint.of(
+        [estimator.cost(recording.scene, 1)] * 3, data, Shared.of(recording.scene), cells
+    )
     sigma = np.stack([frame_data.given.sigma.reshape(-1, 1) for frame_data in data])
     drawn = sigma * rng.standard_normal((3, 4, chance))
-    position = np.hstack([cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))])
+    position = np.hstack(
+        [cells + 1e-3 * rng.standard_normal(cells.shape), rng.standard_normal((3, chance))]
+    )
     stiffness = rng.uniform(10, 1e4, (2, 4))
-    joint = replace(initial, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness).sharing()
+    joint = replace(
+        initial, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness
+    ).sharing()
     joint = replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
     size = joint.position.size
     sharing = joint.shared.shape[2]
 
     def residuals(point: Array) -> Array:
-        trial = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
+        trial = replace(
+            joint, position=point[:size].reshape(joint.position.shape), shift=point[size:]
+        )
         strayed = trial.log_cells - joint.anchor
         common = trial.shift[sharing:]
         steps = np.diff(trial.log_cells, axis=0) - common[:, None]
-        misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in trial.at]
-        parts = *misfit, trial.chance, trial.shift[:sharing], common / 0.1, 1e-2 * strayed, joint.stiffness**0.5 * steps
+        misfit = [
+            (at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in trial.at
+        ]
+        parts = (
+            *misfit,
+            trial.chance,
+            trial.shift[:sharing],
+            common / 0.1,
+            1e-2 * strayed,
+            joint.stiffness**0.5 * steps,
+        )
         return np.concatenate([np.ravel(part) for part in parts])
 
     current = np.concatenate([joint.position.ravel(), joint.shift])
     assert joint.value == pytest.approx(np.sum(residuals(current) ** 2), rel=1e-12)
     units = 1e-5 * np.eye(len(current))
-    slopes = np.stack([(residuals(current + unit) - residuals(current - unit)) / 2e-5 for unit in units], axis=1)
+    slopes = np.stack(
+        [(residuals(current + unit) - residuals(current - unit)) / 2e-5 for unit in units], axis=1
+    )
     gradient = slopes.T @ residuals(current)
-    assert_allclose(joint.gradient.ravel(), gradient[:size], rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
+    assert_allclose(
+        joint.gradient.ravel(), gradient[:size], rtol=1e-5, atol=1e-5 * np.abs(gradient).max()
+    )
     step = np.concatenate([part.ravel() for part in joint.newton()])
     expected = -np.linalg.solve(slopes.T @ slopes, gradient)
     assert_allclose(step, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
     cells = np.arange(size).reshape(joint.position.shape)[:, :4]
     change = np.zeros((2, 4, len(current)))
     for frame, cell in np.ndindex(2, 4):
-        change[frame, cell, [cells[frame + 1, cell], cells[frame, cell], size + sharing + frame]] = 1, -1, -1
+        change[
+            frame, cell, [cells[frame + 1, cell], cells[frame, cell], size + sharing + frame]
+        ] = 1, -1, -1
     variance = np.einsum("tci,ij,tcj->tc", change, np.linalg.inv(slopes.T @ slopes), change)
     assert_allclose(joint.expected_squares(), joint.steps**2 + variance, rtol=1e-4)
 
 
 @pytest.mark.slow
 def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
-    """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end and beside it."""
+    """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end
+    and beside it.
+    """
     recording = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     estimator = Estimator(ROBUST, "smoother")
     readings = recording.readings()
-    data = [estimator.data(readings[frame].alone(), Background(recording.scene)) for frame in range(2, 8)]
+    data = [
+        estimator.data(readings[frame].alone(), Background(recording.scene))
+        for frame in range(2, 8)
+    ]
     start = np.log(recording.truth_cell_resistance[2:8]).reshape(len(data), -1)
-    initial = Joint.of([estimator.cost(recording.scene, 1)] * len(data), data, Shared.of(recording.scene), start)
+    initial = Joint.of(
+        [estimator.cost(recording.scene, 1)] * len(data), data, Shared.of(recording.scene), start
+    )
     joint, _ = smoothed(initial, Walk(0.2, 3.0), Settings(tolerance=1e-10))
     shared = joint.shared
     shift = joint.shift
@@ -139,14 +181,28 @@ def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
         log_cells = point[:free]
         offsets = point[free : free + sharing]
         common = point[free + sharing :]
-        model = np.stack([two_point_resistances(cells).ravel() for cells in np.exp(log_cells).reshape(len(data), 3, 3)])
-        measured, sigma = (
-            np.stack([getattr(frame_data.given, name).ravel() for frame_data in data]) for name in ("measured", "sigma")
+        model = np.stack(
+            [
+                two_point_resistances(cells).ravel()
+                for cells in np.exp(log_cells).reshape(len(data), 3, 3)
+            ]
         )
-        misfit = CORNER**2 * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
+        measured, sigma = (
+            np.stack([getattr(frame_data.given, name).ravel() for frame_data in data])
+            for name in ("measured", "sigma")
+        )
+        misfit = (
+            CORNER**2
+            * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
+        )
         steps = np.diff(log_cells.reshape(len(data), -1), axis=0) - common[:, None]
         misfit += 1e-4 * np.sum((log_cells - start.ravel()) ** 2)
-        return float(misfit + offsets @ offsets + np.sum((common / 0.1) ** 2) + np.sum(joint.stiffness * steps**2))
+        return float(
+            misfit
+            + offsets @ offsets
+            + np.sum((common / 0.1) ** 2)
+            + np.sum(joint.stiffness * steps**2)
+        )
 
     current = np.concatenate([joint.position.ravel(), shift])
     assert not joint.pressed.any() and joint.kkt_residual.max() < 1e-7
@@ -154,7 +210,10 @@ def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
     rng = np.random.default_rng(0)
     for size in (0.0, 1e-3):
         least = minimize(
-            stated, current + size * rng.standard_normal(current.size), method="BFGS", options={"maxiter": 400}
+            stated,
+            current + size * rng.standard_normal(current.size),
+            method="BFGS",
+            options={"maxiter": 400},
         )
         assert least.fun > joint.value - 1e-6 * joint.value
 
@@ -177,7 +236,8 @@ def test_the_smoother_halves_the_error_and_its_error_bars_hold() -> None:
     assert np.median(together) < 0.5 * np.median(alone)
     assert np.percentile(together, 95) < 0.6 * np.percentile(alone, 95)
     assert np.mean(held) > 0.92
-    assert np.mean(np.stack(held)[:, [3, 4, 5, 7, 8, 9]]) > 0.9  # frames beside the jump and the tap
+    # Frames beside the jump and the tap.
+    assert np.mean(np.stack(held)[:, [3, 4, 5, 7, 8, 9]]) > 0.9
     assert np.max(np.abs(tapped)) < 0.1  # it fell by log 0.5
 
 
@@ -199,13 +259,19 @@ def test_cells_near_a_breathing_soft_load_do_not_determine_channels() -> None:
 
 
 def test_shared_errors_widen_the_error_bars_of_cells() -> None:
-    specified = estimate_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
+    specified = estimate_of(
+        panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    )
     silent = estimate_of(panel(2, systematic="none"))
-    assert np.median(specified.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
+    assert np.median(specified.cell_resistance_errors) > 2 * np.median(
+        silent.cell_resistance_errors
+    )
 
 
 def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
-    """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the change's error."""
+    """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the
+    change's error.
+    """
     recording = panel(5, systematic="none", resting=5)
     rng = np.random.default_rng(5)
     readout = TwoPointReadout()
@@ -227,10 +293,17 @@ def test_a_frame_with_too_few_readings_is_left_out() -> None:
     assert estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2]
     assert np.isnan(estimate.cell_resistance[2]).all()
     blind = estimate_of(
-        replace(recording, recorded=np.where(recording.role[:, None, None] == 0, recording.recorded, np.nan))
+        replace(
+            recording,
+            recorded=np.where(recording.role[:, None, None] == 0, recording.recorded, np.nan),
+        )
     )
     assert not blind.solved.any()
-    unread = replace(recording, recorded=np.full(recording.recorded.shape, np.nan)).readings()[:RESTING].mean()
+    unread = (
+        replace(recording, recorded=np.full(recording.recorded.shape, np.nan))
+        .readings()[:RESTING]
+        .mean()
+    )
     stream = Stream.begin(Estimator(ROBUST, "smoother"), recording.scene, 1.0, unread)
     assert stream.push(recording.readings()[RESTING])[1].solution.status is Status.UNRESTED
 

@@ -21,7 +21,9 @@ TEN_DIGITS = 1e-10
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (2, 32), (32, 2), (16, 16), (3, 5)]
 
 
-def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float) -> Iterator[tuple[str, Array]]:
+def structured(
+    shape: tuple[int, int], rng: np.random.Generator, decades: float
+) -> Iterator[tuple[str, Array]]:
     """Panels around 3 kilohm with two levels that lie `decades` apart, each with its name."""
     rows, columns = shape
     large = 10.0**decades
@@ -43,7 +45,10 @@ def structured(shape: tuple[int, int], rng: np.random.Generator, decades: float)
     yield "shorted column", panel((slice(None), column), 1 / large)
     apart = np.add.outer(np.arange(rows) < rows // 2, np.arange(columns) < columns // 2) == 1
     yield "two clusters", panel(apart, large)
-    yield "clusters of two scales", panel(apart, large) * np.where(np.arange(rows) < rows // 2, 1, large)[:, None]
+    yield (
+        "clusters of two scales",
+        panel(apart, large) * np.where(np.arange(rows) < rows // 2, 1, large)[:, None],
+    )
     yield "checkerboard", panel(np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1, large)
     yield "two values at random", panel(rng.random(shape) < 0.5, large)
     yield "log-uniform", 3000 * 10 ** rng.uniform(-decades / 2, decades / 2, shape)
@@ -69,12 +74,16 @@ def structured_panels(count: int, max_lines: float, seed: int) -> Iterator[tuple
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_every_structured_panel_is_exact_to_fourteen_digits(shape: tuple[int, int]) -> None:
     for name, cells in structured(shape, np.random.default_rng(1), 15):
-        assert_allclose(exact_two_point_resistance(cells), in_digits(cells), rtol=1e-14, err_msg=name)
+        assert_allclose(
+            exact_two_point_resistance(cells), in_digits(cells), rtol=1e-14, err_msg=name
+        )
 
 
 @pytest.mark.slow
 def test_an_unsafe_inverse_is_noticed() -> None:
-    """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are the witness."""
+    """Wherever fewer than ten digits of the inverse are right, its condition says so; 50 digits are
+    the witness.
+    """
     unsafe = wrong = 0
     for name, cells in structured_panels(1000, 7, 4):
         expected = in_digits(cells)
@@ -98,7 +107,9 @@ def test_open_cells_leave_the_network() -> None:
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
 def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
-    """Two clusters and a row without cells, lines in mixed order; within the clusters all is as in their own panel."""
+    """Two clusters and a row without cells, lines in mixed order; within the clusters all is as in
+    their own panel.
+    """
     rng = np.random.default_rng(8)
     first = rng.uniform(1e3, 1e4, (3, 4))
     second = rng.uniform(1e3, 1e4, (2, 3)) * scale
@@ -116,7 +127,9 @@ def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
 
 @pytest.mark.slow
 def test_shorts_join_lines() -> None:
-    """A cell of no resistance is what ever smaller cells tend to; R is 0 between what shorts connect."""
+    """A cell of no resistance is what ever smaller cells tend to; R is 0 between what shorts
+    connect.
+    """
     rng = np.random.default_rng(9)
     for _ in range(200):
         cells = rng.uniform(1e3, 1e4, (rng.integers(1, 6), rng.integers(1, 6)))
@@ -141,7 +154,9 @@ def test_impossible_cells_are_refused(wrong: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("decades", [0, 15])
 def test_a_panel_of_hundred_by_hundred_keeps_its_digits(decades: float) -> None:
-    """All pairs for a small multiple of one inverse, where an elimination for every pair would take minutes."""
+    """All pairs for a small multiple of one inverse, where an elimination for every pair would take
+    minutes.
+    """
     for name, cells in structured((100, 100), np.random.default_rng(13), decades):
         begin = time.process_time()
         resistance = exact_two_point_resistance(cells)

@@ -1,4 +1,6 @@
-"""Why each term beyond the paper exists: a scene on which it wins; and the error bars that the arrival carries on."""
+"""Why each term beyond the paper exists: a scene on which it wins; and the error bars that the
+arrival carries on.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -8,7 +10,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import Arrival, Course, LogRatio, Recording, Settings, Term, TotalVariation, TotalVariationOfChange
+from lampest import (
+    Arrival,
+    Course,
+    LogRatio,
+    Recording,
+    Settings,
+    Term,
+    TotalVariation,
+    TotalVariationOfChange,
+)
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Squared
@@ -33,7 +44,13 @@ pytestmark = pytest.mark.slow
 
 PANEL = Panel(8, 8)
 ROD = Rod(kind="rod", centre_mm=(38, 33), diameter_mm=35, mass_g=500)
-CUP = SuctionCup(kind="suction_cup", centre_mm=(38, 33), inner_diameter_mm=27, outer_diameter_mm=36, pressure_kpa=-9)
+CUP = SuctionCup(
+    kind="suction_cup",
+    centre_mm=(38, 33),
+    inner_diameter_mm=27,
+    outer_diameter_mm=36,
+    pressure_kpa=-9,
+)
 NOISE = 5e-3
 COMPARING_TERMS = [
     TotalVariation(weight=0.05),
@@ -45,12 +62,16 @@ WIDE_PANEL = Panel(10, 10)
 NOISY = 0.01
 WEIGHTS = 10.0 ** np.arange(-2.5, -0.9, 0.5)
 WIDE_ROD = Rod(kind="rod", centre_mm=(48, 43), diameter_mm=35, mass_g=500)
-DISC = OralDisc(kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5)
+DISC = OralDisc(
+    kind="oral_disc", centre_mm=(48, 43), diameter_mm=40, rim_width_mm=7, pressure_kpa=-5
+)
 
 
 @cache
 def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
-    """Two unloaded frames, then `frames` of a load that swings by `depth` once in nine frames; noise of 0.5 %."""
+    """Two unloaded frames, then `frames` of a load that swings by `depth` once in nine frames;
+    noise of 0.5 %.
+    """
     rng = np.random.default_rng(seed)
     course = Course(breathing_hz=1 / 9, breathing_depth=depth)
     time = np.arange(frames + 2.0) - 2
@@ -64,7 +85,9 @@ def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
 
 
 def estimated(recording: Recording, *terms: Term, **options: Any) -> Estimates:
-    return reconstruct(recording, Estimator((Misfit(weighting="noise"), *terms), "reduced", **options))
+    return reconstruct(
+        recording, Estimator((Misfit(weighting="noise"), *terms), "reduced", **options)
+    )
 
 
 def error(recording: Recording, *terms: Term, bars: bool = False) -> float:
@@ -83,7 +106,9 @@ def best(recorded: Recording, term: Term, weights: Array) -> float:
 
 
 CHANGES = powers(-3, -0.5)
-WINS: dict[str, tuple[tuple[Shape, int, float, int], tuple[Term, Array], list[tuple[Term, Array]], float]] = {
+WINS: dict[
+    str, tuple[tuple[Shape, int, float, int], tuple[Term, Array], list[tuple[Term, Array]], float]
+] = {
     "total variation keeps edges that a gradient smears": (
         (CUP, 1, 0.0, 1),
         (TotalVariation(), powers(-2.5, -1)),
@@ -117,7 +142,9 @@ WINS: dict[str, tuple[tuple[Shape, int, float, int], tuple[Term, Array], list[tu
 
 @pytest.mark.parametrize("claim", WINS)
 def test_a_term_wins_on_its_scene(claim: str) -> None:
-    """Against plain least squares and the terms before it, each with its best weight in hindsight."""
+    """Against plain least squares and the terms before it, each with its best weight in
+    hindsight.
+    """
     place, own, alternatives, margin = WINS[claim]
     recorded = scene(*place)
     assert best(recorded, *own) < margin * min(
@@ -127,7 +154,9 @@ def test_a_term_wins_on_its_scene(claim: str) -> None:
 
 @pytest.mark.parametrize("term", COMPARING_TERMS, ids=lambda term: f"{term.kind}-{term.loss.kind}")
 def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
-    """From starts some factor of four apart. The relative change has up to three minima there and must be searched."""
+    """From starts some factor of four apart. The relative change has up to three minima there and
+    must be searched.
+    """
     rng = np.random.default_rng(9)
     recorded = scene(CUP, 1, 0.0, 10)
     resting = recorded.truth_cell_resistance[0]
@@ -144,11 +173,15 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 @pytest.mark.parametrize("reads_both", [False, True])
 def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
-    """What errors of the baseline and of the previous frame add, against estimates from displaced ones."""
+    """What errors of the baseline and of the previous frame add, against estimates from displaced
+    ones.
+    """
     rng = np.random.default_rng(8)
     shape = (3, 4)
     cells = 12
-    known = 3000 * np.exp(0.2 * rng.standard_normal(shape) + 0.02 * rng.standard_normal((2, *shape)))
+    known = 3000 * np.exp(
+        0.2 * rng.standard_normal(shape) + 0.02 * rng.standard_normal((2, *shape))
+    )
     measured = two_point_resistance(known[:1]) * np.exp(1e-3 * rng.standard_normal((1, *shape)))
     terms: tuple[Term, ...] = (Misfit(weighting="noise"), LogRatio(weight=0.05, loss=Squared()))
     terms += (LogRatio(weight=0.02, loss=Squared(), reference="previous"),) if reads_both else ()
@@ -157,7 +190,9 @@ def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
     data = Data(given, measured / 9, measured * 1e3)
 
     def moved(step: Array) -> Array:
-        """log r from a previous frame and a baseline that are displaced by `step` in their logarithms."""
+        """log r from a previous frame and a baseline that are displaced by `step` in their
+        logarithms.
+        """
         previous, baseline = known * np.exp(step.reshape(2, *shape))
         shifted = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
         return np.log(best_solution(solver, shifted, known[:1]).cell_resistance.ravel())
@@ -193,23 +228,40 @@ def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:
 
 @cache
 def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
-    """The whole panel pressed in rhythm; a disc that breathes; a rod that stands; a disc that attaches at frame 5."""
+    """The whole panel pressed in rhythm; a disc that breathes; a rod that stands; a disc that
+    attaches at frame 5.
+    """
     rng = np.random.default_rng(seed)
     count = np.arange(frames + 2) - 2
     breathing = 1 + 0.3 * np.sin(2 * np.pi * 0.1 * count)
     if kind == "panel":
-        pattern = 2 + np.sin(np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6))
+        pattern = 2 + np.sin(
+            np.add.outer(0.2 * np.arange(10), 0.15 * np.arange(10)) + rng.uniform(0, 6)
+        )
     else:
-        pattern = np.sum((WIDE_ROD if kind == "rod" else DISC).mean_pressure(WIDE_PANEL, 10.0), axis=0)
-    course = {"panel": breathing, "disc": breathing, "rod": np.ones(frames + 2), "attachment": count >= 5}[kind]
+        pattern = np.sum(
+            (WIDE_ROD if kind == "rod" else DISC).mean_pressure(WIDE_PANEL, 10.0), axis=0
+        )
+    course = {
+        "panel": breathing,
+        "disc": breathing,
+        "rod": np.ones(frames + 2),
+        "attachment": count >= 5,
+    }[kind]
     pressure = ((count >= 0) * course)[:, None, None] * pattern
-    cells = 3050 * np.exp(0.2 * rng.standard_normal(WIDE_PANEL.shape)) * ratio_from_pressure(pressure)
+    cells = (
+        3050 * np.exp(0.2 * rng.standard_normal(WIDE_PANEL.shape)) * ratio_from_pressure(pressure)
+    )
     return recorded(cells, seed + 1000)
 
 
-@pytest.mark.parametrize(("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)])
+@pytest.mark.parametrize(
+    ("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)]
+)
 def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float) -> None:
-    """Nothing chosen, against the logarithmic change from the previous frame with its best weight in hindsight."""
+    """Nothing chosen, against the logarithmic change from the previous frame with its best weight
+    in hindsight.
+    """
     errors = []
     best_errors = []
     for seed in range(2):
@@ -217,7 +269,10 @@ def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float)
         errors.append(error(recording, Arrival(), bars=True))
         squared = LogRatio(loss=Squared(), reference="previous")
         best_errors.append(
-            min(error(recording, replace(squared, weight=float(weight)), bars=True) for weight in WEIGHTS)
+            min(
+                error(recording, replace(squared, weight=float(weight)), bars=True)
+                for weight in WEIGHTS
+            )
         )
     assert rms(errors) < margin * rms(best_errors)
 
@@ -227,20 +282,29 @@ def walk(seed: int, percent: float, frames: int = 12) -> Recording:
     rng = np.random.default_rng(seed)
     panel = (6, 6)
     steps = percent / 100 * rng.standard_normal((frames, *panel))
-    logarithm = 0.3 * rng.standard_normal(panel) + np.concatenate([np.zeros((2, *panel)), np.cumsum(steps, axis=0)])
+    logarithm = 0.3 * rng.standard_normal(panel) + np.concatenate(
+        [np.zeros((2, *panel)), np.cumsum(steps, axis=0)]
+    )
     return recorded(3050 * np.exp(logarithm), seed + 1000)
 
 
 @pytest.mark.parametrize(
-    ("percent", "ratio", "coverage"), [(2.0, (0.93, 1.07), (0.93, 0.97)), (0.0, (0.75, 1.0), (0.95, 1.0))]
+    ("percent", "ratio", "coverage"),
+    [(2.0, (0.93, 1.07), (0.93, 0.97)), (0.0, (0.75, 1.0), (0.95, 1.0))],
 )
-def test_error_bars_match_the_errors(percent: float, ratio: tuple[float, float], coverage: tuple[float, float]) -> None:
-    """Where cells walk as the term says; where they rest, bars allow for a walk that is not there."""
+def test_error_bars_match_the_errors(
+    percent: float, ratio: tuple[float, float], coverage: tuple[float, float]
+) -> None:
+    """Where cells walk as the term says; where they rest, bars allow for a walk that is not
+    there.
+    """
     spread = []
     inside = []
     for seed in range(20):
         estimate = estimated(walk(seed, percent), Arrival())
-        scores = log_errors(estimate) / np.stack([step.bars.frame.deviation for step in estimate.steps])
+        scores = log_errors(estimate) / np.stack(
+            [step.bars.frame.deviation for step in estimate.steps]
+        )
         spread.append(rms(scores))
         inside.append(np.mean(np.abs(scores) < 1.96))
     assert ratio[0] < rms(spread) < ratio[1]

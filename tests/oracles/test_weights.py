@@ -1,4 +1,5 @@
-"""Weights chosen by the data, their curves and rules, against definitions, the cost stated anew, and hindsight.
+"""Weights chosen by the data, their curves and rules, against definitions, the cost stated anew,
+and hindsight.
 
 Error bars of draws of the prior are calibrated, and withheld readings are predicted."""
 
@@ -14,7 +15,17 @@ import lampest
 from docs.studies import real
 from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, uniform_tail
 from docs.studies.withheld import predictions
-from lampest import Array, Bounds, Misfit, Panel, Readings, Recording, Scene, read_run, two_point_resistance
+from lampest import (
+    Array,
+    Bounds,
+    Misfit,
+    Panel,
+    Readings,
+    Recording,
+    Scene,
+    read_run,
+    two_point_resistance,
+)
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogGradient, Term
@@ -51,17 +62,25 @@ def cells_of(seed: int, shape: tuple[int, int] = SHAPE) -> Array:
     return cells
 
 
-def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int, specified: float | None = None) -> Data:
+def measured_data(
+    estimator: Estimator, cells: Array, noise: float, seed: int, specified: float | None = None
+) -> Data:
     exact = two_point_resistance(cells)
     measured = exact * (1 + noise * np.random.default_rng(seed).standard_normal(exact.shape))
     scene = Scene(Panel(*cells.shape))
-    return estimator.data(Readings.of(scene, measured[None], (specified or noise) * exact[None]), Background(scene))
+    return estimator.data(
+        Readings.of(scene, measured[None], (specified or noise) * exact[None]), Background(scene)
+    )
 
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
 def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: float) -> None:
-    """Of the linear estimate with two penalties, as a sum over the noise; and what the point's own errors add."""
-    estimator = Estimator((Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced")
+    """Of the linear estimate with two penalties, as a sum over the noise; and what the point's own
+    errors add.
+    """
+    estimator = Estimator(
+        (Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced"
+    )
     data = measured_data(estimator, cells_of(1), 0.003, 2)
     solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
     model = LinearModel(solution.at, solution.dual)
@@ -70,7 +89,9 @@ def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: fl
     rows = model.penalty_jacobian.toarray()[:, model.free]
     size = weights[model.penalty_term]
     pull = rows.T @ (weights[model.penalty_term] * model.penalty)
-    inverse = np.linalg.inv(jacobian.T @ jacobian + (rows.T * size) @ rows + 1e-4 * model.scale * np.eye(len(pull)))
+    inverse = np.linalg.inv(
+        jacobian.T @ jacobian + (rows.T * size) @ rows + 1e-4 * model.scale * np.eye(len(pull))
+    )
     variance = np.sum((inverse @ jacobian.T * model.noise) ** 2)
     exact = Spectrum.of(model, number).risk(weights[number])
     assert_allclose(exact, np.sum((inverse @ pull) ** 2) + variance, rtol=1e-6)
@@ -78,7 +99,11 @@ def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: fl
     lost = weights[number] * inverse @ rows[own].T @ rows[own]
     covariance = np.diag(np.linspace(1.0, 2.0, model.at.cell_resistance.size))
     doubted = Spectrum.of(model, number, covariance).risk(weights[number])
-    assert_allclose(doubted - exact, np.trace(lost @ covariance[np.ix_(model.free, model.free)] @ lost.T), rtol=1e-6)
+    assert_allclose(
+        doubted - exact,
+        np.trace(lost @ covariance[np.ix_(model.free, model.free)] @ lost.T),
+        rtol=1e-6,
+    )
 
 
 @pytest.mark.parametrize("most_cells", [1000, 10], ids=["matrices", "samples"])
@@ -89,7 +114,9 @@ def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
     auto = AutoWeight(rule="evidence" if most_cells > 56 else None)
     estimator = Estimator((Misfit(), Gradient(weight=AUTO)), "reduced", auto_weight=auto)
     scene = Scene(Panel(*SHAPE))
-    data = measured_data(estimator, np.linspace(2800, 3300, 56).reshape(SHAPE), 0.01, 2, specified=0.007)
+    data = measured_data(
+        estimator, np.linspace(2800, 3300, 56).reshape(SHAPE), 0.01, 2, specified=0.007
+    )
     chosen = with_chosen_weights(estimator, scene, data, None)
     solution = best_solution(chosen.problem(scene, 1, 1.0), data, None)
     errors = DenseErrors(LinearModel(solution.at, solution.dual))
@@ -98,18 +125,24 @@ def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
     model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
     assert float(chosen.terms[1].weight) == pytest.approx(settled_weights(model, [1])[1], rel=0.2)
     assert np.isnan(chosen.weight_sigma[0])
-    assert chosen.weight_sigma[1] == pytest.approx(np.sqrt(2 / DenseErrors(model).determined(1)), rel=0.03)
+    assert chosen.weight_sigma[1] == pytest.approx(
+        np.sqrt(2 / DenseErrors(model).determined(1)), rel=0.03
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", [0, pytest.param(17, marks=pytest.mark.slow)])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
-    """Open cells differ from their neighbours by megohms, and the estimate must not swing with the weight."""
+    """Open cells differ from their neighbours by megohms, and the estimate must not swing with the
+    weight.
+    """
     recording = Recording.load("data/insole_standing.h5", slice(frame, frame + 3))
     weights = []
     for rule in ("risk", "evidence"):
         auto = AutoWeight(rule=rule)
-        estimator = Estimator((Misfit(weighting="noise"), Gradient(weight=AUTO)), auto_weight=auto, error_bars=False)
+        estimator = Estimator(
+            (Misfit(weighting="noise"), Gradient(weight=AUTO)), auto_weight=auto, error_bars=False
+        )
         step = reconstruct(recording, estimator).steps[0]
         assert 0 < step.weight_sigma[1] < 0.5
         weights.append(step.weights[1])
@@ -119,20 +152,30 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
 @pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
 def test_a_large_panel_distinguishes_uneven_cells_from_static_errors(static: float) -> None:
-    """Cells that differ at random by 30 %, and readings that err by five times their noise in the same way always."""
+    """Cells that differ at random by 30 %, and readings that err by five times their noise in the
+    same way always.
+    """
     rng = np.random.default_rng(3)
     shape = (24, 20)
     readout = TwoPointReadout(adc_bits=10, noise_lsb=2.0, readings=1, reference_ohm=300.0)
     cells = 3000 * np.exp(0.3 * rng.standard_normal(shape))
     cells[6:12, 5:11] *= 0.3
     codes = readout.volt_from_recorded(two_point_resistance(cells)) / readout.lsb_volt
-    codes = np.round(codes + 2.0 * static * rng.standard_normal(shape) + 2.0 * rng.standard_normal((2, *shape)))
+    codes = np.round(
+        codes + 2.0 * static * rng.standard_normal(shape) + 2.0 * rng.standard_normal((2, *shape))
+    )
     recorded = readout.recorded_from_volt(codes * readout.lsb_volt)
-    recording = Recording(Scene(Panel(*shape), readout), recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+    recording = Recording(
+        Scene(Panel(*shape), readout), recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8)
+    )
 
     def error(weight: float | str) -> float:
         terms = [Misfit(weighting="noise"), LogGradient(weight=weight)]
-        return rms(np.log(lampest.reconstruct(recording, terms, error_bars=False).cell_resistance[0] / cells))
+        return rms(
+            np.log(
+                lampest.reconstruct(recording, terms, error_bars=False).cell_resistance[0] / cells
+            )
+        )
 
     assert error(AUTO) < 1.4 * min(error(weight) for weight in (0.1, 3.0, 30.0, 300.0))
 
@@ -140,7 +183,9 @@ def test_a_large_panel_distinguishes_uneven_cells_from_static_errors(static: flo
 def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights() -> None:
     estimator = Estimator((Misfit(), Gradient(weight=AUTO), CellResistance(weight=AUTO)), "reduced")
     data = [measured_data(estimator, cells_of(seed), 0.01, 2) for seed in (1, 2)]
-    search = WeightSearch(estimator.cost(Scene(Panel(*SHAPE)), 1, partial=False), tuple(data), Settings())
+    search = WeightSearch(
+        estimator.cost(Scene(Panel(*SHAPE)), 1, partial=False), tuple(data), Settings()
+    )
     assert search.begun == [1.0, 1.0, 1.0] and search.open_terms == [1, 2]
     weights, sigma = search.by_risk(data[0].uniform_start)
     for number in (1, 2):
@@ -151,16 +196,24 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
 
 
 def test_a_warning_names_a_chosen_weight_that_prevents_the_fit() -> None:
-    """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too large."""
+    """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too
+    large.
+    """
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
     values = lampest.two_point_resistance(truth)
     scene = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(readings=20, noise_lsb=0.7))
     recording = lampest.Recording.from_array(values, baseline=1, scene=scene)
     misfit = lampest.Misfit(weighting="noise")
-    estimate = lampest.reconstruct(recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced")
-    assert estimate.solved.all() and not any("readings are missed" in line for line in estimate.checks)
+    estimate = lampest.reconstruct(
+        recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced"
+    )
+    assert estimate.solved.all() and not any(
+        "readings are missed" in line for line in estimate.checks
+    )
     warned = replace(estimate, automatic=True).checks[0]
-    assert warned.startswith("with the weight that was chosen for log_gradient readings are missed by")
+    assert warned.startswith(
+        "with the weight that was chosen for log_gradient readings are missed by"
+    )
     chosen = lampest.reconstruct(recording, [misfit, lampest.LogGradient()], formulation="reduced")
     assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)
 
@@ -178,7 +231,9 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 @pytest.mark.parametrize("chosen", [False, True], ids=["known", "chosen"])
 @pytest.mark.parametrize("level", SETTINGS)
 @pytest.mark.parametrize("name", PRIORS)
-def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(name: str, level: str, chosen: bool) -> None:
+def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(
+    name: str, level: str, chosen: bool
+) -> None:
     """2,880 cells are drawn, half as many where the weight is chosen; 40 draws have 40 weights."""
     drawn = calibration(PRIORS[name], *SETTINGS[level], chosen, 40 if chosen else 80, 7)
     coverage_50, coverage_80, coverage_95 = drawn.coverage
@@ -186,7 +241,11 @@ def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(name: str, le
         assert 0.42 < coverage_50 < 0.62 and 0.72 < coverage_80 < 0.93 and coverage_95 > 0.88
         assert np.quantile(drawn.weights, 0.1) < 2 and np.quantile(drawn.weights, 0.9) > 0.5
     else:
-        assert abs(coverage_50 - 0.5) < 0.05 and abs(coverage_80 - 0.8) < 0.04 and abs(coverage_95 - 0.95) < 0.02
+        assert (
+            abs(coverage_50 - 0.5) < 0.05
+            and abs(coverage_80 - 0.8) < 0.04
+            and abs(coverage_95 - 0.95) < 0.02
+        )
         assert np.allclose(drawn.weights, 1)
     assert min(drawn.uniformity) > 1e-3
 
@@ -197,10 +256,14 @@ def going_over(folder: Path) -> lampest.Recording:
     rng = np.random.default_rng(4)
     x, y = panel.places_mm
     at = np.linspace(10, 40, 6)
-    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - centre) ** 2 + (y - 24) ** 2) / 400)) for centre in at])
+    cells = np.stack(
+        [2000 * np.exp(-2.5 * np.exp(-((x - centre) ** 2 + (y - 24) ** 2) / 400)) for centre in at]
+    )
     codes = COARSE.volt_from_recorded(COARSE.exact_reading(cells)) / COARSE.lsb_volt
     codes = np.round(codes + rng.standard_normal(codes.shape))
-    recording = recording_of(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt))
+    recording = recording_of(
+        Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt)
+    )
     recording.save(folder / "mine.h5")
     (folder / "run.yaml").write_text(RUN)
     return replace(recording, name="mine")
@@ -209,8 +272,14 @@ def going_over(folder: Path) -> lampest.Recording:
 def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: Path) -> None:
     recording = going_over(tmp_path)
     (case,) = read_run(tmp_path / "run.yaml").cases
-    predicted = [prediction for prediction in predictions(recording, case, 0.1, 1, 0) if prediction.factor == 1]
-    assert len(predicted) == 6 and all(prediction.solved and prediction.readings == 5 for prediction in predicted)
+    predicted = [
+        prediction
+        for prediction in predictions(recording, case, 0.1, 1, 0)
+        if prediction.factor == 1
+    ]
+    assert len(predicted) == 6 and all(
+        prediction.solved and prediction.readings == 5 for prediction in predicted
+    )
     assert np.median([prediction.error / prediction.interpolated for prediction in predicted]) < 0.5
     assert np.median([prediction.hidden for prediction in predicted]) > 2
 
@@ -223,12 +292,17 @@ def test_the_table_of_real_recordings_has_a_row_for_every_method(
     monkeypatch.setattr(real, "ESTIMATORS", estimators)
     study = real.Withheld.of(going_over(tmp_path), 0.1, 3)
     rows = {row.method: row for row in real.rows(study)}
-    assert list(rows) == [*real.OTHERS, *estimators] and all(row.solved == 1 for row in rows.values())
+    assert list(rows) == [*real.OTHERS, *estimators] and all(
+        row.solved == 1 for row in rows.values()
+    )
     assert np.isnan(study.recording.recorded[study.held]).all() and study.held.sum() == 6 * 5
     assert rows["interpolation"].ratio == 1
     chosen = rows["`log_gradient`"]
     assert chosen.ratio < 0.5 and chosen.covered > 0.8 and chosen.weight_sigma < 1
-    assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
+    assert all(
+        rows[name].ratio < 1
+        for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank")
+    )
     assert chosen.ratio < min(row.ratio for row in rows.values() if row is not chosen)
 
 
@@ -239,7 +313,9 @@ def bump() -> Recording:
     cells[2, 1:3, 1:4] *= 0.3
     exact = two_point_resistance(cells)
     measured = exact * np.exp(NOISE * rng.standard_normal(exact.shape))
-    return recording_of(Scene(Panel(4, 5)), measured, 2, sigma=NOISE * exact, truth_cell_resistance=cells)
+    return recording_of(
+        Scene(Panel(4, 5)), measured, 2, sigma=NOISE * exact, truth_cell_resistance=cells
+    )
 
 
 def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> WeightSubject:
@@ -249,7 +325,9 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
 
 
 def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
-    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
+    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not
+    change.
+    """
     recording = bump()
     problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))
     scale = float(np.mean(recording.sigma[2] ** 2))
@@ -292,6 +370,8 @@ def test_a_held_cell_contributes_the_integral_of_its_density() -> None:
         curvature = float(np.sum(((above - below) / (2 * step)) ** 2)) / model.scale
         slope = abs(float(np.sum(above**2) - np.sum(below**2)) / (2 * step)) / model.scale
         reach = 60 / max(slope, np.sqrt(curvature))
-        density, _ = quad(lambda t, g=slope, a=curvature: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
+        density, _ = quad(
+            lambda t, g=slope, a=curvature: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0
+        )
         expected += np.log(2 * np.pi) - 2 * np.log(density)
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)

@@ -1,6 +1,8 @@
-"""Wire, contacts, touching lines, a converter's memory: told, the cells are found; not told, they are not.
+"""Wire, contacts, touching lines, a converter's memory: told, the cells are found; not told, they
+are not.
 
-The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 100617, 2020; MIT)."""
+The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 100617, 2020;
+MIT)."""
 
 import warnings
 from dataclasses import replace
@@ -20,7 +22,14 @@ from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
-from lampest.panel.readouts.wiring import ContactPrior, Contacts, Lines, WiredNetwork, Wiring, wire_responses
+from lampest.panel.readouts.wiring import (
+    ContactPrior,
+    Contacts,
+    Lines,
+    WiredNetwork,
+    Wiring,
+    wire_responses,
+)
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
@@ -30,7 +39,9 @@ LSM = (Misfit(weighting="noise"),)
 THREAD = Lines(2.0, 4.0, "right", "top")
 READOUTS = {
     "two_point": TwoPointReadout(adc_bits=14),
-    "loaded": LoadedColumnsReadout(adc_bits=12, noise_lsb=1, load_ohm=3000.0, drive_ohm=100.0, driven="columns"),
+    "loaded": LoadedColumnsReadout(
+        adc_bits=12, noise_lsb=1, load_ohm=3000.0, drive_ohm=100.0, driven="columns"
+    ),
 }
 TOUCHING = Faults(joined_rows=((1, 3),), joined_columns=((0, 4, 5),))
 each_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
@@ -39,7 +50,9 @@ MEMORY_FRACTION = 0.029  # seen in a real 16 × 16 skin
 CONVERTERS = {
     "two_point": TwoPointReadout(adc_bits=12),
     "rows": LoadedColumnsReadout(adc_bits=12, noise_lsb=1, load_ohm=3000.0, drive_ohm=100.0),
-    "columns down": LoadedColumnsReadout(adc_bits=12, noise_lsb=1, load_ohm=3000.0, driven="columns", polarity="down"),
+    "columns down": LoadedColumnsReadout(
+        adc_bits=12, noise_lsb=1, load_ohm=3000.0, driven="columns", polarity="down"
+    ),
 }
 each_converter = pytest.mark.parametrize("readout", CONVERTERS.values(), ids=CONVERTERS)
 
@@ -74,7 +87,10 @@ def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> No
     """As well as without wire: what they leave out is theirs."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
     bare = simulated(Scene(Panel(9, 7), readout))
-    error, bare_error = (np.median(np.abs(log_errors(solved(measured, formulation)))) for measured in (recording, bare))
+    error, bare_error = (
+        np.median(np.abs(log_errors(solved(measured, formulation))))
+        for measured in (recording, bare)
+    )
     assert error < 1.5 * bare_error + 0.001
 
 
@@ -87,8 +103,12 @@ def test_matrix_free_steps_reach_the_same_optimum() -> None:
 
 
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-@pytest.mark.parametrize("keys", [{"lines": Lines(1.0, 1.0)}, {"faults": TOUCHING}], ids=["wire", "touching"])
-def test_node_voltages_include_wire_and_touching_lines(formulation: str, keys: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "keys", [{"lines": Lines(1.0, 1.0)}, {"faults": TOUCHING}], ids=["wire", "touching"]
+)
+def test_node_voltages_include_wire_and_touching_lines(
+    formulation: str, keys: Any, tmp_path: Path
+) -> None:
     """A run file with them is read; tests/oracles/test_program.py has the optima."""
     simulated(Scene(Panel(6, 6), READOUTS["loaded"], **keys)).save(tmp_path / "panel.h5")
     (tmp_path / "run.yaml").write_text(
@@ -107,13 +127,17 @@ def test_lines_without_resistance_need_no_wiring() -> None:
 def test_small_wire_resistance_changes_readings_little(readout: Readout) -> None:
     """No large conductance stands in the equations: a billionth of an ohm costs no digits."""
     cells = np.random.default_rng(1).uniform(100, 9000, size=(6, 8))
-    bare, wired = (readout.exact_reading(cells, wiring) for wiring in (None, Wiring(Lines(1e-9, 0.0))))
+    bare, wired = (
+        readout.exact_reading(cells, wiring) for wiring in (None, Wiring(Lines(1e-9, 0.0)))
+    )
     assert_allclose(wired, bare, rtol=1e-10)
 
 
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 2.0, "right", "top")])
-def test_responses_to_wire_are_the_derivatives_of_readings(readout: Readout, lines: Lines | None) -> None:
+def test_responses_to_wire_are_the_derivatives_of_readings(
+    readout: Readout, lines: Lines | None
+) -> None:
     cells = np.random.default_rng(2).uniform(300, 9000, size=(5, 3))
     step = 1e-4
     network = readout.network(cells, readout.ties(cells), None if lines is None else Wiring(lines))
@@ -122,11 +146,18 @@ def test_responses_to_wire_are_the_derivatives_of_readings(readout: Readout, lin
     for response, name in zip(wire_responses(network, known), names, strict=True):
         lengthened: dict[str, Any] = {name: getattr(known, name) + step}
         longer = readout.exact_reading(cells, Wiring(replace(known, **lengthened)))
-        assert_allclose((longer - network.reading()) / step, response, rtol=1e-4, atol=1e-6 * np.abs(response).max())
+        assert_allclose(
+            (longer - network.reading()) / step,
+            response,
+            rtol=1e-4,
+            atol=1e-6 * np.abs(response).max(),
+        )
 
 
 def test_a_reading_bounds_the_cell_with_its_wire() -> None:
-    """Of a small cell at the far end the wire is most of the reading: r ≥ R_m would forbid the truth."""
+    """Of a small cell at the far end the wire is most of the reading: r ≥ R_m would forbid the
+    truth.
+    """
     cells = np.full((5, 6), 3000.0)
     cells[0, 0] = 5.0
     wiring = Wiring(Lines(10.0, 10.0, "right", "bottom"))
@@ -141,32 +172,48 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
 def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
-    """Of cells on one crossing the sum of conductances is right; each alone has bars without end, and says so."""
-    recording = simulated(Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none"))
+    """Of cells on one crossing the sum of conductances is right; each alone has bars without end,
+    and says so.
+    """
+    recording = simulated(
+        Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none")
+    )
     solution = solved(recording)
     assert all(step.solution.solved for step in solution.steps)
     rows = [0, 2, 4, 5, 6]
     columns = [1, 2, 3, 6, 7]
     sound = np.ix_([0, 1], rows, columns)
     assert np.median(np.abs(log_errors(solution)[sound])) < 0.01
-    # With wire what touches is seen a little, and what nobody knows of it is in the bars of all others.
+    # With wire what touches is seen a little, and what nobody knows of it is in the bars of all
+    # others.
     bars = solution.cell_resistance_errors / solution.cell_resistance
     assert np.all(bars[sound] < (0.03 if lines is None else 0.3))
     touching = np.ones(recording.scene.panel.shape, dtype=bool)
     touching[np.ix_(rows, columns)] = False
-    assert np.all(bars[:, touching] > 1) and np.all(np.isinf(solution.cell_resistance_upper[:, touching]))
-    if lines is None:  # with wire the cells' ways are not alike, and their sum is not all that is seen
+    assert np.all(bars[:, touching] > 1) and np.all(
+        np.isinf(solution.cell_resistance_upper[:, touching])
+    )
+    # With wire the cells' ways are not alike, and their sum is not all that is seen.
+    if lines is None:
         cells = (solution.cell_resistance, recording.truth_cell_resistance[solution.frame])
         combined, truth = ((1 / ohm[:, [1, 3]][:, :, columns]).sum(axis=1) for ohm in cells)
         assert_allclose(combined, truth, rtol=0.03)
     ignored = solved(forgetting(recording, "faults"))
-    assert np.median(np.abs(log_errors(ignored)[sound])) > 5 * np.median(np.abs(log_errors(solution)[sound]))
+    assert np.median(np.abs(log_errors(ignored)[sound])) > 5 * np.median(
+        np.abs(log_errors(solution)[sound])
+    )
 
 
-@pytest.mark.parametrize("term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"])
+@pytest.mark.parametrize(
+    "term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"]
+)
 def test_shares_determined_only_by_a_penalty_reach_their_optimum(term: Term) -> None:
-    """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of them did not end."""
-    recording = simulated(Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),))))
+    """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of
+    them did not end.
+    """
+    recording = simulated(
+        Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),)))
+    )
     estimate = solved(recording, terms=(*LSM, term))
     assert all(step.solution.status is Status.OPTIMUM for step in estimate.steps)
     assert estimate.steps[0].solution.iterations < 200
@@ -184,18 +231,24 @@ def test_touching_lines_have_equal_readings_and_others_do_not(readout: Readout) 
 def test_equal_rows_are_not_taken_for_touching_ones() -> None:
     """Where all rows read alike within the noise nothing is told."""
     noisy = TwoPointReadout(readings=1, noise_lsb=4)
-    readings = simulate(Simulation(1, 2, Scene(Panel(6, 6), noisy), Cells(spread=0.0), frames=1)).readings()
+    readings = simulate(
+        Simulation(1, 2, Scene(Panel(6, 6), noisy), Cells(spread=0.0), frames=1)
+    ).readings()
     assert touching_rows(readings) == () and touching_columns(readings) == ()
 
 
-def contacted(readout: Readout, seed: int, spread: float = 0.2, frames: int = 1, shape: Any = (5, 6)) -> Recording:
+def contacted(
+    readout: Readout, seed: int, spread: float = 0.2, frames: int = 1, shape: Any = (5, 6)
+) -> Recording:
     scene = Scene(Panel(*shape), readout, contacts=PRIOR, systematic="none")
     return simulate(Simulation(1, seed, scene, Cells(spread=spread), frames=frames))
 
 
 @each_readout
 def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
-    """Contacts are equal in both frames: error bars of changes are far narrower than those of cells."""
+    """Contacts are equal in both frames: error bars of changes are far narrower than those of
+    cells.
+    """
     estimate = solved(contacted(readout, 5))
     bars = estimate.cell_resistance_errors / estimate.cell_resistance
     assert np.median(estimate.relative_change_errors / 100) < 0.3 * np.median(bars)
@@ -204,7 +257,9 @@ def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
 @pytest.mark.slow
 @each_readout
 def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
-    """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton method."""
+    """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton
+    method.
+    """
     recording = contacted(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
     solution = solved(recording, terms=terms)
@@ -220,15 +275,28 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
         read = readout.network(cells, readout.ties(readings.value), wiring).reading()
         steps = np.gradient(cells)
         misfit = np.sum(((read - readings.value) / readings.sigma) ** 2)
-        return float(misfit + 1e-3 * sum(np.sum(step**2) for step in steps) + np.sum(place[20:] ** 2))
+        return float(
+            misfit + 1e-3 * sum(np.sum(step**2) for step in steps) + np.sum(place[20:] ** 2)
+        )
 
-    estimate = np.r_[np.log(solution.baseline_resistance).ravel(), (solution.contacts.mean((4, 5)) - mean) / deviation]
+    estimate = np.r_[
+        np.log(solution.baseline_resistance).ravel(),
+        (solution.contacts.mean((4, 5)) - mean) / deviation,
+    ]
     least = cost(estimate)
-    within = [(None, None)] * 20 + [(low, None) for low in -mean / deviation]  # contacts are not negative
-    better = minimize(cost, estimate + 0.01, method="L-BFGS-B", bounds=within, options={"ftol": 1e-12, "gtol": 1e-3})
+    # Contacts are not negative.
+    within = [(None, None)] * 20 + [(low, None) for low in -mean / deviation]
+    better = minimize(
+        cost,
+        estimate + 0.01,
+        method="L-BFGS-B",
+        bounds=within,
+        options={"ftol": 1e-12, "gtol": 1e-3},
+    )
     assert least <= better.fun * (1 + 1e-5) + 1e-6
     assert np.abs(estimate[20:]).max() > 0.3  # equal cells do tell of contacts
-    # The posterior is narrower than the prior there, and its size right: over draws in the next test.
+    # The posterior is narrower than the prior there, and its size right: over draws in the next
+    # test.
     assert np.all(solution.contacts.deviation((4, 5)) <= deviation * (1 + 1e-9))
 
 
@@ -249,7 +317,9 @@ def test_errors_of_estimated_contacts_match_their_deviations(readout: Readout) -
 
 
 @pytest.mark.parametrize(
-    "terms", [(LogRatio(weight=10.0, loss=Squared()),), (LogRatio(weight="auto"),)], ids=["squared", "auto"]
+    "terms",
+    [(LogRatio(weight=10.0, loss=Squared()),), (LogRatio(weight="auto"),)],
+    ids=["squared", "auto"],
 )
 def test_methods_with_a_baseline_model_contacts(terms: tuple[Term, ...]) -> None:
     """The joint first pair estimates them; later frames go on with them."""
@@ -261,7 +331,11 @@ def test_methods_with_a_baseline_model_contacts(terms: tuple[Term, ...]) -> None
 
 
 def test_known_contacts_are_not_estimated() -> None:
-    scene = Scene(Panel(5, 6), READOUTS["two_point"], contacts=Contacts(ContactPrior((10.0, 20.0, 30.0, 40.0, 50.0))))
+    scene = Scene(
+        Panel(5, 6),
+        READOUTS["two_point"],
+        contacts=Contacts(ContactPrior((10.0, 20.0, 30.0, 40.0, 50.0))),
+    )
     estimate = solved(simulate(Simulation(1, 1, scene, frames=1)))
     assert_allclose(estimate.contacts.mean((5, 6))[:5], [10, 20, 30, 40, 50])
     assert np.median(np.abs(scores(estimate))) < 1.5
@@ -273,7 +347,9 @@ def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
 
 @each_converter
 def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
-    """A capacitor holds a part of each channel of a frame that is scanned over and over, one after the other."""
+    """A capacitor holds a part of each channel of a frame that is scanned over and over, one after
+    the other.
+    """
     volt = volts(readout, (5, 4))
     expected = np.empty_like(volt)
     remembered = 0.0
@@ -350,7 +426,9 @@ with warnings.catch_warnings():  # it warns that it cannot draw where cairo is m
 
 
 def log_normal_cells(rows: int, columns: int) -> Array:
-    return np.asarray(3000 * np.exp(np.random.default_rng(rows * columns).normal(size=(rows, columns))))
+    return np.asarray(
+        3000 * np.exp(np.random.default_rng(rows * columns).normal(size=(rows, columns)))
+    )
 
 
 def network_of(cells: Array, lines: Lines, ties: Array) -> WiredNetwork:
@@ -359,12 +437,16 @@ def network_of(cells: Array, lines: Lines, ties: Array) -> WiredNetwork:
 
 def badcrossbar_of(cells: Array, row_ohm: float, column_ohm: float) -> Any:
     """With one volt at one row after the other."""
-    return badcrossbar.compute(np.eye(len(cells)), cells, r_i_word_line=row_ohm, r_i_bit_line=column_ohm)
+    return badcrossbar.compute(
+        np.eye(len(cells)), cells, r_i_word_line=row_ohm, r_i_bit_line=column_ohm
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (5, 8), (9, 4), (16, 16)])
 @pytest.mark.parametrize("ohm", [(1.0, 1.0), (0.3, 20.0), (50.0, 0.02), (0.0, 3.0), (3.0, 0.0)])
-def test_currents_and_voltages_equal_those_of_badcrossbar(shape: tuple[int, int], ohm: tuple[float, float]) -> None:
+def test_currents_and_voltages_equal_those_of_badcrossbar(
+    shape: tuple[int, int], ohm: tuple[float, float]
+) -> None:
     rows, columns = shape
     cells = log_normal_cells(rows, columns)
     reference = badcrossbar_of(log_normal_cells(rows, columns), *ohm)
@@ -372,17 +454,30 @@ def test_currents_and_voltages_equal_those_of_badcrossbar(shape: tuple[int, int]
     network = network_of(cells, Lines(*ohm), ties)
     # The impedances know of grounded terminals as well: Z⁻¹ − diag(t) are the currents into them.
     admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
-    assert_allclose(-admittance[rows:, :rows].T, np.reshape(reference.currents.output, (rows, columns)), rtol=1e-10)
+    assert_allclose(
+        -admittance[rows:, :rows].T,
+        np.reshape(reference.currents.output, (rows, columns)),
+        rtol=1e-10,
+    )
     through = network.potential_differences.T @ np.linalg.inv(network.potentials())[:, :rows]
     reference_through = np.reshape(reference.currents.device, (rows, columns, rows))
-    assert_allclose(through.reshape(rows, columns, rows) / cells[..., None], reference_through, rtol=1e-10, atol=1e-17)
+    assert_allclose(
+        through.reshape(rows, columns, rows) / cells[..., None],
+        reference_through,
+        rtol=1e-10,
+        atol=1e-17,
+    )
 
 
 def test_networks_fed_from_the_other_sides_are_mirror_images() -> None:
-    """badcrossbar knows rows that enter at the left and columns that leave at the bottom; the others are turned."""
+    """badcrossbar knows rows that enter at the left and columns that leave at the bottom; the
+    others are turned.
+    """
     cells = log_normal_cells(5, 8)
     ties = np.full(13, 1e-3)
-    reference = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[::-1, ::-1]
+    reference = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[
+        ::-1, ::-1
+    ]
     network = network_of(cells, Lines(2.0, 7.0, "right", "top"), ties)
     admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
     assert_allclose(-admittance[5:, :5].T, reference, rtol=1e-10)

@@ -1,4 +1,6 @@
-"""The benchmark, random mats and the solvers that judge ours: scipy's and published ones. No time is asserted."""
+"""The benchmark, random mats and the solvers that judge ours: scipy's and published ones. No time
+is asserted.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -43,13 +45,30 @@ def quiet(*step: object) -> None:
     """No progress."""
 
 
-def timed(side: int, times: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0) -> Frames:
+def timed(
+    side: int, times: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0
+) -> Frames:
     """Frames in sequence that took so many s."""
-    known: dict[str, Any] = {"rows": side, "columns": side, "recording": str(number), "method": method}
-    known |= {"solver": solver, "objective": 1.0, "gap": 0.0, "iterations": 1, "solved": True, "inverse_s": 1e-6}
+    known: dict[str, Any] = {
+        "rows": side,
+        "columns": side,
+        "recording": str(number),
+        "method": method,
+    }
+    known |= {
+        "solver": solver,
+        "objective": 1.0,
+        "gap": 0.0,
+        "iterations": 1,
+        "solved": True,
+        "inverse_s": 1e-6,
+    }
     known["status"] = "optimum verified"
     kinds = ["first", *["later"] * len(times)]
-    return [BenchFrame(**known, frame=frame, seconds=seconds, kind=kinds[frame]) for frame, seconds in enumerate(times)]
+    return [
+        BenchFrame(**known, frame=frame, seconds=seconds, kind=kinds[frame])
+        for frame, seconds in enumerate(times)
+    ]
 
 
 @pytest.mark.slow
@@ -77,10 +96,16 @@ def test_the_gap_refers_to_the_lowest_objective_of_several_solvers(tmp_path: Pat
     file = BenchFile(1, (3,), LSM, frames=1, repeats=1)
     frames = run_bench(file, quiet).frames
     names = BenchLimits().solvers
-    assert [(entry.solver, entry.frame) for entry in frames] == [(name, frame) for frame in (0, 1) for name in names]
+    assert [(entry.solver, entry.frame) for entry in frames] == [
+        (name, frame) for frame in (0, 1) for name in names
+    ]
     for first, second in (frames[:2], frames[2:]):
-        assert min(first.gap, second.gap) == 0 and (first.gap < second.gap) == (first.objective < second.objective)
-    hasty = BenchFile(1, (3,), frames=1, repeats=1, limits=REDUCED_ALONE, solver=Settings(max_iterations=1))
+        assert min(first.gap, second.gap) == 0 and (first.gap < second.gap) == (
+            first.objective < second.objective
+        )
+    hasty = BenchFile(
+        1, (3,), frames=1, repeats=1, limits=REDUCED_ALONE, solver=Settings(max_iterations=1)
+    )
     rows = bench_rows(run_bench(hasty, quiet).frames)
     assert {(row.solver, row.gap) for row in rows} == {("reduced", None)}
     assert any(row.solved < row.count for row in rows)
@@ -91,13 +116,21 @@ def test_the_gap_refers_to_the_lowest_objective_of_several_solvers(tmp_path: Pat
 
 
 def test_pages_show_tables_that_the_bench_writes() -> None:
-    two_sizes = Bench(read_bench(ROOT / "configs" / "bench.yaml"), (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])))
+    two_sizes = Bench(
+        read_bench(ROOT / "configs" / "bench.yaml"),
+        (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])),
+    )
     tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(two_sizes)]
     written = sections(page(STUDY.name, tables, bench_remarks(two_sizes)))
-    assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in written.items())
+    assert all(
+        text.startswith("- " if name == "remarks" else "| ") for name, text in written.items()
+    )
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(written)
-    text = "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"
+    text = (
+        "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown "
+        "-->\n<!-- /bench -->\n"
+    )
     assert with_tables(text, {"growth": "| new |\n"}) == text.replace("old", "\n| new |\n")
 
 
@@ -115,9 +148,13 @@ def test_the_jacobian_is_that_of_the_residuals_of_the_cost(method: str, joint: b
     evaluation = evaluated(cost, data, np.exp(position).reshape(data.measured.shape))
     assert np.sum(point.residuals(position) ** 2) == pytest.approx(evaluation.objective, rel=1e-12)
     step = 1e-6 * np.eye(len(position))
-    differences = [(point.residuals(position + e) - point.residuals(position - e)) / 2e-6 for e in step]
+    differences = [
+        (point.residuals(position + e) - point.residuals(position - e)) / 2e-6 for e in step
+    ]
     jacobian = point.jacobian(position)
-    np.testing.assert_allclose(jacobian, np.transpose(differences), atol=1e-6 * np.abs(jacobian).max())
+    np.testing.assert_allclose(
+        jacobian, np.transpose(differences), atol=1e-6 * np.abs(jacobian).max()
+    )
 
 
 @pytest.mark.parametrize("name", ["bench", "bench_large"])
@@ -131,10 +168,16 @@ def test_shipped_benchmarks_are_valid(name: str) -> None:
 
 
 def test_the_table_compares_both_packages_on_the_same_mats() -> None:
-    solves = list(solved_mats(Mats(sides=(6,), draws=1, noise_percent=(0, 1)), seed=3, settings=Settings()))
-    assert [(solve.noise_percent, solve.solver) for solve in solves] == [*product((0, 1), (*OURS, *PUBLISHED))]
+    solves = list(
+        solved_mats(Mats(sides=(6,), draws=1, noise_percent=(0, 1)), seed=3, settings=Settings())
+    )
+    assert [(solve.noise_percent, solve.solver) for solve in solves] == [
+        *product((0, 1), (*OURS, *PUBLISHED))
+    ]
     for solve in solves:
-        assert solve.seconds > 0 and solve.inverse_s > 0 and solve.cell_error <= solve.worst_cell_error
+        assert (
+            solve.seconds > 0 and solve.inverse_s > 0 and solve.cell_error <= solve.worst_cell_error
+        )
         assert (solve.evaluations is None) == (solve.solver in OURS)
         if solve.noise_percent == 0:
             assert solve.converged and solve.negative == 0 and solve.reading_error < 1e-2

@@ -1,4 +1,6 @@
-"""Whether suction moves, or something else: windows and courses of suction of which every reading is known."""
+"""Whether suction moves, or something else: windows and courses of suction of which every reading
+is known.
+"""
 
 import numpy as np
 import pytest
@@ -29,10 +31,12 @@ def window(
     wild: bool = False,
     strong: float = 1.0,
 ) -> Breath:
-    """8 s at four frames a second in which parts swing by so much at 1.1 Hz, on a film that answers unevenly.
+    """8 s at four frames a second in which parts swing by so much at 1.1 Hz, on a film that answers
+    unevenly.
 
-    Each reading is that of a cell; half of them lie under the rim. edges : six cells swing, as no fit knows. slower :
-    by so much does the place swing more slowly. waves : what all readings share swings. wild : outliers of fifty
+    Each reading is that of a cell; half of them lie under the rim. edges : six cells swing, as no
+    fit knows. slower : by so much does the place swing more slowly. waves : what all readings share
+    swings. wild : outliers of fifty
     standard deviations. strong : so many times the readings change with suction.
     """
     rng = np.random.default_rng(seed)
@@ -75,14 +79,19 @@ def test_suction_swinging_with_its_rim_is_breath_on_any_film(seed: int, uneven: 
     ids=str,
 )
 def test_a_swinging_rim_or_place_is_not_breath(seed: int, moving: dict[str, float]) -> None:
-    shown = window(**moving, seed=seed)  # the last one as the square of a movement that is half as fast
+    # The last one as the square of a movement that is half as fast.
+    shown = window(**moving, seed=seed)
     assert shown.odds < 0 or shown.suction < 0.1
 
 
 @pytest.mark.parametrize("uneven", [0.1, 0.25])
 def test_the_depth_of_breath_lies_within_its_error(uneven: float) -> None:
     """Also where the rim swings by less than its pattern, as on a film that it saturates."""
-    depths = [window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.04) for seed in range(8)]
+    depths = [
+        window(own=0.08, rim=rim, seed=seed, uneven=uneven).depth
+        for rim in (0.0, -0.04)
+        for seed in range(8)
+    ]
     scores = np.array([(value - 0.08) / error for value, error in depths])
     assert np.abs(scores).max() < 3 and np.mean(np.abs(scores) < 1.96) >= 0.85
     assert np.median([error for _, error in depths]) < 0.03
@@ -91,7 +100,8 @@ def test_the_depth_of_breath_lies_within_its_error(uneven: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
     assert window(seed=seed).odds < 0 > window(waves=3.0, seed=seed).odds
-    for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):  # or outliers
+    # Or outliers.
+    for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):
         shown = window(**hiding, seed=seed)
         assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
 
@@ -113,7 +123,9 @@ def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
     slopes = np.where(rise < 0, -300.0, 90.0)
     moves = 8 * rng.standard_normal((1, READINGS))
     changes = np.outer(level + swings, slopes) + rng.standard_normal((len(TIMES), READINGS))
-    known = Patterns.of(np.eye(READINGS), rise, slopes[None], 0.2 * np.abs(slopes), moves, np.ones((READINGS, 1)))
+    known = Patterns.of(
+        np.eye(READINGS), rise, slopes[None], 0.2 * np.abs(slopes), moves, np.ones((READINGS, 1))
+    )
     interval, still = SteadyFrames.of(TIMES, changes).parted(steps)
     return breath(interval, changes[still], known)
 
@@ -128,7 +140,9 @@ def test_part_of_a_window_suffices_to_detect_breath() -> None:
     """While a mouth pulls, it does not breathe steadily."""
     pull = TIMES > 3.75
     wild = 0.5 * pull * np.random.default_rng(5).standard_normal(len(TIMES))
-    shown = pulled_window(np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75)
+    shown = pulled_window(
+        np.where(pull, wild, 0.08 * np.sin(2 * np.pi * 1.1 * TIMES)), 0.0 * TIMES, 3.75
+    )
     assert shown.odds > CLEAR_LOG_ODDS and shown.hertz[0] == pytest.approx(1.1, abs=0.15)
 
 
@@ -137,7 +151,9 @@ def followed(suction: Array, noise: float = 0.02, seed: int = 0) -> Array:
     rng = np.random.default_rng([seed, 7])
     track = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     odds = list[float]()
-    for time, value in zip(BLOCKS, suction + noise * rng.standard_normal(len(suction)), strict=True):
+    for time, value in zip(
+        BLOCKS, suction + noise * rng.standard_normal(len(suction)), strict=True
+    ):
         track = track.after(np.full((3, 1), value), float(time))
         odds.append(track.odds)
     return np.array(odds)
@@ -148,7 +164,9 @@ def pumped(period_s: float, loss: float) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize(("period_s", "loss"), [(25.0, 0.2), (60.0, 0.15), (60.0, 0.4), (90.0, 0.3)])
+@pytest.mark.parametrize(
+    ("period_s", "loss"), [(25.0, 0.2), (60.0, 0.15), (60.0, 0.4), (90.0, 0.3)]
+)
 def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed: int) -> None:
     """Within five pumps, the published intervals: 20 to 200 s."""
     odds = followed(pumped(period_s, loss), seed=seed)
@@ -168,7 +186,15 @@ def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed
         np.where(BLOCKS > 300, -0.3, 0.0),
         0.3 * (BLOCKS > 200) * (BLOCKS < 330),
     ],
-    ids=["still", "leaks", "creeps", "aliased breath", "pressed once", "bumped once", "pressed and let go"],
+    ids=[
+        "still",
+        "leaks",
+        "creeps",
+        "aliased breath",
+        "pressed once",
+        "bumped once",
+        "pressed and let go",
+    ],
 )
 def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int) -> None:
     odds = followed(course, seed=seed)
@@ -177,7 +203,9 @@ def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int
 
 @pytest.mark.slow
 def test_rare_and_frequent_bumps_are_not_pumping() -> None:
-    """At one in a minute and one in twenty seconds; two of twenty courses may pass the level by chance."""
+    """At one in a minute and one in twenty seconds; two of twenty courses may pass the level by
+    chance.
+    """
     passed = []
     for seed in range(10):
         rng = np.random.default_rng(seed)
@@ -192,7 +220,9 @@ def test_a_rested_mouth_is_recognised_within_minutes() -> None:
     long = Pumping.begin(np.ones(1), np.zeros(1), -BLOCK_S, 0)
     for number in range(400):  # twenty minutes
         long = long.after(np.full((3, 1), 0.001 * (-1) ** number), number * BLOCK_S)
-    assert long.odds < -1 and long.logarithm.size < 10_000, "absence is no more evidence than some minutes of it"
+    assert long.odds < -1 and long.logarithm.size < 10_000, (
+        "absence is no more evidence than some minutes of it"
+    )
     began = long.since_s
     for number in range(1, 100):
         value = float(pumped(45.0, 0.3)[number])

@@ -1,4 +1,6 @@
-"""Columns of results: the union is walked, and a further one is a line in a script or a name in a package."""
+"""Columns of results: the union is walked, and a further one is a line in a script or a name in a
+package.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -26,9 +28,13 @@ def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None
     ):
         with pytest.raises(InputError, match=message):
             write_results(
-                path, [dataclasses.replace(case, extra={"least_resistance": values})], columns=(LEAST_RESISTANCE,)
+                path,
+                [dataclasses.replace(case, extra={"least_resistance": values})],
+                columns=(LEAST_RESISTANCE,),
             )
-    with pytest.raises(InputError, match="mouth × LSM: no column says what the extra 'least_resistance' is"):
+    with pytest.raises(
+        InputError, match="mouth × LSM: no column says what the extra 'least_resistance' is"
+    ):
         write_results(path, [dataclasses.replace(case, extra={"least_resistance": np.ones(3)})])
     assert not path.exists()
 
@@ -42,7 +48,10 @@ def test_columns_hold_texts_and_truth_values(tmp_path: Path) -> None:
     assert stored.extra["word"] == ("one", "two", "three")
     np.testing.assert_array_equal(stored.extra["marked"], np.eye(10, dtype=bool))
     with h5py.File(tmp_path / "r.h5") as file:
-        assert file["entry/mouth/LSM/marked"].dtype == np.uint8 and file["entry/mouth/LSM/word"].dtype.kind == "S"
+        assert (
+            file["entry/mouth/LSM/marked"].dtype == np.uint8
+            and file["entry/mouth/LSM/word"].dtype.kind == "S"
+        )
 
 
 def test_two_terms_of_one_kind_keep_their_costs(tmp_path: Path) -> None:

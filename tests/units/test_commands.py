@@ -1,4 +1,6 @@
-"""Commands as a newcomer meets them: help, mistakes of typing, overrides, pictures, what stays, what is refused."""
+"""Commands as a newcomer meets them: help, mistakes of typing, overrides, pictures, what stays,
+what is refused.
+"""
 
 import re
 import shutil
@@ -42,9 +44,27 @@ from lampest.studies.study import Row, Study
 Command = Callable[..., SimpleNamespace]
 GROUPS = ("show", "study")
 TOP_COMMANDS = get_command(app).commands
-COMMANDS = {name: command for name, command in TOP_COMMANDS.items() if not command.hidden and name not in GROUPS}
-COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP_COMMANDS[group].commands.items()}
-FORMER_COMMANDS = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
+COMMANDS = {
+    name: command
+    for name, command in TOP_COMMANDS.items()
+    if not command.hidden and name not in GROUPS
+}
+COMMANDS |= {
+    f"{group} {name}": command
+    for group in GROUPS
+    for name, command in TOP_COMMANDS[group].commands.items()
+}
+FORMER_COMMANDS = (
+    "bench",
+    "tradeoff",
+    "extremes",
+    "paper",
+    "tune",
+    "ports",
+    "repair",
+    "terms",
+    "schema",
+)
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 KILLED = """
 import os, signal, sys
@@ -54,9 +74,19 @@ with whole_file(Path(sys.argv[1])) as unfinished:
     unfinished.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
-COUNTS = {"frames": 7, "lost": 2, "restarts": 1, "clock_jumps": 0, "clock_stopped": False, "parted": 0, "behind": 0}
+COUNTS = {
+    "frames": 7,
+    "lost": 2,
+    "restarts": 1,
+    "clock_jumps": 0,
+    "clock_stopped": False,
+    "parted": 0,
+    "behind": 0,
+}
 ENDED_RECORDING: Any = COUNTS | {"ended_by": "", "noise_lsb": 0.704, "silent": 0.0}
-RECORDED = Recorded(path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED_RECORDING)
+RECORDED = Recorded(
+    path=Path("r.h5"), scene=Scene(Panel(3, 4), TwoPointReadout(), 140.0), **ENDED_RECORDING
+)
 # What a recording ended with, and the warning that follows.
 ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
@@ -71,7 +101,10 @@ ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"silent": 1.26}, "no frame came in the last 1.3 s"),
     ({"scene": Scene(Panel(3, 4), TwoPointReadout())}, "no series resistance is assumed, "),
     ({"ended_by": "SIGINT"}, "SIGINT ended the recording; no frame was still in the port then"),
-    ({"ended_by": "SIGHUP", "behind": 4}, "SIGHUP ended the recording; 4 of the 7 frames were still in the port then"),
+    (
+        {"ended_by": "SIGHUP", "behind": 4},
+        "SIGHUP ended the recording; 4 of the 7 frames were still in the port then",
+    ),
 )
 
 
@@ -83,14 +116,20 @@ def test_every_option_has_help_and_every_command_an_example() -> None:
         assert not configured or any("--set" in parameter.opts for parameter in command.params)
         for parameter in command.params:
             assert parameter.help, f"{name}: {parameter.name}"
-            kind = str(getattr(parameter, "type_descriptor", None) or getattr(parameter, "type", "")).lower()
+            kind = str(
+                getattr(parameter, "type_descriptor", None) or getattr(parameter, "type", "")
+            ).lower()
             if ("float" in kind or "int" in kind) and parameter.default is None:
                 assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
 
 
-def test_a_study_creates_its_folder(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_creates_its_folder(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folders: list[object] = []
-    monkeypatch.setattr("lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out))
+    monkeypatch.setattr(
+        "lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out)
+    )
     for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
         completed = lampest(*name.split(), "--out", str(tmp_path / "new"))
         assert completed.code == 0, completed.err
@@ -101,7 +140,9 @@ def test_no_help_contains_an_emoji(lampest: Command) -> None:
     """The renderer of the help turns known words between two colons into a picture."""
     for name in ("compare", "plot", "export", "detect", "tare"):
         completed = lampest(name, "--help")
-        assert completed.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", completed.out), name
+        assert completed.code == 0 and not re.search(
+            "[\u2600-\u27bf\U0001f000-\U0001faff]", completed.out
+        ), name
 
 
 @pytest.mark.slow
@@ -113,14 +154,21 @@ def test_init_of_a_mat_writes_a_scene_of_contacts_with_a_useful_penalty(
     scene = (tmp_path / "scene.yaml").read_text()
     assert "\npurpose: mat " in scene and "docs/" not in scene
     assert lampest("run", "run.yaml", "--jobs", "1").code == 0
-    rows = {row["estimator"]: row["cell error median [%]"] for row in compare(read_results("results/run/results.h5"))}
+    rows = {
+        row["estimator"]: row["cell error median [%]"]
+        for row in compare(read_results("results/run/results.h5"))
+    }
     assert rows["smooth"] < 0.7 * rows["no_penalty"]
     completed = lampest("compare", "results/run/results.h5", "--report", "page.html")
     assert completed.code == 0
     headline = re.search(r'class="headline">([^<]*)', (tmp_path / "page.html").read_text())
     assert headline is not None and "no_penalty" not in headline[1]
     wrong = lampest("init", "other", "--purpose", "lamprey")
-    assert wrong.code == 2 and "there is no 'lamprey'; there is mat" in wrong.err and not (tmp_path / "other").exists()
+    assert (
+        wrong.code == 2
+        and "there is no 'lamprey'; there is mat" in wrong.err
+        and not (tmp_path / "other").exists()
+    )
 
 
 def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
@@ -138,13 +186,22 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
 
 
 def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:
-    assert {name for name, command in TOP_COMMANDS.items() if command.hidden} == set(FORMER_COMMANDS) | set(GROUPS)
+    assert {name for name, command in TOP_COMMANDS.items() if command.hidden} == set(
+        FORMER_COMMANDS
+    ) | set(GROUPS)
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
         completed = lampest(old)
         current = lampest(*new.split())
         assert (completed.code, completed.out) == (0, current.out) and current.err == ""
-        assert completed.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
-    for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
+        assert (
+            completed.err
+            == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
+        )
+    for old, new in (
+        ("tune", "study weights"),
+        ("bench", "study bench"),
+        ("repair", "check --repair"),
+    ):
         completed = lampest(old, "nowhere.x")
         assert (
             completed.code == 2
@@ -172,26 +229,54 @@ def test_progress_on_a_terminal_shows_the_count_and_the_remaining_time(
             on_frame(3, 9)
         drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
         assert terminal or drawn == ""
-        assert all(word in drawn for word in ("frames", "33%", "left")) == terminal and ("3/9" in drawn) == counted
+        assert (
+            all(word in drawn for word in ("frames", "33%", "left")) == terminal
+            and ("3/9" in drawn) == counted
+        )
 
 
-def test_exhausted_memory_gives_one_sentence(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    for error, words in ((MemoryError(), "no details"), (MemoryError(" 3 GiB\n  for a matrix"), "3 GiB for a matrix")):
+def test_exhausted_memory_gives_one_sentence(
+    lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for error, words in (
+        (MemoryError(), "no details"),
+        (MemoryError(" 3 GiB\n  for a matrix"), "3 GiB for a matrix"),
+    ):
 
         def failing(error: MemoryError = error) -> None:
             raise error
 
         monkeypatch.setattr("lampest.cli._program", lambda failing=failing: failing)
         completed = lampest("info")
-        assert (completed.code, completed.out, completed.err) == (2, "", f"lampest: not enough memory ({words})\n")
+        assert (completed.code, completed.out, completed.err) == (
+            2,
+            "",
+            f"lampest: not enough memory ({words})\n",
+        )
 
 
-def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_ends_with_a_line_and_its_warnings(
+    lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     requested: dict[str, Any] = {}
-    words = ("record", "--port", "p", "--out", "r.h5", "--count", "7", "--baseline", "2", "--period", "0.5")
+    words = (
+        "record",
+        "--port",
+        "p",
+        "--out",
+        "r.h5",
+        "--count",
+        "7",
+        "--baseline",
+        "2",
+        "--period",
+        "0.5",
+    )
     for ending, warning in ENDS_WITH_WARNINGS:
 
-        def record(*places: object, on_progress: Any, keys: Any, fields: Any = ending, **options: Any) -> Recorded:
+        def record(
+            *places: object, on_progress: Any, keys: Any, fields: Any = ending, **options: Any
+        ) -> Recorded:
             requested.update(options, places=places, keys=keys())
             on_progress(Progress(None, 0, 0, "the board is gone"))
             return replace(RECORDED, **fields)
@@ -199,10 +284,22 @@ def test_a_recording_ends_with_a_line_and_its_warnings(lampest: Command, monkeyp
         monkeypatch.setattr("lampest.recording.board.record.record", record)
         completed = lampest(*words)
         assert requested.pop("places") == (["p"], Path("r.h5"))
-        assert requested == {"frames": 7, "seconds": None, "scene": None, "baseline": 2, "period": 0.5, "keys": ""}
-        assert completed.out == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
+        assert requested == {
+            "frames": 7,
+            "seconds": None,
+            "scene": None,
+            "baseline": 2,
+            "period": 0.5,
+            "keys": "",
+        }
+        assert (
+            completed.out
+            == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"
+        )
         warnings = [line for line in completed.err.splitlines() if "interrupted" not in line]
-        assert len(warnings) == bool(warning) and all(line.startswith(f"lampest: {warning}") for line in warnings)
+        assert len(warnings) == bool(warning) and all(
+            line.startswith(f"lampest: {warning}") for line in warnings
+        )
         assert completed.code == (130 if "ended_by" in ending else 0)
 
 
@@ -242,18 +339,24 @@ def test_results_of_other_cases_are_renamed_and_never_replace_a_recording(
     assert run().err == ""
     repeated = run()
     assert repeated.err == "" and len(list(out.glob("*.h5"))) == 1
-    assert repeated.out.splitlines()[0] == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
+    assert (
+        repeated.out.splitlines()[0]
+        == f"0 cases solved, 3 were done before, 0 failed: {out / 'results.h5'}"
+    )
     original = (out / "results.h5").read_bytes()
     completed = run("--set", "solver.tolerance=1e-7")
     assert (
-        "existing results of other cases were renamed: " in completed.err and str(out / "results_1.h5") in completed.err
+        "existing results of other cases were renamed: " in completed.err
+        and str(out / "results_1.h5") in completed.err
     )
     assert (out / "results_1.h5").read_bytes() == original != (out / "results.h5").read_bytes()
     shutil.copy(disk.folder / "small.h5", out / "results.h5")
     completed = run("--set", "recordings=[out/results.h5]")
     assert completed.code == 2 and "is an input; give the output another name" in completed.err
     with pytest.raises(InputError, match="is an input"):
-        run_batch(read_run(disk.folder / "run.yaml", ("recordings=[out/results.h5]",)), out, Serial())
+        run_batch(
+            read_run(disk.folder / "run.yaml", ("recordings=[out/results.h5]",)), out, Serial()
+        )
     assert (out / "results.h5").read_bytes() == (disk.folder / "small.h5").read_bytes()
 
 
@@ -308,7 +411,9 @@ def names(folder: Path) -> set[str]:
 def test_a_study_with_an_input_named_like_an_output_writes_nothing(tmp_path: Path) -> None:
     taken = tmp_path / "own.h5"
     taken.write_bytes(b"")
-    study: Study[Any, Any] = Study("own", "things", "x.yaml", lambda *_: 0, lambda *_: 0, one_row, form="own/1")
+    study: Study[Any, Any] = Study(
+        "own", "things", "x.yaml", lambda *_: 0, lambda *_: 0, one_row, form="own/1"
+    )
     with sparing((taken,)), pytest.raises(InputError, match="is an input"):
         study.run(tmp_path / "x.yaml", tmp_path, (), lambda *_: None)
     assert names(tmp_path) == {"own.h5"}
@@ -326,7 +431,10 @@ def test_invalid_paths_are_refused(disk: SimpleNamespace) -> None:
 
 def test_the_next_export_removes_fragments_of_a_killed_writer(tmp_path: Path) -> None:
     write_results(tmp_path / "r.h5", [invented_case("LSM", "mouth", (2, 3, 4))])
-    assert subprocess.run([sys.executable, "-c", KILLED, tmp_path / "r.mat"], check=False).returncode == -9
+    assert (
+        subprocess.run([sys.executable, "-c", KILLED, tmp_path / "r.mat"], check=False).returncode
+        == -9
+    )
     assert len([name for name in names(tmp_path) if name.endswith(".part")]) == 1
     foreign = tmp_path / ".r.mat.99999999-zzzz0000.part"  # of another computer
     foreign.touch()

@@ -1,4 +1,6 @@
-"""What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and what it cannot say."""
+"""What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and
+what it cannot say.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +51,9 @@ from lampest.runs.starter import write_starter
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
 MAT = Scene(
-    Panel(12, 12, 10.0), LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4), purpose="mat"
+    Panel(12, 12, 10.0),
+    LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4),
+    purpose="mat",
 )
 ELL = (
     Block(centre_mm=(25, 40), length_mm=60, width_mm=20, angle_deg=90, mass_g=800),
@@ -66,11 +70,21 @@ def recorded(seed: int = 2, **known: Any) -> Recording:
 
 @pytest.mark.slow
 def test_pumps_identify_a_mouth_without_visible_breath() -> None:
-    """At one frame a second; a cup that leaks as fast, without pumps, stays something that sucks."""
+    """At one frame a second; a cup that leaks as fast, without pumps, stays something that
+    sucks.
+    """
     known: dict[str, Any] = {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5, "seed": 5}
     known |= {"scene": Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0)}
     known |= {"loads": (replace(MOUTH, centre_mm=(26, 24)),)}
-    course = Course(start_s=3, approach_s=0.5, attachment_s=1, pump_s=50, pump_loss=0.3, release_at_s=290, pull_off=0.5)
+    course = Course(
+        start_s=3,
+        approach_s=0.5,
+        attachment_s=1,
+        pump_s=50,
+        pump_loss=0.3,
+        release_at_s=290,
+        pull_off=0.5,
+    )
     leak = replace(course, pump_s=300.0, pump_loss=0.5)
     pumped, leaked = (answered(recorded(course=each, **known)) for each in (course, leak))
     assert (pumped.answer, leaked.answer, len(pumped.attachments)) == (LAMPREY, SUCKS, 1)
@@ -83,11 +97,17 @@ def test_frame_noise_survives_its_arrays(readout: Any) -> None:
     """A pattern has a number for each channel of a line; of another shape it is refused."""
     scene = Scene(Panel(2, 3), readout)
     channels = 2 if scene.circuit.by_columns else 3
-    noise = FrameNoise(scene, 4, 0.01, np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1)))
+    noise = FrameNoise(
+        scene, 4, 0.01, np.arange(2.0 * channels).reshape(channels, 2), np.ones((channels, 1))
+    )
     arrays = _arrays_of(noise)
     np.testing.assert_equal(vars(frame_noise_of(arrays, scene)), vars(noise))
     assert frame_noise_of({}, scene) is None and _arrays_of(None) == {}
-    for wrong in ({"unloaded": np.ones(2)}, {"together": np.ones(channels)}, {"apart": np.ones((4, 1))}):
+    for wrong in (
+        {"unloaded": np.ones(2)},
+        {"together": np.ones(channels)},
+        {"apart": np.ones((4, 1))},
+    ):
         with pytest.raises(ValueError, match="must"):
             frame_noise_of(arrays | wrong, scene)
 
@@ -117,19 +137,30 @@ def test_a_short_press_is_a_contact_of_a_mat_and_mentioned_otherwise() -> None:
     course = Course(start_s=0.4, release_at_s=0.7)
     known: dict[str, Any] = {"cells": cells, "course": course, "frame_period_s": 0.05, "frames": 24}
     known |= {"loads": (Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=500),)}
-    mat, unspecified = (answered(recorded(scene=replace(scene, purpose=purpose), **known)) for purpose in ("mat", None))
+    mat, unspecified = (
+        answered(recorded(scene=replace(scene, purpose=purpose), **known))
+        for purpose in ("mat", None)
+    )
     (press,) = mat.attachments
     touched_s = 3 * 0.05 + course.start_s
     released_s = 3 * 0.05 + 0.7
     assert (press.since_s, press.until_s) == pytest.approx((touched_s, released_s), abs=0.11)
     assert press.place == pytest.approx((30, 30), abs=4)
-    assert not unspecified.attachments and "something touched the panel from 0.6 s to 0.9 s" in unspecified.sentence
+    assert (
+        not unspecified.attachments
+        and "something touched the panel from 0.6 s to 0.9 s" in unspecified.sentence
+    )
 
 
 def test_cells_of_lower_conductance_are_neither_a_contact_nor_explained() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
-    known: dict[str, Any] = {"cells": Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6), "frame_period_s": 0.25}
-    loaded = recorded(scene=scene, loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),), **known)
+    known: dict[str, Any] = {
+        "cells": Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6),
+        "frame_period_s": 0.25,
+    }
+    loaded = recorded(
+        scene=scene, loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),), **known
+    )
     order = np.r_[3:9, 3, 0:3, 0:3]  # the load first, as if it were the unloaded panel
     recorded_again = loaded.recorded[order]
     time = 0.25 * np.arange(len(order))
@@ -146,7 +177,9 @@ def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> 
     recording = recorded(scene=scene, loads=(load,), unmodelled=Unmodelled(reading_error=0.1))
     named = replace(scene, gain="estimated", systematic=Systematic(reading_error="estimated"))
     recording = replace(recording, scene=named)
-    found = reconstruct(recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False)
+    found = reconstruct(
+        recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False
+    )
     assert found.noise.error_in_sigma and found.noise.sigma_factor == 1
     write_results(tmp_path / "results.h5", [found.result("changes")])
     known = known_of(found.prepared)
@@ -157,16 +190,22 @@ def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> 
     np.testing.assert_allclose(known.resting, again.resting)
     np.testing.assert_allclose(known.sigma, again.sigma)
     all_frames = np.ones(len(recording.time), dtype=bool)
-    for expected, of_results in zip(measured_frames(recording, known, all_frames), frames, strict=True):
+    for expected, of_results in zip(
+        measured_frames(recording, known, all_frames), frames, strict=True
+    ):
         for part, part_again in zip(expected, of_results, strict=True):
             np.testing.assert_allclose(part, part_again)
 
 
 @pytest.mark.slow
-def test_a_mouth_on_a_panel_with_pull_ups_sucks_in_the_recording_and_in_its_results(tmp_path: Path) -> None:
+def test_a_mouth_on_a_panel_with_pull_ups_sucks_in_the_recording_and_in_its_results(
+    tmp_path: Path,
+) -> None:
     write_starter(tmp_path / "mine", "pull_ups", 10, 10)
     recording = Recording.load(tmp_path / "mine" / "example.h5")
-    found = reconstruct(recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False)
+    found = reconstruct(
+        recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False
+    )
     (of_results,) = detect_results(Results((found.result("changes"),)))
     assert of_results.answer == SUCKS
     assert of_results.sentence == detect_recording(tmp_path / "mine" / "example.h5").sentence
@@ -181,7 +220,10 @@ def test_a_single_frame_shows_no_change(tmp_path: Path) -> None:
     values = np.full((3, 8, 10), 500.0)
     for frames, known in ((2, False), (3, True)):
         recording = Recording(
-            scene, values[:frames], np.arange(float(frames)), (np.arange(frames) > 0).astype(np.uint8)
+            scene,
+            values[:frames],
+            np.arange(float(frames)),
+            (np.arange(frames) > 0).astype(np.uint8),
         )
         known_or_answer = known_of(Prepared(recording))
         assert (

@@ -1,4 +1,6 @@
-"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, with workers that die."""
+"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, with workers
+that die.
+"""
 
 import ctypes
 import dataclasses
@@ -28,15 +30,22 @@ from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, LostError, Processes, Serial, Tls
 
-ONE_WORKER: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
+ONE_WORKER: Any = {
+    "n_workers": 1,
+    "threads_per_worker": 1,
+    "dashboard_address": ":0",
+    "host": "127.0.0.1",
+}
 EXIT_OF_WORKER = "__import__('os')._exit(9)"
 EXECUTORS = [Serial(), Processes(2), Dask(workers=2)]
 NAMES = [executor.kind for executor in EXECUTORS]
-UNPICKLABLE_ERROR = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"  # an exception that cannot travel
+# An exception that cannot travel.
+UNPICKLABLE_ERROR = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"
 # Of a worker: whether every process of its cluster listens on the loopback address alone.
 LISTENING = (
     "{c.laddr.ip for p in (lambda top: [top, *top.children(recursive=True)])"
-    "(__import__('psutil').Process().parent().parent()) for c in p.net_connections('inet') if c.status == 'LISTEN'}"
+    "(__import__('psutil').Process().parent().parent()) for c in p.net_connections('inet') if "
+    "c.status == 'LISTEN'}"
 )
 CHILD_SECONDS = 60.0  # life of a child that holds the pipe of its dead parent open
 HANG_SECONDS = 600.0  # of a task that is to be ended long before
@@ -61,7 +70,8 @@ def test_ctrl_c_during_a_hand_over_leaves_no_busy_worker(monkeypatch: pytest.Mon
         raise KeyboardInterrupt
 
     monkeypatch.setattr(executors.Worker, "begin", interrupted)
-    with pytest.raises(KeyboardInterrupt) as held:  # as is its frame, so that no collector ends the worker
+    # As is its frame, so that no collector ends the worker.
+    with pytest.raises(KeyboardInterrupt) as held:
         list(Processes(2).results(time.sleep, [60, 60]))
     assert held and not multiprocessing.active_children()
 
@@ -71,7 +81,11 @@ def test_ctrl_c_during_a_hand_over_leaves_no_busy_worker(monkeypatch: pytest.Mon
 def test_results_equal_those_of_serial_even_if_a_worker_dies(
     executor: Any, disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
+    disk.recording(
+        disk.folder / "wide.h5",
+        disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"),
+        (3, 2, 5),
+    )
     run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
     reference = run_batch(run, disk.folder / "one", Serial())
     monkeypatch.setattr("lampest.runs.batch.solve_case", dying_once)
@@ -83,7 +97,9 @@ def test_results_equal_those_of_serial_even_if_a_worker_dies(
     for actual, expected in zip(*case_lists, strict=True):
         for field in dataclasses.fields(CaseResult):
             if field.name not in ("solve_time", "baseline_solve_time", "error_bar_time"):
-                np.testing.assert_equal(getattr(actual, field.name), getattr(expected, field.name), err_msg=field.name)
+                np.testing.assert_equal(
+                    getattr(actual, field.name), getattr(expected, field.name), err_msg=field.name
+                )
     run_batch(run, disk.folder / "two", Serial())
     assert not list((disk.folder / "two" / "cases").glob(".*"))
 
@@ -92,7 +108,9 @@ def test_errors_stay_with_their_task() -> None:
     answers = {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
     for executor in EXECUTORS:
         executor.ready()
-        assert {text: str(outcome) for text, outcome in executor.results(eval, list(answers))} == answers
+        assert {
+            text: str(outcome) for text, outcome in executor.results(eval, list(answers))
+        } == answers
         assert list(executor.results(eval, [])) == []
     ((_, outcome),) = Processes(1).results(eval, [UNPICKLABLE_ERROR])
     assert str(outcome) == "Odd: strange"
@@ -103,7 +121,8 @@ def test_errors_stay_with_their_task() -> None:
 def test_a_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
     answers = {f"{number} + 0": str(number) for number in range(6)}
     outcomes = {
-        text: str(outcome) for text, outcome in executor.results(eval, ["0 + 0", EXIT_OF_WORKER, *list(answers)[1:]])
+        text: str(outcome)
+        for text, outcome in executor.results(eval, ["0 + 0", EXIT_OF_WORKER, *list(answers)[1:]])
     }
     assert outcomes == answers | {EXIT_OF_WORKER: "its process died 4 times"}
 
@@ -148,8 +167,12 @@ except InputError as error:
 
 
 def test_a_batch_needs_no_thread_and_reports_a_failed_process_start() -> None:
-    completed = subprocess.run([sys.executable, "-c", NO_THREADS], capture_output=True, text=True, timeout=60)
-    sentence = "cannot start a further process (Resource temporarily unavailable); --jobs 1 needs none"
+    completed = subprocess.run(
+        [sys.executable, "-c", NO_THREADS], capture_output=True, text=True, timeout=60
+    )
+    sentence = (
+        "cannot start a further process (Resource temporarily unavailable); --jobs 1 needs none"
+    )
     assert (completed.stdout.splitlines(), completed.stderr) == (["[1, 2]", sentence], "")
 
 
@@ -178,7 +201,9 @@ def test_ctrl_c_caught_by_compiled_code_ends_a_batch() -> None:
     assert isinstance(outcome, SystemError)
 
 
-def test_a_scheduler_is_located_by_its_file_and_threaded_workers_are_refused(tmp_path: Path) -> None:
+def test_a_scheduler_is_located_by_its_file_and_threaded_workers_are_refused(
+    tmp_path: Path,
+) -> None:
     import distributed
 
     with distributed.LocalCluster(**ONE_WORKER | {"threads_per_worker": 2}) as cluster:
@@ -196,8 +221,13 @@ def hanging(seconds: float) -> float:
 
 def test_workers_end_with_their_killed_command() -> None:
     """Workers hold the output of the command open, so that its reader would wait forever."""
-    script = "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), Worker()"
-    script += "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
+    script = (
+        "import os, time; from lampest.runs.executors import Worker; busy, idle = Worker(), "
+        "Worker()"
+    )
+    script += (
+        "; busy.begin(time.sleep, 100), idle.begin(abs, 2), idle.answer(), os.kill(os.getpid(), 9)"
+    )
     completed = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, timeout=60)
     assert completed.returncode == -signal.SIGKILL
 
@@ -205,7 +235,10 @@ def test_workers_end_with_their_killed_command() -> None:
 @pytest.mark.slow
 def test_a_hanging_task_is_ended_and_costs_no_other() -> None:
     begin = time.monotonic()
-    outcomes = {seconds: str(outcome) for seconds, outcome in Processes(1).results(hanging, [0.0, HANG_SECONDS, 0.01])}
+    outcomes = {
+        seconds: str(outcome)
+        for seconds, outcome in Processes(1).results(hanging, [0.0, HANG_SECONDS, 0.01])
+    }
     assert time.monotonic() - begin < HANG_SECONDS / 2
     assert (outcomes[0.0], outcomes[0.01]) == ("0.0", "0.01")
     assert outcomes[HANG_SECONDS].startswith("a frame went on far beyond solver.time_limit_s")
@@ -228,7 +261,12 @@ class Lost(Serial):
 def test_a_lost_scheduler_costs_no_finished_case(disk: SimpleNamespace) -> None:
     run = read_run(disk.run(disk.text + "formulation: reduced\n"))
     report = run_batch(run, disk.folder / "out", Lost())
-    assert (report.done, report.failed, report.not_run, report.lost) == (2, (), 1, "the scheduler is gone")
+    assert (report.done, report.failed, report.not_run, report.lost) == (
+        2,
+        (),
+        1,
+        "the scheduler is gone",
+    )
     assert report.results is not None and len(read_results(report.results).cases) == 2
     second_report = run_batch(run, disk.folder / "out", Serial())
     assert (second_report.done, second_report.skipped, second_report.not_run) == (1, 2, 0)
@@ -253,7 +291,9 @@ def test_an_executor_changes_no_case_id(disk: SimpleNamespace) -> None:
 
 
 @pytest.mark.slow
-def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_counted_while_cases_are_solved(
+    disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
     progress: list[tuple[int, int]] = []
     run = read_run(disk.folder / "run.yaml")
@@ -269,7 +309,9 @@ def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkey
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder, with a blank and quotes in its name, with an authority's certificate and one that it signed."""
+    """A folder, with a blank and quotes in its name, with an authority's certificate and one that
+    it signed.
+    """
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates")
     folder = tmp_path_factory.mktemp("it's mine")
@@ -282,7 +324,9 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_local_cluster_listens_only_on_the_loopback_address(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_local_cluster_listens_only_on_the_loopback_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Loggers are restored when the cluster has ended."""
     log = logging.getLogger("distributed.scheduler")
     monkeypatch.setattr(log, "level", logging.ERROR)

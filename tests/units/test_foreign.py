@@ -26,16 +26,34 @@ class Turned(Numbers):
         return super().read(path, columns, rows)
 
 
-def test_a_layout_is_given_or_follows_from_the_file_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_layout_is_given_or_follows_from_the_file_suffix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(importing, "LAYOUTS", (Numbers(),))
-    for name, layout in (("M.NUM", None), ("m.dat", "numbers"), ("m.num", "numbers"), ("m.dat", Numbers())):
+    for name, layout in (
+        ("M.NUM", None),
+        ("m.dat", "numbers"),
+        ("m.num", "numbers"),
+        ("m.dat", Numbers()),
+    ):
         np.arange(500, 512, dtype="<u2").tofile(tmp_path / name)
         recording, notes = import_file(tmp_path / name, 2, 3, layout=layout)
-        assert notes[0] == "layout numbers" and recording.recorded[1, 1, 2] == 511.5 and recording.time[1] == 0.05
+        assert (
+            notes[0] == "layout numbers"
+            and recording.recorded[1, 1, 2] == 511.5
+            and recording.time[1] == 0.05
+        )
         assert any(note.startswith("time: ms (guessed") for note in notes)
     with pytest.raises(InputError, match="layout numbers gives 2 × 3 × 2, not frames × 2 × 3"):
         import_file(tmp_path / "m.dat", 2, 3, layout=Turned())
-    with pytest.raises(InputError, match="layout='number'` is no import format; did you mean numbers"):
+    with pytest.raises(
+        InputError, match="layout='number'` is no import format; did you mean numbers"
+    ):
         import_file(tmp_path / "m.dat", 2, 3, layout="number")
     (tmp_path / "m.num").write_text("1,2,3\n")
-    assert import_file(tmp_path / "m.num", 1, 3, unit="ohm", layout="r0c0,r0c2,r0c1")[0].recorded[0, 0, 1] == 3
+    assert (
+        import_file(tmp_path / "m.num", 1, 3, unit="ohm", layout="r0c0,r0c2,r0c1")[0].recorded[
+            0, 0, 1
+        ]
+        == 3
+    )

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lampest.estimate.calibration.loads import _responses
-from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
+from lampest.estimate.changed_cells import (
+    MOVED_COST,
+    scores_with_errors,
+    select_changed,
+    usual_starts,
+)
 from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
@@ -37,7 +42,9 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
 
 
 def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
-    """−2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells, with the odds of each moved cell."""
+    """−2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells, with the odds of each
+    moved cell.
+    """
     with_moved = covariance + np.diag(moved.astype(float))
     volume = np.linalg.slogdet(with_moved)[1] - np.linalg.slogdet(covariance)[1]
     return float(change @ np.linalg.solve(with_moved, change) + volume + MOVED_COST * moved.sum())
@@ -49,37 +56,57 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     change[[2, 5]] += -0.8, 0.1 * seed
     precision = np.linalg.inv(covariance)
     lost, moved = select_changed(precision @ change, precision, usual_starts(change))
-    assert change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved), rel=1e-9)
+    assert change @ precision @ change + lost == pytest.approx(
+        evidence(change, covariance, moved), rel=1e-9
+    )
     subsets = (np.array(chosen) for chosen in product((False, True), repeat=8))
-    assert evidence(change, covariance, moved) == pytest.approx(min(evidence(change, covariance, m) for m in subsets))
-    score = scores_with_errors(change, precision, np.zeros((8, 1)))  # adds cells only, and may end above
+    assert evidence(change, covariance, moved) == pytest.approx(
+        min(evidence(change, covariance, m) for m in subsets)
+    )
+    # Adds cells only, and may end above.
+    score = scores_with_errors(change, precision, np.zeros((8, 1)))
     assert score[0] > evidence(change, covariance, moved) - 1e-9
 
 
-def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the second another."""
+def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the
+    second another.
+    """
     logarithm = np.full((4, 2, 3), 0.1)
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
     logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
     estimates = SimpleNamespace(frame=np.arange(2, 6), film=None)
     monkeypatch.setattr("lampest.estimate.calibration.loads.reconstruct", lambda *_: estimates)
-    monkeypatch.setattr("lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04))
+    monkeypatch.setattr(
+        "lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04)
+    )
     recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
     loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
     *_, within = _responses(recording, loads)
     np.testing.assert_allclose(within, [0.25, 0])
 
 
-def test_a_forked_child_renews_only_the_locks_of_cached_properties(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A property's lock would be held there for ever by a thread of the parent; the module's own is free again."""
+def test_a_forked_child_renews_only_the_locks_of_cached_properties(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A property's lock would be held there for ever by a thread of the parent; the module's own is
+    free again.
+    """
     held = RLock()
     waiting: Any = cached_property(len)
     waiting.lock = held
     bare: Any = cached_property(len)
     vars(bare).pop("lock", None)
     own = SimpleNamespace(lock=held)
-    module = SimpleNamespace(Owner=type("Owner", (), {"waiting": waiting, "bare": bare, "own": own}), number=1)
-    modules = {"lampest.mine": module, "others.mine": SimpleNamespace(Other=type("Other", (), {"waiting": "no lock"}))}
+    module = SimpleNamespace(
+        Owner=type("Owner", (), {"waiting": waiting, "bare": bare, "own": own}), number=1
+    )
+    modules = {
+        "lampest.mine": module,
+        "others.mine": SimpleNamespace(Other=type("Other", (), {"waiting": "no lock"})),
+    }
     monkeypatch.setattr(compiled.sys, "modules", modules)
     lock = RLock()
     monkeypatch.setattr(compiled, "_LOCK", lock)

@@ -1,4 +1,6 @@
-"""Files whose writer was killed: read as far as they are whole; damage in them is found, and repair drops it."""
+"""Files whose writer was killed: read as far as they are whole; damage in them is found, and repair
+drops it.
+"""
 
 import zlib
 from collections.abc import Callable
@@ -19,8 +21,19 @@ from lampest.recording.stored import StoredRecording, joined
 
 SCENE = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
 FRAMES = 12
-PLACES = ("two_point/resistance", "two_point/time", "two_point/role", "raw/sums", "acquisition/host_time")
-PLACES += ("acquisition/device_ms", "acquisition/sequence", "acquisition/lost", "acquisition/session")
+PLACES = (
+    "two_point/resistance",
+    "two_point/time",
+    "two_point/role",
+    "raw/sums",
+    "acquisition/host_time",
+)
+PLACES += (
+    "acquisition/device_ms",
+    "acquisition/sequence",
+    "acquisition/lost",
+    "acquisition/session",
+)
 
 
 @pytest.fixture
@@ -39,11 +52,15 @@ def flip(path: Path, place: str, row: int) -> None:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_check_names_a_damaged_frame_and_repair_drops_it(killed: Path, place: str, lampest: Callable[..., Any]) -> None:
+def test_check_names_a_damaged_frame_and_repair_drops_it(
+    killed: Path, place: str, lampest: Callable[..., Any]
+) -> None:
     meant = Recording.load(killed)
     flip(killed, place, 5)
     for reader in (Recording.load, StoredRecording.of):
-        with pytest.raises(InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
+        with pytest.raises(
+            InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"
+        ):
             reader(killed)
     completed = lampest("check", "--repair", killed)
     assert (completed.code, completed.err) == (0, "")
@@ -72,7 +89,9 @@ def test_estimates_of_a_board_are_stored_and_checked_like_sums(tmp_path: Path) -
     remaining = np.delete(np.arange(FRAMES), 5)
     np.testing.assert_array_equal(recording.board_log_change, expected[remaining])
     assert joined((recording,), remaining > 7).board_log_change.shape == (4, 3, 4)
-    with pytest.raises(InputError, match="/entry/board/log_change has another shape than the frames"):
+    with pytest.raises(
+        InputError, match="/entry/board/log_change has another shape than the frames"
+    ):
         replace(recording, board_log_change=expected)
 
 
@@ -85,7 +104,9 @@ def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) 
 
 @pytest.mark.parametrize("damaged", [None, 5])
 def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:
-    """Checksums of older versions: of the columns of a row alone, without a salt and the row's number."""
+    """Checksums of older versions: of the columns of a row alone, without a salt and the row's
+    number.
+    """
     meant = Recording.load(killed).recorded
     with h5py.File(killed.with_name("growing.h5"), "r+") as file:
         for rows in (Rows.of_frames(SCENE.circuit), EVENTS):
@@ -93,7 +114,9 @@ def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None)
             del sums.attrs["salt"]
             columns = [file[f"entry/{path}"] for path, *_ in rows.datasets]
             for row in range(len(sums)):
-                sums[row] = zlib.crc32(b"".join(column[row : row + 1].tobytes() for column in columns))
+                sums[row] = zlib.crc32(
+                    b"".join(column[row : row + 1].tobytes() for column in columns)
+                )
         if damaged is not None:
             file["entry/raw/sums"][damaged] = file["entry/raw/sums"][damaged] ^ np.uint16(1)
     old = killed.with_name("growing.h5")
@@ -113,14 +136,19 @@ def test_a_damaged_event_is_dropped(killed: Path) -> None:
     assert repair(killed) == (FRAMES, 0)
     acquisition = Recording.load(killed).acquisition
     assert (
-        acquisition is not None and acquisition.event_label == ("leave",) and acquisition.event_time.tolist() == [0.5]
+        acquisition is not None
+        and acquisition.event_label == ("leave",)
+        and acquisition.event_time.tolist() == [0.5]
     )
 
 
 def test_the_shortest_dataset_limits_the_number_of_events(killed: Path) -> None:
     """A writer that was killed between two datasets left one longer than the other."""
     for name, flags in (("time", [1, 0]), ("label", [1, 0]), ("crc32", [1])):
-        with h5py.File(killed.with_name("growing.h5")) as file, h5py.File(killed.with_name("c.h5"), "w") as copy:
+        with (
+            h5py.File(killed.with_name("growing.h5")) as file,
+            h5py.File(killed.with_name("c.h5"), "w") as copy,
+        ):
             file.copy("entry", copy)
             copy[f"entry/acquisition/event_{name}"].resize(1, axis=0)
             assert EVENTS.undamaged(copy).tolist() == flags

@@ -1,4 +1,6 @@
-"""Libraries: what is said where one is missing, and which commands do without those that take long to import."""
+"""Libraries: what is said where one is missing, and which commands do without those that take long
+to import.
+"""
 
 import ast
 import itertools
@@ -18,11 +20,23 @@ from lampest.report.detect.answer import Detected
 HOUSE = Path(__file__).parents[2]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
 EXTRAS = {"dask": "cluster", "hdmf": "export"}  # come with what an extra names
-HEAVY = ("casadi", "numpy", "scipy", "h5py", "pydantic", "ruamel", "matplotlib", "xarray", "pandas", "serial")
+HEAVY = (
+    "casadi",
+    "numpy",
+    "scipy",
+    "h5py",
+    "pydantic",
+    "ruamel",
+    "matplotlib",
+    "xarray",
+    "pandas",
+    "serial",
+)
 LOAD_RECORDING = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
 HELP = (
     "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
-    "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): cli.main()\n"
+    "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): "
+    "cli.main()\n"
     "words = 'run simulate import compare plot show info'.split(); "
     "assert all(word in page.getvalue() for word in words)"
 )
@@ -46,15 +60,23 @@ def imported() -> set[str]:
 
 @pytest.mark.slow
 def test_every_optional_library_has_its_pip_name() -> None:
-    requirements = [*PROJECT["dependencies"], *itertools.chain(*PROJECT["optional-dependencies"].values())]
-    known = {match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))} | EXTRAS.keys()
+    requirements = [
+        *PROJECT["dependencies"],
+        *itertools.chain(*PROJECT["optional-dependencies"].values()),
+    ]
+    known = {
+        match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))
+    } | EXTRAS.keys()
     known |= {f"lampest[{name}]" for name in PROJECT["optional-dependencies"]}
     assert len(imported()) > 20, "imports were collected"
     assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
 
 
 def test_the_error_of_a_missing_library_names_its_extra_unlike_own_modules() -> None:
-    for library, groups, brings in (("serial", (), "pyserial"), ("paho.mqtt", ("streams",), r"lampest\[streams\]")):
+    for library, groups, brings in (
+        ("serial", (), "pyserial"),
+        ("paho.mqtt", ("streams",), r"lampest\[streams\]"),
+    ):
         words = rf"^{library} is not installed; pip install '{brings}' brings it$"
         with pytest.raises(InputError, match=words), extra(*groups):
             raise ModuleNotFoundError(f"No module named '{library}'", name=library)
@@ -63,7 +85,9 @@ def test_the_error_of_a_missing_library_names_its_extra_unlike_own_modules() -> 
             raise ModuleNotFoundError("no such module", name=name)
 
 
-def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     recording = lampest.Recording.load(HOUSE / "tests" / "golden" / "recording.h5")
     estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")], error_bars=False)
     for name in [*sys.modules]:
@@ -84,7 +108,12 @@ def test_detect_writes_everything_but_pictures_without_matplotlib(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("lampest.cli.results.find_spec", lambda name: None)
-    _tell([Detected.unknown("mat", "one frame shows no change; three are needed")], [], tmp_path, everything=False)
+    _tell(
+        [Detected.unknown("mat", "one frame shows no change; three are needed")],
+        [],
+        tmp_path,
+        everything=False,
+    )
     assert {path.name for path in tmp_path.iterdir()} == {"detections.h5", "visits.csv"}
     captured = capsys.readouterr()
     assert "lampest[plots]" in captured.out + captured.err
@@ -102,12 +131,16 @@ def loaded_modules(code: str) -> set[str]:
 def test_a_process_imports_only_needed_libraries() -> None:
     for code, absent in (
         (LOAD_RECORDING, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
-        ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "casadi", "lampest.estimate")),
+        (
+            "import lampest.report.info, lampest.report.compare",
+            ("scipy.linalg", "casadi", "lampest.estimate"),
+        ),
         ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
         ("import lampest; assert len(dir(lampest)) > 50", (*HEAVY, "lampest.panel", "lampest.cli")),
         (
-            "import lampest; lampest.reconstruct; lampest.Recording; lampest.Misfit; lampest.Reconstruction",
+            "import lampest; lampest.reconstruct; lampest.Recording; lampest.Misfit; "
+            "lampest.Reconstruction",
             ("matplotlib", "xarray", "pandas", "typer"),
         ),
         (HELP, HEAVY),

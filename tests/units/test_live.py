@@ -1,4 +1,6 @@
-"""The live engine, without a board and without a browser; memory and open files of what runs for weeks."""
+"""The live engine, without a board and without a browser; memory and open files of what runs for
+weeks.
+"""
 
 import dataclasses
 import json
@@ -61,23 +63,35 @@ def lamprey() -> Recording:
 
 def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> list[Picture]:
     """A replay in which every frame waits until the one before was solved."""
-    return live_pictures(estimator, baseline, lambda engine: from_recording(engine, recording, 1e9, None))
+    return live_pictures(
+        estimator, baseline, lambda engine: from_recording(engine, recording, 1e9, None)
+    )
 
 
 def of_every_frame(name: str) -> Estimator:
-    """A method that takes every frame's own weight, since only a batch knows which will be the strongest."""
+    """A method that takes every frame's own weight, since only a batch knows which will be the
+    strongest.
+    """
     return dataclasses.replace(METHODS[name], auto_weight=AutoWeight(per="frame"))
 
 
 @pytest.mark.slow
-def test_findings_of_the_other_process_reach_later_frames(lamprey: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that waits for them."""
+def test_findings_of_the_other_process_reach_later_frames(
+    lamprey: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that
+    waits for them.
+    """
     monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
     *_, waited = pictures(METHODS["smooth"], lies)
     batch = reconstruct(lies, METHODS["smooth"])
     engine = Engine("test", "test", METHODS["smooth"], 3, beside=True)
-    view = replay(engine, lies, lambda: until(lambda: engine.shown.item.frames in (3, engine.shown.item.deviation_of)))
+    view = replay(
+        engine,
+        lies,
+        lambda: until(lambda: engine.shown.item.frames in (3, engine.shown.item.deviation_of)),
+    )
     assert view.picture is not None and view.skipped == 0
     np.testing.assert_allclose(view.picture.relative_change, waited.relative_change, atol=0.05)
     names = ("pressure", "lower", "upper", "errors", "own", "common", "saturated", "pressing")
@@ -122,17 +136,24 @@ def replay(engine: Engine, recording: Recording, on_frame: Callable[[], object])
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "method", [of_every_frame("smooth"), of_every_frame("relative_change"), ARRIVAL], ids=["gCR", "dCR", "arrival"]
+    "method",
+    [of_every_frame("smooth"), of_every_frame("relative_change"), ARRIVAL],
+    ids=["gCR", "dCR", "arrival"],
 )
 def test_live_estimates_equal_those_of_a_batch(method: Estimator) -> None:
-    # Without outliers, and errors of single readings: only a batch sees later frames, which tell them from a change.
-    ((_, simulation),) = read_simulations(Path(__file__).parents[2] / "configs" / "lamprey_35mm.yaml")
+    # Without outliers, and errors of single readings: only a batch sees later frames, which tell
+    # them from a change.
+    ((_, simulation),) = read_simulations(
+        Path(__file__).parents[2] / "configs" / "lamprey_35mm.yaml"
+    )
     calm = dataclasses.replace(simulation.unmodelled, outlier_probability=0.0)
     exact = dataclasses.replace(simulation.scene, systematic="none")
     lamprey = simulate(dataclasses.replace(simulation, scene=exact, frames=6, unmodelled=calm))
     live = pictures(method, lamprey)
     batch = reconstruct(lamprey, method)
-    np.testing.assert_array_equal([picture.relative_change for picture in live], batch.relative_change)
+    np.testing.assert_array_equal(
+        [picture.relative_change for picture in live], batch.relative_change
+    )
     change = 100 * (batch.measured / batch.measured_baseline - 1)
     np.testing.assert_array_equal([picture.measured_change for picture in live], change)
     assert [picture.status for picture in live] == ["optimum verified"] * 6
@@ -145,7 +166,9 @@ def test_a_reading_frozen_in_the_unloaded_frames_stays_missing_and_is_named() ->
     recorded = two_point_resistance(3000 * np.exp(0.001 * rng.standard_normal((11, 5, 6))))
     recorded[8:, 2] *= 0.9
     recorded[:, 2, 3] = recorded[0, 1, 1]
-    frozen = Recording(Scene(Panel(5, 6), TwoPointReadout()), recorded, np.arange(11.0), np.repeat([0, 1], [8, 3]))
+    frozen = Recording(
+        Scene(Panel(5, 6), TwoPointReadout()), recorded, np.arange(11.0), np.repeat([0, 1], [8, 3])
+    )
     with Engine("test", "test", LSM, 8) as engine:
         from_recording(engine, frozen, 1e9, None)
         engine.finish()
@@ -165,7 +188,8 @@ def test_live_reports_a_wrong_circuit_but_not_a_wrong_reading(lamprey: Recording
         sentence = engine.shown.item.model
     assert "series_resistance_ohm near" in sentence
     assert json.loads(view_text(View("a", "b", "c", model=sentence), 0.0))["model"] == sentence
-    # The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells to 100 ohm.
+    # The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells
+    # to 100 ohm.
     mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
     frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
     role = np.repeat([UNLOADED, MEASURED], 3)
@@ -212,15 +236,28 @@ def test_a_failed_frame_shows_no_number_and_the_next_is_solved(lamprey: Recordin
     shown = pictures(LSM, dataclasses.replace(lamprey, recorded=resistance))
     failed = shown[1]
     recovered = shown[2]
-    assert failed.status == "too few of the frame's readings are values: the others are missing, or bounds"
-    assert np.isnan(failed.measured_change[1:]).all() and np.isfinite(failed.measured_change[0]).all()
-    assert np.isnan(failed.relative_change).all() and np.isnan(failed.force.newton) and not failed.open_cell.any()
+    assert (
+        failed.status
+        == "too few of the frame's readings are values: the others are missing, or bounds"
+    )
+    assert (
+        np.isnan(failed.measured_change[1:]).all() and np.isfinite(failed.measured_change[0]).all()
+    )
+    assert (
+        np.isnan(failed.relative_change).all()
+        and np.isnan(failed.force.newton)
+        and not failed.open_cell.any()
+    )
     assert recovered.status == "optimum verified" and np.isfinite(recovered.relative_change).all()
     view = with_picture(View("here", "LSM", "receiving", lamprey.scene.panel), failed)
     content = json.loads(view_text(view, 0.0), parse_constant=pytest.fail)
-    assert content["picture"]["change"] == [None] * 100 and not content["picture"]["health"]["solved"]
+    assert (
+        content["picture"]["change"] == [None] * 100 and not content["picture"]["health"]["solved"]
+    )
     assert content["picture"]["force"] is None and content["history"] == [[failed.time, None]]
-    below = dataclasses.replace(lamprey, scene=dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0))
+    below = dataclasses.replace(
+        lamprey, scene=dataclasses.replace(lamprey.scene, series_resistance_ohm=5000.0)
+    )
     for picture in pictures(LSM, below):
         assert picture.status == failed.status
         assert np.isnan(picture.relative_change).all() and np.isnan(picture.force.newton)
@@ -229,7 +266,10 @@ def test_a_failed_frame_shows_no_number_and_the_next_is_solved(lamprey: Recordin
 @pytest.mark.parametrize("frames", [None, 1])
 def test_an_exception_of_the_solver_stops_live(lamprey: Recording, frames: int | None) -> None:
     narrow = dataclasses.replace(LSM, bounds=Bounds(upper=1.0))
-    with Engine("test", "test", narrow, 3) as engine, pytest.raises(InputError, match="bounds leave no room for cell"):
+    with (
+        Engine("test", "test", narrow, 3) as engine,
+        pytest.raises(InputError, match="bounds leave no room for cell"),
+    ):
         from_recording(engine, lamprey, 1e9, frames)
         engine.finish()
 
@@ -250,7 +290,9 @@ def test_estimators_are_chosen_by_name_or_from_a_file(disk: SimpleNamespace) -> 
     assert chosen(None, disk.run())[0] == "LSM"
     name, estimator = chosen("LSR-dCR", disk.run())
     assert (name, estimator.formulation, estimator.relative) == ("LSR-dCR", "auto", True)
-    with pytest.raises(InputError, match=r"no estimator is called 'LSR'; .*run\.yaml has LSM, LSR-CR, LSR-dCR"):
+    with pytest.raises(
+        InputError, match=r"no estimator is called 'LSR'; .*run\.yaml has LSM, LSR-CR, LSR-dCR"
+    ):
         chosen("LSR", disk.run())
 
 
@@ -260,14 +302,20 @@ def test_live_pressure_excludes_the_memory_of_the_film() -> None:
     film = Film(0.2, 0.08)
     course = Course(start_s=30, release_at_s=50)
     rod = Rod(kind="rod", centre_mm=(25, 25), diameter_mm=40, mass_g=1500)
-    scene = Scene(Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse())
-    specified = simulate(Simulation(1, 3, scene, frames=100, loads=(rod,), course=course, film=film))
+    scene = Scene(
+        Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse()
+    )
+    specified = simulate(
+        Simulation(1, 3, scene, frames=100, loads=(rod,), course=course, film=film)
+    )
     silent = dataclasses.replace(specified, scene=dataclasses.replace(specified.scene, film=None))
     forces = [pictures(LSM, recording)[-40].force.newton for recording in (specified, silent)]
     assert abs(forces[0]) < 0.1 * abs(forces[1])
 
 
-def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_of_a_board_reach_the_engine_and_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The button of the page and `out` record; two frames before the second of three were lost."""
     hello = dataclasses.replace(IDLE, readings=64, period_us=500_000)
     sums = np.full((4, 3, 4), 64 * 700, np.uint16)
@@ -275,7 +323,8 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
     frames = [Frame(64, number, 500 * number, 0, each) for number, each in enumerate(sums)]
     declared = scene_of(hello, None)
     samples = [
-        Sample(each, hello, declared, 0.5 * number, 50.0, 2 * (number == 1), 0) for number, each in enumerate(frames)
+        Sample(each, hello, declared, 0.5 * number, 50.0, 2 * (number == 1), 0)
+        for number, each in enumerate(frames)
     ]
 
     def arriving(*source: Any, **options: Any) -> Any:
@@ -286,7 +335,11 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     board = LiveBoard(("port",), None, 2)
     with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, actions):
-        assert recorder is not None and actions.record is not None and engine.shown.item.recording == ("", False)
+        assert (
+            recorder is not None
+            and actions.record is not None
+            and engine.shown.item.recording == ("", False)
+        )
         actions.record("one")
         from_board(engine, board, 3, recorder.take)
         assert engine.shown.item.recording == (f"recording {tmp_path / 'one.h5'}: 3 frames", True)
@@ -301,7 +354,11 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(tmp_path: Path, mo
         engine.finish()
         written = engine.shown.item
     for view, name in ((button, "one"), (written, "two")):
-        assert (view.frames, view.lost, view.state) == (3, 2, "receiving") and view.picture is not None
+        assert (view.frames, view.lost, view.state) == (
+            3,
+            2,
+            "receiving",
+        ) and view.picture is not None
         assert (view.picture.number, view.picture.time, view.picture.arrived) == (3, 1.0, 50.0)
         assert np.unravel_index(np.argmax(np.abs(view.picture.measured_change)), (3, 4)) == (1, 2)
         recording = Recording.load(tmp_path / f"{name}.h5")

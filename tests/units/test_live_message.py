@@ -28,7 +28,9 @@ from lampest.report.live.watcher import Unloaded, Watched, watcher
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
-LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), breath=Breathing(6.0))
+LAMPREY = Attachment(
+    0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), ((-11.0, 1.9),), breath=Breathing(6.0)
+)
 CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
@@ -38,21 +40,31 @@ def test_an_urgent_errand_waits_only_for_urgent_ones() -> None:
     check = Errand("check", int)
     assert look.queued([check]) == [check, look]
     assert Errand("look", float).queued([look, check]) == [Errand("look", float), check]
-    assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued([urgent])
+    assert look.queued([urgent]) == [urgent] and urgent.queued([look]) == [urgent] == urgent.queued(
+        [urgent]
+    )
     assert look.run() == 0
 
 
-def simulated_mouth(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
+def simulated_mouth(
+    frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25
+) -> Recording:
     """Three unloaded frames and some measured ones."""
-    course = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
-    simulation = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
+    course = Course(
+        start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1
+    )
+    simulation = Simulation(
+        1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course
+    )
     return dataclasses.replace(simulate(simulation), name="mouth")
 
 
 def news(recording: Recording) -> list[object]:
     """As the engine hands a recording on."""
     scans = [scan_of(recording, frame) for frame in range(len(recording.time))]
-    unloaded = tuple(scan for scan, role in zip(scans, recording.role, strict=True) if role == UNLOADED)
+    unloaded = tuple(
+        scan for scan, role in zip(scans, recording.role, strict=True) if role == UNLOADED
+    )
     measured = [scan for scan, role in zip(scans, recording.role, strict=True) if role == MEASURED]
     return [Unloaded(recording.scene, unloaded), *measured]
 
@@ -63,11 +75,15 @@ def test_live_and_detect_give_the_same_answer(tmp_path: Path) -> None:
     recording.save(tmp_path / "mouth.h5")
     batch = detect_recording(tmp_path / "mouth.h5")
     live = functools.reduce(Watched.after, news(recording), Watched(recording.name)).detected
-    assert live.answer == batch.answer == "lamprey" and live.content().keys() == batch.content().keys()
+    assert (
+        live.answer == batch.answer == "lamprey" and live.content().keys() == batch.content().keys()
+    )
     assert live.frames_per_second == batch.frames_per_second == 4.0
     (live_load,) = live.attachments
     (batch_load,) = batch.attachments
-    assert live_load.since_s == batch_load.since_s and live_load.place == pytest.approx(batch_load.place, abs=0.3)
+    assert live_load.since_s == batch_load.since_s and live_load.place == pytest.approx(
+        batch_load.place, abs=0.3
+    )
 
 
 @pytest.mark.slow
@@ -95,7 +111,9 @@ def test_a_wait_ends_on_its_condition_or_timeout() -> None:
     assert waited(lambda: True, 0.0)
 
 
-def test_the_log_contains_each_changed_answer_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_contains_each_changed_answer_with_its_reason(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     answers = [Detected.of("mouth", (load,), 4.0) for load in (CUP, CUP, LAMPREY, LAMPREY)]
     with Engine("test", "test", METHODS["smooth"], 3) as engine:
         for answer in answers:

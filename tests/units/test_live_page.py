@@ -1,4 +1,6 @@
-"""The live page's server: views, guests, addresses, tokens, and what the page itself may ask for."""
+"""The live page's server: views, guests, addresses, tokens, and what the page itself may ask
+for.
+"""
 
 import contextlib
 import dataclasses
@@ -26,19 +28,25 @@ from lampest.report.live.server import PageActions, address, is_local_name, serv
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
-MAX_CLOSING_SECONDS = 3.0  # of a server with a client that never asks; its connection times out after ten
+# Of a server with a client that never asks; its connection times out after ten.
+MAX_CLOSING_SECONDS = 3.0
 
 
 @contextlib.contextmanager
 def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]:
-    """A running server with what it shows; `ask` opens a connection and returns the answer, `status` its code.
+    """A running server with what it shows; `ask` opens a connection and returns the answer,
+    `status` its code.
 
     On the loopback address requests have the cookie of a visitor, unless a token is given.
     """
     shown = Newest(View("here", "LSM", "receiving"))
     with serving(host, 0, shown, *given, **actions) as server, contextlib.ExitStack() as stack:
         port = int(server.server_address[1])
-        visitor = {"Cookie": f"{server.access.name}={server.access.secret}"} if server.local and not given else {}
+        visitor = (
+            {"Cookie": f"{server.access.name}={server.access.secret}"}
+            if server.local and not given
+            else {}
+        )
 
         def ask(path: str = "/", method: str = "GET", **headers: str) -> http.client.HTTPResponse:
             begun = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
@@ -49,14 +57,18 @@ def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]
 
         def wired(request: bytes) -> socket.socket:
             client = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
-            crumbs = "".join(f"\r\n{name}: {value}\r\nHost: " for name, value in visitor.items()).encode()
+            crumbs = "".join(
+                f"\r\n{name}: {value}\r\nHost: " for name, value in visitor.items()
+            ).encode()
             client.sendall(request.replace(b"\r\nHost: ", crumbs, 1) if crumbs else request)
             return client
 
         def status(*words: str, **headers: str) -> int:
             return ask(*words, **headers).status
 
-        yield SimpleNamespace(server=server, shown=shown, port=port, ask=ask, status=status, wired=wired)
+        yield SimpleNamespace(
+            server=server, shown=shown, port=port, ask=ask, status=status, wired=wired
+        )
 
 
 @pytest.fixture
@@ -163,8 +175,13 @@ def test_actions_are_reserved_for_the_page_and_need_the_token() -> None:
 def test_the_loopback_server_refuses_foreign_host_names(page: SimpleNamespace) -> None:
     assert page.status(Host="localhost:8137") == 200
     assert page.status("/views", Host="attacker.example:8137") == 403
-    assert all(is_local_name(name) for name in ("127.0.0.1", "[::1]:80", "[::1]", "localhost", "127.0.0.9:1"))
-    assert not any(is_local_name(name) for name in ("", "10.0.0.1:80", "localhost.example", "[::2]:80"))
+    assert all(
+        is_local_name(name)
+        for name in ("127.0.0.1", "[::1]:80", "[::1]", "localhost", "127.0.0.9:1")
+    )
+    assert not any(
+        is_local_name(name) for name in ("", "10.0.0.1:80", "localhost.example", "[::2]:80")
+    )
     for request, hosts, code in (
         ("PUT", ["localhost"], 405),
         ("GET", ["localhost", "evil.example"], 400),
@@ -173,13 +190,22 @@ def test_the_loopback_server_refuses_foreign_host_names(page: SimpleNamespace) -
         lines = [f"{request} / HTTP/1.1", *(f"Host: {host}" for host in hosts), "", ""]
         with page.wired("\r\n".join(lines).encode()).makefile("rb") as stream:
             answer = stream.read()
-        assert answer.startswith(b"HTTP/1.0 %d " % code) and answer.count(b"HTTP/1.") == 1 and b"<html" not in answer
+        assert (
+            answer.startswith(b"HTTP/1.0 %d " % code)
+            and answer.count(b"HTTP/1.") == 1
+            and b"<html" not in answer
+        )
 
 
 def test_clients_may_connect_and_disconnect_at_any_time(
     page: SimpleNamespace, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    for request in (b"", b"GET", b"\0\xff\r\n\r\n", b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n") * 10:
+    for request in (
+        b"",
+        b"GET",
+        b"\0\xff\r\n\r\n",
+        b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    ) * 10:
         with page.wired(request) as client:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     for _ in range(3):
@@ -227,7 +253,9 @@ def test_an_address_needs_a_host_and_a_free_port(page: SimpleNamespace) -> None:
     for text in ("", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"):
         with pytest.raises(InputError, match="not of the form HOST:PORT"):
             address(text)
-    with pytest.raises(InputError, match=rf"cannot listen at 127\.0\.0\.1:{page.port} \(Address already in use\)"):
+    with pytest.raises(
+        InputError, match=rf"cannot listen at 127\.0\.0\.1:{page.port} \(Address already in use\)"
+    ):
         live(Replay(LAMPREY), chosen(None, None), Outlets(f"127.0.0.1:{page.port}"))
 
 
@@ -245,7 +273,9 @@ def test_other_local_users_and_pages_take_no_seat(origin: str) -> None:
             assert page.status("/zero", "POST", X_Lampest="zero", Sec_Fetch_Site=site) == 403
             assert page.status("/", Sec_Fetch_Site=site) == 200, "a link to the page"
         assert page.status("/zero", "POST", X_Lampest="zero", Origin=origin) == 403
-        seats = [page.server.seats.acquire(blocking=False) for _ in range(server_module.MAX_STREAMS)]
+        seats = [
+            page.server.seats.acquire(blocking=False) for _ in range(server_module.MAX_STREAMS)
+        ]
         assert all(seats)
         for _ in seats:
             page.server.seats.release()
@@ -255,17 +285,31 @@ def test_other_local_users_and_pages_take_no_seat(origin: str) -> None:
 
 
 def test_remote_clients_need_the_token(open_page: SimpleNamespace) -> None:
-    for path in ("/", "/views", "/nothing", "/?token=", "/?token=a-token-of-my-owN", f"/?other={TOKEN}", f"/#{TOKEN}"):
+    for path in (
+        "/",
+        "/views",
+        "/nothing",
+        "/?token=",
+        "/?token=a-token-of-my-owN",
+        f"/?other={TOKEN}",
+        f"/#{TOKEN}",
+    ):
         answer = open_page.ask(path)
         text = answer.read()
         assert (answer.status, answer.headers.get("Set-Cookie")) == (403, None)
         assert b"lampest printed" in text and b"receiving" not in text
-    for headers in ({"Cookie": f"lampest={TOKEN}"}, {"Authorization": f"Basic {TOKEN}"}, {"Cookie": '="\x01'}):
+    for headers in (
+        {"Cookie": f"lampest={TOKEN}"},
+        {"Authorization": f"Basic {TOKEN}"},
+        {"Cookie": '="\x01'},
+    ):
         assert open_page.status("/views", **headers) == 403
     assert open_page.status(f"/?token={TOKEN}", "PUT") == 405
 
 
-def test_a_browser_needs_the_token_once_and_programs_send_it_in_any_form(open_page: SimpleNamespace) -> None:
+def test_a_browser_needs_the_token_once_and_programs_send_it_in_any_form(
+    open_page: SimpleNamespace,
+) -> None:
     assert open_page.server.url == f"http://127.0.0.1:{open_page.port}/?token={TOKEN}"
     answer = open_page.ask(f"/?token={TOKEN}")
     cookie = answer.headers["Set-Cookie"]
@@ -274,10 +318,15 @@ def test_a_browser_needs_the_token_once_and_programs_send_it_in_any_form(open_pa
     crumb = cookie.split(";")[0]
     second = open_page.ask(Cookie=crumb)
     assert (second.status, second.headers.get("Set-Cookie")) == (200, None)
-    assert first_view(open_page.ask("/views", Cookie=f"theme=dark; {crumb}"))["state"] == "receiving"
+    assert (
+        first_view(open_page.ask("/views", Cookie=f"theme=dark; {crumb}"))["state"] == "receiving"
+    )
     assert open_page.status("/views", Cookie=crumb[:-1]) == 403
     assert open_page.status(f"/views?token={TOKEN}") == 200
-    assert all(open_page.status("/views", Authorization=f"{kind} {TOKEN}") == 200 for kind in ("Bearer", "token"))
+    assert all(
+        open_page.status("/views", Authorization=f"{kind} {TOKEN}") == 200
+        for kind in ("Bearer", "token")
+    )
 
 
 def test_a_missing_token_is_generated() -> None:
@@ -291,16 +340,27 @@ def test_a_missing_token_is_generated() -> None:
     with page_at("127.0.0.1", TOKEN) as guarded:
         assert (guarded.status(), guarded.status(f"/?token={TOKEN}")) == (403, 200)
     for token in ("short", "with a blank in it", "ä" * 20, "x" * 15):
-        with pytest.raises(InputError, match="--token: give at least 16"), page_at("127.0.0.1", token):
+        with (
+            pytest.raises(InputError, match="--token: give at least 16"),
+            page_at("127.0.0.1", token),
+        ):
             pass
 
 
-def test_tokens_are_compared_in_constant_time(open_page: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tokens_are_compared_in_constant_time(
+    open_page: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whatever is brought goes through the comparison that does not tell where texts differ."""
     compared: list[bytes] = []
-    monkeypatch.setattr(server_module, "compare_digest", lambda brought, secret: bool(compared.append(brought)))
+    monkeypatch.setattr(
+        server_module, "compare_digest", lambda brought, secret: bool(compared.append(brought))
+    )
     access = open_page.server.access
-    assert open_page.status(f"/?token={TOKEN}") == open_page.status(Authorization=f"Bearer {TOKEN}") == 403
+    assert (
+        open_page.status(f"/?token={TOKEN}")
+        == open_page.status(Authorization=f"Bearer {TOKEN}")
+        == 403
+    )
     assert open_page.status(Cookie=f"{access.name}={access.secret}") == 403
     assert len([text for text in compared if text]) == 3
 

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from lampest import Panel
-from lampest.report.plots.maps import MapPainter, Tile, change_scale, limited, log_scale, maps_figure
+from lampest.report.plots.maps import (
+    MapPainter,
+    Tile,
+    change_scale,
+    limited,
+    log_scale,
+    maps_figure,
+)
 from lampest.report.plots.style import new_figure, wrapped
 
 
@@ -16,7 +23,9 @@ def test_numbers_of_a_horizontal_bar_do_not_collide(shape: tuple[int, int]) -> N
     figure = new_figure(3.4)
     right = figure.subfigures(1, 2, width_ratios=(1.45, 1))[1]  # as in a timeline of detections
     axes = right.subplots()
-    painter = MapPainter(Panel(*shape, 10.0), change_scale([change], "relative change of resistance [%]"))
+    painter = MapPainter(
+        Panel(*shape, 10.0), change_scale([change], "relative change of resistance [%]")
+    )
     painter.draw(axes, Tile("map", change))
     painter.bar(axes.figure, axes, "bottom")
     figure.canvas.draw()
@@ -28,18 +37,26 @@ def test_numbers_of_a_horizontal_bar_do_not_collide(shape: tuple[int, int]) -> N
 
 @pytest.mark.parametrize("count", [3, 11])
 @pytest.mark.parametrize("shape", [(24, 4), (30, 3), (16, 6)])
-def test_titles_and_numbers_of_narrow_panels_do_not_collide(shape: tuple[int, int], count: int) -> None:
+def test_titles_and_numbers_of_narrow_panels_do_not_collide(
+    shape: tuple[int, int], count: int
+) -> None:
     change = np.random.default_rng(0).uniform(-50, 50, shape)
     tiles = [Tile(f"few_changes {n}", change, note="error 100 %") for n in range(count)]
-    figure = maps_figure(tiles, Panel(*shape, 10.0), change_scale([change], "change of resistance [%]"))
+    figure = maps_figure(
+        tiles, Panel(*shape, 10.0), change_scale([change], "change of resistance [%]")
+    )
     figure.canvas.draw()
     maps = [axes for axes in figure.axes if axes.get_title()]
     assert len(maps) == count
     titles = [axes.title.get_window_extent() for axes in maps]
     assert all(not first.overlaps(second) for first, second in combinations(titles, 2))
     for axes in maps:
-        boxes = [label.get_window_extent() for label in axes.get_xticklabels() if label.get_visible()]
-        assert all(first.x1 < second.x0 for first, second in pairwise(box for box in boxes if box.width))
+        boxes = [
+            label.get_window_extent() for label in axes.get_xticklabels() if label.get_visible()
+        ]
+        assert all(
+            first.x1 < second.x0 for first, second in pairwise(box for box in boxes if box.width)
+        )
 
 
 def test_texts_break_between_words_or_after_a_sign() -> None:

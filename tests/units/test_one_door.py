@@ -1,4 +1,6 @@
-"""File, live replay, a board's frames and the user's own loop: the same cells, whatever the scene names."""
+"""File, live replay, a board's frames and the user's own loop: the same cells, whatever the scene
+names.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -37,7 +39,14 @@ from lampest.report.live.run import from_recording, take_sample
 
 SHAPE = (8, 9)
 SOUND_SCENE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)
-MOUTH = OralDisc(kind="oral_disc", centre_mm=(42, 33), diameter_mm=32, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=80)
+MOUTH = OralDisc(
+    kind="oral_disc",
+    centre_mm=(42, 33),
+    diameter_mm=32,
+    rim_width_mm=5.5,
+    pressure_kpa=-10,
+    rim_kpa=80,
+)
 LSM = Estimator((Misfit(),), "reduced")
 RELATIVE = Estimator((Misfit(), RelativeChange(weight=10.0)), "reduced")
 ARRIVAL = Estimator((Misfit(weighting="noise"), Arrival()), "reduced")
@@ -46,7 +55,9 @@ STEPS = ("without_outliers", "estimate_noise", "resolved", "warnings_of")
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, cells that are broken in truth, and how it is estimated; least : share of readings that are none."""
+    """A scene, cells that are broken in truth, and how it is estimated; least : share of readings
+    that are none.
+    """
 
     scene: Scene
     broken: Faults = Faults()
@@ -56,18 +67,32 @@ class Case:
 
 CASES = {
     "nothing": Case(SOUND_SCENE),
-    "dead row": Case(replace(SOUND_SCENE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8),
+    "dead row": Case(
+        replace(SOUND_SCENE, faults=Faults(dead_rows=(2,))), Faults(dead_rows=(2,)), least=1 / 8
+    ),
     "dead column": Case(
-        replace(SOUND_SCENE, faults=Faults(dead_columns=(4,))), Faults(dead_columns=(4,)), RELATIVE, 1 / 9
+        replace(SOUND_SCENE, faults=Faults(dead_columns=(4,))),
+        Faults(dead_columns=(4,)),
+        RELATIVE,
+        1 / 9,
     ),
     "open cell": Case(replace(SOUND_SCENE, faults=Faults(open=((3, 4),))), Faults(open=((3, 4),))),
     "shorted cell": Case(
-        replace(SOUND_SCENE, faults=Faults(shorted=((5, 1),))), Faults(shorted=((5, 1),)), least=1 / 72
+        replace(SOUND_SCENE, faults=Faults(shorted=((5, 1),))),
+        Faults(shorted=((5, 1),)),
+        least=1 / 72,
     ),
     "reading of zero": Case(SOUND_SCENE, Faults(shorted=((5, 1),)), least=1 / 72),
-    "readings at a rail": Case(replace(SOUND_SCENE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1),
-    "systematic errors": Case(replace(SOUND_SCENE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL),
-    "water": Case(replace(SOUND_SCENE, water=Water(400.0), systematic=Systematic(0.01, 3.0)), estimator=ARRIVAL),
+    "readings at a rail": Case(
+        replace(SOUND_SCENE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1
+    ),
+    "systematic errors": Case(
+        replace(SOUND_SCENE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL
+    ),
+    "water": Case(
+        replace(SOUND_SCENE, water=Water(400.0), systematic=Systematic(0.01, 3.0)),
+        estimator=ARRIVAL,
+    ),
 }
 
 
@@ -78,7 +103,10 @@ def recording_of(case: Case) -> Recording:
     cells[:, case.broken.open_cells(case.scene.panel)] = np.inf
     cells[:, case.broken.shorted_cells(case.scene.panel)] = 0.0
     resistance, sums = measured(case.scene, cells, Unmodelled(), seed=7)
-    raw = {"raw_sums": raw_sums(case.scene.readout, sums), "raw_readings": case.scene.readout.readings}
+    raw = {
+        "raw_sums": raw_sums(case.scene.readout, sums),
+        "raw_readings": case.scene.readout.readings,
+    }
     return Recording(case.scene, resistance, still.time, still.role, **raw)
 
 
@@ -90,9 +118,16 @@ def samples_of(recording: Recording) -> list[Sample]:
     circuit = {"supply_millivolt": 5000, "reference_milliohm": round(readout.reference_ohm * 1000)}
     converter = {"adc_bits": readout.adc_bits, "measured_across": readout.measured_across}
     further = times | circuit | converter
-    hello = Hello(rows, columns, readout.readings, *(16, 16, 64), firmware=(1, 0), running=True, **further)
-    frames = (Frame(readout.readings, at, 1000 * at, 0, sums) for at, sums in enumerate(recording.raw_sums))
-    return [Sample(frame, hello, recording.scene, float(frame.sequence), 0.0, 0, 0) for frame in frames]
+    hello = Hello(
+        rows, columns, readout.readings, *(16, 16, 64), firmware=(1, 0), running=True, **further
+    )
+    frames = (
+        Frame(readout.readings, at, 1000 * at, 0, sums)
+        for at, sums in enumerate(recording.raw_sums)
+    )
+    return [
+        Sample(frame, hello, recording.scene, float(frame.sequence), 0.0, 0, 0) for frame in frames
+    ]
 
 
 @pytest.mark.slow
@@ -120,15 +155,21 @@ def test_every_entry_point_gives_the_same_cells(name: str) -> None:
         cells.append(step.solution.cell_resistance[-1])
     assert_allclose(cells, estimate.cell_resistance, rtol=1e-7)
     assert_allclose(stream.baseline_resistance, estimate.baseline_resistance, rtol=1e-9)
-    replayed = live_pictures(case.estimator, 3, lambda engine: from_recording(engine, recording, 1e9, None))
+    replayed = live_pictures(
+        case.estimator, 3, lambda engine: from_recording(engine, recording, 1e9, None)
+    )
     boarded = live_pictures(case.estimator, 3, board)
     for pictures in (replayed, boarded):
-        assert [picture.status for picture in pictures] == [step.solution.status.value for step in estimate.steps]
+        assert [picture.status for picture in pictures] == [
+            step.solution.status.value for step in estimate.steps
+        ]
         ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
         assert_allclose(ratio, estimate.cell_resistance / estimate.baseline_resistance, rtol=1e-7)
         flags = [picture.open_cell for picture in pictures]
         assert_array_equal(flags, [step.solution.open_cell[-1] for step in estimate.steps])
-    assert_array_equal([picture.force for picture in boarded], [picture.force for picture in replayed])
+    assert_array_equal(
+        [picture.force for picture in boarded], [picture.force for picture in replayed]
+    )
 
 
 def test_errors_name_inconsistent_inputs() -> None:
@@ -144,16 +185,22 @@ def test_errors_name_inconsistent_inputs() -> None:
             Readings.of(SOUND_SCENE, *given)
     with pytest.raises(InputError, match="recording must be a Recording"):
         Prepared.of("mine.h5")
-    with pytest.raises(InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"):
+    with pytest.raises(
+        InputError, match=r"^mine: /entry/two_point/sigma\[0, 0\] is -1 ohm; it must be positive$"
+    ):
         Recording(SOUND_SCENE, good, np.arange(2.0), role, np.full(SHAPE, -1.0), name="mine")
 
 
 @pytest.mark.slow
-def test_estimates_detection_and_warnings_share_one_preparation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_estimates_detection_and_warnings_share_one_preparation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     taken = list[str]()
     for name in STEPS:
         step = getattr(preparation, name)
-        monkeypatch.setattr(preparation, name, lambda *given, at=name, step=step: taken.append(at) or step(*given))
+        monkeypatch.setattr(
+            preparation, name, lambda *given, at=name, step=step: taken.append(at) or step(*given)
+        )
     prepared = Prepared(datasets.load("lamprey_35mm"))
     for terms in ((Misfit(),), (Misfit(), LogGradient(weight=1.0))):
         estimates = reconstruct(prepared, Estimator(terms, "reduced"))

@@ -1,4 +1,6 @@
-"""Recordings too long for memory: their parts make one result, killed or not, in memory that does not grow."""
+"""Recordings too long for memory: their parts make one result, killed or not, in memory that does
+not grow.
+"""
 
 import os
 import subprocess
@@ -27,7 +29,9 @@ from lampest.runs.batch import run_batch
 from lampest.runs.executors import Serial
 
 Command = Callable[..., SimpleNamespace]
-SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+SCENE = lampest.Scene(
+    lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0
+)
 SMALL_SCENE = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
 RUN = """
@@ -69,7 +73,9 @@ def frames(count: int, scene: lampest.Scene = SCENE) -> Array:
 def save(folder: Path, values: Array, scene: lampest.Scene = SCENE, role: Any = None) -> None:
     count = len(values)
     kinds = np.arange(count) >= UNLOADED if role is None else role
-    lampest.Recording(scene, values, 0.1 * np.arange(count), kinds.astype(np.uint8)).save(folder / "long.h5")
+    lampest.Recording(scene, values, 0.1 * np.arange(count), kinds.astype(np.uint8)).save(
+        folder / "long.h5"
+    )
 
 
 @pytest.fixture
@@ -79,7 +85,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_parts_give_the_results_of_the_whole_recording(tmp_path: Path, lampest: Command, small: None) -> None:
+def test_parts_give_the_results_of_the_whole_recording(
+    tmp_path: Path, lampest: Command, small: None
+) -> None:
     """A part without a measured frame, frames that cannot be read and outliers are among them."""
     values = frames(110)
     values[45:75] = np.nan
@@ -100,7 +108,9 @@ def test_parts_give_the_results_of_the_whole_recording(tmp_path: Path, lampest: 
     parts, complete = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
     for actual, expected in zip(parts.cases, complete.cases, strict=True):
         assert actual.case_id == expected.case_id and actual.status == expected.status
-        assert np.array_equal(actual.frame, expected.frame) and np.array_equal(actual.time, expected.time)
+        assert np.array_equal(actual.frame, expected.frame) and np.array_equal(
+            actual.time, expected.time
+        )
         np.testing.assert_allclose(actual.cell_resistance, expected.cell_resistance, rtol=1e-2)
         assert actual.cell_resistance_errors is not None or actual.estimator == "scaled"
     assert "0 cases solved, 3 were done before" in run("parts").out
@@ -112,25 +122,36 @@ def test_results_of_parts_record_automatic_weights(tmp_path: Path, small: None) 
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
     terms = lampest.Misfit(weighting="noise"), lampest.Gradient()
     for weight in ("auto", 1e-3):
-        estimator = lampest.Estimator((terms[0], replace(terms[1], weight=weight)), "reduced", error_bars=False)
-        parts = Parts.of(recording, estimator, asked_frames(recording)).estimates(lambda number: None)
+        estimator = lampest.Estimator(
+            (terms[0], replace(terms[1], weight=weight)), "reduced", error_bars=False
+        )
+        parts = Parts.of(recording, estimator, asked_frames(recording)).estimates(
+            lambda number: None
+        )
         assert {estimates.automatic for _, estimates, _ in parts} == {weight == "auto"}
 
 
-def test_a_long_recording_has_the_frame_period_of_its_first_part(tmp_path: Path, small: None) -> None:
+def test_a_long_recording_has_the_frame_period_of_its_first_part(
+    tmp_path: Path, small: None
+) -> None:
     time = np.concatenate([0.1 * np.arange(20), 10.0 + 0.7 * np.arange(20)])
     role = (np.arange(40) >= UNLOADED).astype(np.uint8)
     lampest.Recording(SCENE, frames(40), time, role).save(tmp_path / "long.h5")
     recording = stored.StoredRecording.of(tmp_path / "long.h5")
     assert len(recording.blocks) == 2
-    parts = Parts.of(recording, lampest.Estimator((lampest.Misfit(),), "reduced"), asked_frames(recording))
+    parts = Parts.of(
+        recording, lampest.Estimator((lampest.Misfit(),), "reduced"), asked_frames(recording)
+    )
     assert parts.stream.period == pytest.approx(0.1) and parts.independent
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("apart", [True, False])
-def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool) -> None:
-    """Three parts of 16 frames, of estimates that look back or do not; the second is damaged before it goes on.
+def test_an_ended_run_resumes_after_its_last_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
+) -> None:
+    """Three parts of 16 frames, of estimates that look back or do not; the second is damaged before
+    it goes on.
 
     Parts that stand apart are solved in any order, by an executor or by the case itself.
     """
@@ -145,9 +166,16 @@ def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: p
     save(tmp_path, frames(48, SMALL_SCENE), SMALL_SCENE)
     penalty = "gradient" if apart else "gradient_of_relative_change"
     entry = f"{{formulation: reduced, terms: {{misfit: {{}}, {penalty}: {{weight: 1e-3}}}}}}"
-    (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n")
+    (tmp_path / "run.yaml").write_text(
+        f"schema: 1\nrecordings: [long.h5]\nestimators: {{one: {entry}}}\n"
+    )
     run = read_run(tmp_path / "run.yaml")
-    assert run_batch(run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: progress.append(frames)).done == 1
+    assert (
+        run_batch(
+            run, tmp_path / "whole", Backwards(), on_frames=lambda *frames: progress.append(frames)
+        ).done
+        == 1
+    )
     assert progress[-1] == (48, 48) and progress == sorted(progress)
     write = batch.write_carried
     written = list[str]()
@@ -169,7 +197,11 @@ def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: p
     assert task.carried_over(0) is not None and task.carried_over(1) is None
     del written[:]
     monkeypatch.setattr(batch, "parts_to_solve", lambda task: [])
-    monkeypatch.setattr(batch, "write_carried", lambda path, carried: (written.append(path.name), write(path, carried)))
+    monkeypatch.setattr(
+        batch,
+        "write_carried",
+        lambda path, carried: (written.append(path.name), write(path, carried)),
+    )
     assert run_batch(run, tmp_path / "ended", Serial()).done == 1
     assert written == ["000001_carried.h5", "000002_carried.h5"]
     assert task.frames_done == 48 and not list(tmp_path.rglob("*.parts"))
@@ -177,7 +209,9 @@ def test_an_ended_run_resumes_after_its_last_part(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(tmp_path: Path, small: None, fresh: bool) -> None:
+def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(
+    tmp_path: Path, small: None, fresh: bool
+) -> None:
     save(tmp_path, frames(40))
     (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
     run = read_run(tmp_path / "run.yaml")
@@ -193,32 +227,50 @@ def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(tmp_path: Path, s
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone"
+)
 def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
-    """Peak resident size of two processes; the 25 maps of the longer recording alone would be 48 MB."""
-    scene = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
-    run = "schema: 1\nrecordings: [long.h5]\nformulation: naive\nestimators: {one: {terms: {misfit: {}}}}\n"
+    """Peak resident size of two processes; the 25 maps of the longer recording alone would be 48
+    MB.
+    """
+    scene = lampest.Scene(
+        lampest.Panel(10, 10), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0
+    )
+    run = (
+        "schema: 1\nrecordings: [long.h5]\nformulation: naive\nestimators: {one: {terms: "
+        "{misfit: {}}}}\n"
+    )
     peaks = []
     for count in (600, 2400):
         (folder := tmp_path / str(count)).mkdir()
         save(folder, frames(count, scene), scene)
         (folder / "run.yaml").write_text(run)
-        words = [sys.executable, "-c", SCRIPT, str(folder / "run.yaml"), str(folder / "out")]  # parts of 200 frames
+        # Parts of 200 frames.
+        words = [sys.executable, "-c", SCRIPT, str(folder / "run.yaml"), str(folder / "out")]
         completed = subprocess.run(words, capture_output=True, text=True, check=True)
         peaks.append(int(completed.stdout))
     assert peaks[1] < 1.02 * peaks[0]
 
 
-def test_methods_that_need_all_frames_refuse_long_recordings(tmp_path: Path, lampest: Command, small: None) -> None:
+def test_methods_that_need_all_frames_refuse_long_recordings(
+    tmp_path: Path, lampest: Command, small: None
+) -> None:
     save(tmp_path, frames(40))
     robust = "misfit: {weighting: noise, loss: {kind: student, corner: 4}}"
     for entry, words in (
         (f"{{formulation: smoother, terms: {{{robust}}}}}", "all frames together"),
         ("{tare: {}, terms: {misfit: {weighting: noise}}}", "zero is followed"),
     ):
-        (tmp_path / "run.yaml").write_text(f"schema: 1\nrecordings: [long.h5]\nestimators:\n  one: {entry}\n")
+        (tmp_path / "run.yaml").write_text(
+            f"schema: 1\nrecordings: [long.h5]\nestimators:\n  one: {entry}\n"
+        )
         completed = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1")
-        assert completed.code == 2 and words in completed.err and "40 frames of 20 cells" in completed.err
+        assert (
+            completed.code == 2
+            and words in completed.err
+            and "40 frames of 20 cells" in completed.err
+        )
         assert not os.path.lexists(tmp_path / "out")
 
 
@@ -226,19 +278,26 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     save(tmp_path, frames(30))
     (tmp_path / "run.yaml").write_text(RUN)
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1").code == 0
-    complete, part = (read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15)))
+    complete, part = (
+        read_results(tmp_path / "out" / "results.h5", frames=of) for of in (None, range(11, 15))
+    )
     for actual, expected in zip(part.cases, complete.cases, strict=True):
         assert np.array_equal(actual.cell_resistance, expected.cell_resistance[5:9])
         assert actual.status == expected.status[5:9]
         assert np.array_equal(actual.weights["misfit"], expected.weights["misfit"][5:9])
-    recording, excerpt = (Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9)))
+    recording, excerpt = (
+        Recording.load(tmp_path / "long.h5", of) for of in (slice(None), slice(5, 9))
+    )
     assert np.array_equal(excerpt.recorded, recording.recorded[5:9])
     assert excerpt.number is not None and list(excerpt.number) == [5, 6, 7, 8]
 
 
-def test_a_long_recording_is_closed_by_parts(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_a_long_recording_is_closed_by_parts(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     for name in ("whole", "parts"):
-        unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, unloaded=45)  # its σ is that of all their pairs
+        # Its σ is that of all their pairs.
+        unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, unloaded=45)
         (tmp_path / "growing.h5").unlink()
     assert repair(tmp_path / "whole.h5") == (50, 0)
     request.getfixturevalue("small")
@@ -250,7 +309,9 @@ def test_a_long_recording_is_closed_by_parts(tmp_path: Path, request: pytest.Fix
     assert sorted(file.name for file in tmp_path.iterdir()) == ["parts.h5", "whole.h5"]
 
 
-def test_parts_end_with_a_chunk_of_measured_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_end_with_a_chunk_of_measured_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(hdf5, "CHUNK", 4 * SCENE.panel.crossings)
     monkeypatch.setattr(stored, "PART_READINGS", 400)
     save(tmp_path, frames(97))
@@ -279,7 +340,9 @@ def test_commands_that_load_a_whole_recording_check_its_memory(
     monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 600)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LAMPEST_MEMORY", "1000000")
-    refusal = "2000 frames of 20 cells at once: 1.83 MiB of memory are needed, and there are 977 KiB"
+    refusal = (
+        "2000 frames of 20 cells at once: 1.83 MiB of memory are needed, and there are 977 KiB"
+    )
     for command in (
         ("live", "--recording", "long.h5", "--estimator", "LSM"),
         ("study", "weights", "run.yaml"),

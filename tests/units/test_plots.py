@@ -1,4 +1,6 @@
-"""Kinds of pictures: the union is walked, a further one is a class in a script or a name in a package."""
+"""Kinds of pictures: the union is walked, a further one is a class in a script or a name in a
+package.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +20,10 @@ from lampest.runs.columns import FRAMES, Column
 
 @pytest.mark.slow
 def test_every_kind_is_drawn_by_its_word(tmp_path: Path) -> None:
-    swept = (replace(invented()[0], estimator=f"a{n}", swept_json=f'{{"weight": {n}.0}}') for n in range(2))
+    swept = (
+        replace(invented()[0], estimator=f"a{n}", swept_json=f'{{"weight": {n}.0}}')
+        for n in range(2)
+    )
     write_results(tmp_path / "r.h5", [*swept])
     for plot in PLOTS:
         assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
@@ -30,6 +35,8 @@ def test_a_plot_of_a_script_draws_a_column_of_a_script(tmp_path: Path) -> None:
     share = Column("share", FRAMES, "1", "a share", lambda done: None)
     plot: Any = type("SharePlot", (Histogram,), {"kind": "share", "needs": ("share",)})()
     write_results(tmp_path / "r.h5", [invented_case(extra={"share": np.ones(3)})], columns=(share,))
-    assert plot_results(tmp_path / "r.h5", show=plot, columns=(share,)) == [tmp_path / "share_mouth.png"]
+    assert plot_results(tmp_path / "r.h5", show=plot, columns=(share,)) == [
+        tmp_path / "share_mouth.png"
+    ]
     with pytest.raises(InputError, match=r"r\.h5: holds no share to draw, which needs share"):
         plot_results(tmp_path / "r.h5", show=plot)

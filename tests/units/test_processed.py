@@ -1,4 +1,6 @@
-"""Readings that firmware changed before it sent them are recognised, refused and, where possible, restored."""
+"""Readings that firmware changed before it sent them are recognised, refused and, where possible,
+restored.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,15 +9,28 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Array, GroundedReadout, InputError, LoadedColumnsReadout, Panel, Scene, TwoPointReadout
+from lampest import (
+    Array,
+    GroundedReadout,
+    InputError,
+    LoadedColumnsReadout,
+    Panel,
+    Scene,
+    TwoPointReadout,
+)
 from lampest.recording.processed import processing_of
 from lampest.recording.recording import UNLOADED
 
 SHAPE = (6, 8)
 UNLOADED_FRAMES = 5
 SCENES = {
-    "grounded": Scene(Panel(*SHAPE), GroundedReadout(load_ohm=1000.0, drive_ohm=50.0, readings=1, noise_lsb=1.0)),
-    "loaded": Scene(Panel(*SHAPE), LoadedColumnsReadout(load_ohm=10e3, drive_ohm=100.0, readings=1, noise_lsb=1.0)),
+    "grounded": Scene(
+        Panel(*SHAPE), GroundedReadout(load_ohm=1000.0, drive_ohm=50.0, readings=1, noise_lsb=1.0)
+    ),
+    "loaded": Scene(
+        Panel(*SHAPE),
+        LoadedColumnsReadout(load_ohm=10e3, drive_ohm=100.0, readings=1, noise_lsb=1.0),
+    ),
     "two_point": Scene(Panel(*SHAPE), TwoPointReadout(readings=1, noise_lsb=1.0), 140.0),
 }
 every_scene = pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
@@ -27,12 +42,18 @@ def codes_of(scene: Scene, seed: int = 1) -> Array:
     cells = np.tile(3000 * np.exp(0.2 * rng.normal(size=SHAPE)), (10, 1, 1))
     cells[UNLOADED_FRAMES:, 2:4, 3:5] /= 5
     circuit = scene.circuit
-    volt = circuit.volt_from_recorded(circuit.simulated(cells, scene, np.zeros(SHAPE[0]), np.zeros(SHAPE[1])))
+    volt = circuit.volt_from_recorded(
+        circuit.simulated(cells, scene, np.zeros(SHAPE[0]), np.zeros(SHAPE[1]))
+    )
     return np.asarray(circuit.code_from_volt(volt + circuit.lsb_volt * rng.normal(size=volt.shape)))
 
 
 def imported(
-    folder: Path, scene: Scene, codes: Array, resting: Array | None = None, unloaded: int = UNLOADED_FRAMES
+    folder: Path,
+    scene: Scene,
+    codes: Array,
+    resting: Array | None = None,
+    unloaded: int = UNLOADED_FRAMES,
 ) -> lampest.Recording:
     np.save(folder / "mine.npy", codes)
     options = {}
@@ -54,30 +75,45 @@ def subtracted(codes: Array) -> tuple[Array, Array]:
 @every_scene
 def test_readings_as_converted_are_imported(tmp_path: Path, scene: Scene) -> None:
     for seed in range(20):
-        assert not processing_of(codes_of(scene, seed), np.arange(10) < UNLOADED_FRAMES, scene.panel.present)
+        assert not processing_of(
+            codes_of(scene, seed), np.arange(10) < UNLOADED_FRAMES, scene.panel.present
+        )
     imported(tmp_path, scene, codes_of(scene))
 
 
 @every_scene
 def test_a_subtracted_baseline_is_refused_with_what_to_change(tmp_path: Path, scene: Scene) -> None:
     difference, _ = subtracted(codes_of(scene))
-    with pytest.raises(InputError, match=r"the unloaded readings are exactly 0: .* send what the converter gives"):
+    with pytest.raises(
+        InputError, match=r"the unloaded readings are exactly 0: .* send what the converter gives"
+    ):
         imported(tmp_path, scene, np.maximum(difference, 0))
-    with pytest.raises(InputError, match=r"codes below 0, down to -.*: the firmware subtracts a resting frame"):
+    with pytest.raises(
+        InputError, match=r"codes below 0, down to -.*: the firmware subtracts a resting frame"
+    ):
         imported(tmp_path, scene, difference)
 
 
 def test_a_threshold_is_refused(tmp_path: Path) -> None:
     codes = codes_of(SCENES["loaded"])
-    with pytest.raises(InputError, match=r"none lies between 0 and .*: the firmware has a threshold"):
-        imported(tmp_path, SCENES["loaded"], np.where(codes > np.quantile(codes, 0.6), codes, 0), unloaded=0)
+    with pytest.raises(
+        InputError, match=r"none lies between 0 and .*: the firmware has a threshold"
+    ):
+        imported(
+            tmp_path,
+            SCENES["loaded"],
+            np.where(codes > np.quantile(codes, 0.6), codes, 0),
+            unloaded=0,
+        )
 
 
 def test_a_rescaled_table_is_refused(tmp_path: Path) -> None:
     codes = codes_of(SCENES["loaded"]).astype(float)
     np.save(tmp_path / "mine.npy", (codes - codes.min()) / np.ptp(codes))
     with pytest.raises(InputError, match="from exactly 0 to exactly 1 are scaled to some range"):
-        lampest.import_file(tmp_path / "mine.npy", scene=SCENES["loaded"], unit="volt", baseline_frames=5)
+        lampest.import_file(
+            tmp_path / "mine.npy", scene=SCENES["loaded"], unit="volt", baseline_frames=5
+        )
 
 
 @every_scene
@@ -86,14 +122,18 @@ def test_the_resting_frame_restores_what_was_not_clipped(tmp_path: Path, scene: 
     difference, resting = subtracted(codes)
     by_difference = replace(scene, baseline="subtracted")
     raw = imported(
-        tmp_path, lampest.Scene(scene.panel, scene.readout, scene.series_resistance_ohm, baseline="raw"), codes
+        tmp_path,
+        lampest.Scene(scene.panel, scene.readout, scene.series_resistance_ohm, baseline="raw"),
+        codes,
     )
     unclipped = imported(tmp_path, by_difference, difference, resting)
     loaded = unclipped.role != UNLOADED
     np.testing.assert_array_equal(unclipped.recorded[loaded], raw.recorded[loaded])
     clipped = imported(tmp_path, by_difference, np.maximum(difference, 0), resting)
     positive = difference[loaded] > 0
-    np.testing.assert_array_equal(clipped.recorded[loaded][positive], raw.recorded[loaded][positive])
+    np.testing.assert_array_equal(
+        clipped.recorded[loaded][positive], raw.recorded[loaded][positive]
+    )
     assert np.isnan(clipped.recorded[loaded][~positive]).all()
     assert unclipped.scene.baseline == "raw"
 
@@ -108,6 +148,8 @@ def test_a_subtracted_frame_must_be_given_and_specified(tmp_path: Path) -> None:
 
 
 def test_cells_open_at_rest_are_imported_if_the_scene_allows_them(tmp_path: Path) -> None:
-    scene = Scene(Panel(*SHAPE), GroundedReadout(load_ohm=1000.0, drive_ohm=50.0, readings=1), baseline="raw")
+    scene = Scene(
+        Panel(*SHAPE), GroundedReadout(load_ohm=1000.0, drive_ohm=50.0, readings=1), baseline="raw"
+    )
     codes = np.where(np.arange(10)[:, None, None] >= UNLOADED_FRAMES, codes_of(scene), 0)
     assert imported(tmp_path, scene, codes).scene.baseline == "raw"

@@ -81,28 +81,55 @@ def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise
     """Texts that come from files are text."""
     names = ("<script>alert(1)&", "a\"b'c", "$\\frac$ x^2", "{{ 7 * 191 }}", "y" * 190)
     known: dict[str, Any] = {"case_yaml": "</pre><b>&", "truth": False, "weights": {}}
-    cases = [invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), **known) for name in names]
+    cases = [
+        invented_case(name, "<img src=x onerror=alert(1)>", (2, 3, 3), **known) for name in names
+    ]
     page = Page(report(batch(*cases)))
-    assert not {tag for tag, _ in page.tags} & {"script", "iframe", "object", "embed", "base", "form"}
-    assert all(name in page.text for name in names[:4]) and "</pre><b>&" in page.text and "1337" not in page.text
+    assert not {tag for tag, _ in page.tags} & {
+        "script",
+        "iframe",
+        "object",
+        "embed",
+        "base",
+        "form",
+    }
+    assert (
+        all(name in page.text for name in names[:4])
+        and "</pre><b>&" in page.text
+        and "1337" not in page.text
+    )
     assert page.values("src") and all(uri.startswith("data:image/") for uri in page.values("src"))
     assert all(given.get("alt") for tag, given in page.tags if tag == "img")
     anchors = page.values("id")
     links = page.values("href")
-    assert all(link.startswith(("#", "data:,")) for link in links) and len(anchors) == len(set(anchors))
+    assert all(link.startswith(("#", "data:,")) for link in links) and len(anchors) == len(
+        set(anchors)
+    )
     assert {link[1:] for link in links if link[0] == "#"} <= {*anchors}
-    assert "which fewer than two of them have" in page.text and "cannot rank the estimators" in page.text
+    assert (
+        "which fewer than two of them have" in page.text
+        and "cannot rank the estimators" in page.text
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
 def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int, int]) -> None:
-    """Also where no frame was solved, or where a change is NaN because the unloaded panel was not."""
+    """Also where no frame was solved, or where a change is NaN because the unloaded panel was
+    not.
+    """
     cases = [certain(invented_case(method, shape=shape)) for method in METHODS[:2]]
     cases.append(invented_case("failed", shape=shape, failed=tuple(range(shape[0]))))
     cases.append(invented_case("unsure", shape=shape, relative_change=np.full(shape, np.nan)))
     page = Page(report(batch(*cases)))
     assert all(case.estimator in page.text for case in cases)
-    for word in ("95 % intervals: mean width", "resolution", "saturated cells", "pressure", "gradient λ = 0.5", "[ms]"):
+    for word in (
+        "95 % intervals: mean width",
+        "resolution",
+        "saturated cells",
+        "pressure",
+        "gradient λ = 0.5",
+        "[ms]",
+    ):
         assert word in page.text, word
 
 
@@ -110,7 +137,9 @@ def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int
 def test_reports_are_reproducible_and_wrong_input_gives_one_sentence(tmp_path: Path) -> None:
     source = tmp_path / "results.h5"
     out = tmp_path / "report.html"
-    write_results(source, [certain(invented_case(method, shape=(3, 4, 4))) for method in METHODS[:2]])
+    write_results(
+        source, [certain(invented_case(method, shape=(3, 4, 4))) for method in METHODS[:2]]
+    )
     write_report([source], out)
     first = out.read_bytes()
     write_report([source], out)
@@ -125,13 +154,20 @@ def test_reports_are_reproducible_and_wrong_input_gives_one_sentence(tmp_path: P
 
 
 def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
-    """An estimate in which 1 kPa presses clearly; all errors are own ones unless `maps` has common ones."""
-    known = {"pressure_common": np.zeros(SHAPE), "pressing": (maps["pressure"] > 1).astype(np.uint8)}
+    """An estimate in which 1 kPa presses clearly; all errors are own ones unless `maps` has common
+    ones.
+    """
+    known = {
+        "pressure_common": np.zeros(SHAPE),
+        "pressing": (maps["pressure"] > 1).astype(np.uint8),
+    }
     return invented_case(estimator, shape=SHAPE, **known | maps)
 
 
 def maps() -> tuple[np.ndarray, np.ndarray]:
-    """kPa: nothing, then a block of 2 × 3 cells at rows 4 and 5, columns 6 to 8, then one cell in the corner."""
+    """kPa: nothing, then a block of 2 × 3 cells at rows 4 and 5, columns 6 to 8, then one cell in
+    the corner.
+    """
     pressure = np.full(SHAPE, 0.1)
     errors = np.full(SHAPE, 0.2)
     pressure[1, 4:6, 6:9] = 10.0, 12.0, 10.0
@@ -151,11 +187,16 @@ def test_forces_of_noisy_maps_scatter_by_their_errors() -> None:
 
 
 @pytest.mark.parametrize("sources", [1, 3])
-def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wide_table_folds_its_texts_and_keeps_its_figures(
+    sources: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     numbers = range(5 if sources == 1 else 7)
     headers = ("recording", "what", "nothing", *(f"number {number} [kPa]" for number in numbers))
     figures = [f"{-1.5 * number:.1f} ± {number}.25" for number in range(len(headers) - 3)]
-    rows = tuple((f"panel_{source}", "ring or rod or lamprey or cup", "", *figures) for source in range(sources))
+    rows = tuple(
+        (f"panel_{source}", "ring or rod or lamprey or cup", "", *figures)
+        for source in range(sources)
+    )
     print_table(Table(headers, rows))
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 100 and "nothing" not in text and "…" not in text
@@ -167,7 +208,9 @@ def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert lines == ["", "figure", "─" * 17, "x          1 ± 2", "two words  3", ""]
     print_table(Table(("", *map(str, range(30))), (("x", *["1.25 ± 0.25"] * 30),)))
-    assert capsys.readouterr().out.count("1.25 ± 0.25") == 30, "whole where no terminal is wide enough, too"
+    assert capsys.readouterr().out.count("1.25 ± 0.25") == 30, (
+        "whole where no terminal is wide enough, too"
+    )
 
 
 def test_lines_of_estimated_numbers_have_their_units_and_are_few() -> None:
@@ -185,6 +228,11 @@ def test_lines_of_estimated_numbers_have_their_units_and_are_few() -> None:
         "leaks of row 3: 0.0001 ± 1e-05 siemens",
         "converter_memory: 0.04 ± 0.001 (relative)",
     )
-    of_modules = estimated_lines({f"gain of module [0, {number}]": (0.1, 0.1) for number in range(20)})
-    assert len(of_modules) == 13 and of_modules[-1] == "8 more numbers, which the scene of the results holds"
+    of_modules = estimated_lines(
+        {f"gain of module [0, {number}]": (0.1, 0.1) for number in range(20)}
+    )
+    assert (
+        len(of_modules) == 13
+        and of_modules[-1] == "8 more numbers, which the scene of the results holds"
+    )
     assert estimated_lines(None) == ()

@@ -36,7 +36,9 @@ def started(*words: object, preexec_fn: Callable[[], None] | None = default_sign
 def recorder(script: Script, out: Path) -> Iterator[tuple[WildBoard, Running]]:
     with (
         wild_board(script) as board,
-        started(COMMAND, "record", "--port", board.port, "--out", out, "--period", "0.01") as process,
+        started(
+            COMMAND, "record", "--port", board.port, "--out", out, "--period", "0.01"
+        ) as process,
     ):
         try:
             yield board, process
@@ -46,7 +48,9 @@ def recorder(script: Script, out: Path) -> Iterator[tuple[WildBoard, Running]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS)
-def test_the_file_contains_all_frames_sent_before_a_signal(tmp_path: Path, number: signal.Signals) -> None:
+def test_the_file_contains_all_frames_sent_before_a_signal(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     out = tmp_path / "r.h5"
     with recorder(hundred_a_second, out) as (board, process):
         length = len(wire(board.hello, 300))
@@ -57,9 +61,13 @@ def test_the_file_contains_all_frames_sent_before_a_signal(tmp_path: Path, numbe
         stdout, stderr = process.communicate(timeout=60)
     recording = Recording.load(out)
     assert process.returncode == 130
-    assert len(recording.time) >= sent and recording.acquisition.sequence.tolist() == list(range(len(recording.time)))
+    assert len(recording.time) >= sent and recording.acquisition.sequence.tolist() == list(
+        range(len(recording.time))
+    )
     assert stdout.startswith(f"{len(recording.time)} frames, 0 lost, 0 restarts")
-    assert f"lampest: {number.name} ended the recording; " in stderr and stderr.endswith("is kept\n")
+    assert f"lampest: {number.name} ended the recording; " in stderr and stderr.endswith(
+        "is kept\n"
+    )
     assert {path.name for path in tmp_path.iterdir()} == {"r.h5"}
 
 
@@ -74,7 +82,10 @@ def test_a_signal_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
 def test_a_recording_outlives_its_terminal_with_nohup(tmp_path: Path) -> None:
     out = tmp_path / "r.h5"
     words = ("nohup", COMMAND, "record", "--out", out, "--count", 40, "--period", "0.01", "--port")
-    with wild_board(hundred_a_second) as board, started(*words, board.port, preexec_fn=None) as process:
+    with (
+        wild_board(hundred_a_second) as board,
+        started(*words, board.port, preexec_fn=None) as process,
+    ):
         until(out.exists)
         process.send_signal(signal.SIGHUP)
         assert process.wait(60) == 0
@@ -86,10 +97,15 @@ def test_a_recording_outlives_its_terminal_with_nohup(tmp_path: Path) -> None:
 def test_live_ends_with_code_130(number: signal.Signals) -> None:
     words = ("live", "--recording", LAMPREY, "--speed", 1000, "--http", "127.0.0.1:0")
     with started(COMMAND, *words) as process:
-        assert process.stdout is not None and process.stdout.readline().startswith("http://127.0.0.1:")
+        assert process.stdout is not None and process.stdout.readline().startswith(
+            "http://127.0.0.1:"
+        )
         process.send_signal(number)
         _, stderr = process.communicate(timeout=30)
-    assert (process.returncode, stderr) == (130, "lampest: interrupted; what was finished is kept\n")
+    assert (process.returncode, stderr) == (
+        130,
+        "lampest: interrupted; what was finished is kept\n",
+    )
 
 
 def test_a_second_signal_within_a_second_does_not_interrupt_the_clean_up() -> None:
@@ -105,7 +121,9 @@ def test_a_second_signal_within_a_second_does_not_interrupt_the_clean_up() -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGQUIT, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_to_the_whole_group_of_a_batch_prints_one_line(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_to_the_whole_group_of_a_batch_prints_one_line(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     cases = batch(tmp_path, 12)
     run = cases.start(tmp_path / "out", 2)
     until(lambda: finished(tmp_path / "out") > 0 or run.poll() is not None)

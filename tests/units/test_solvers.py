@@ -1,4 +1,6 @@
-"""Solvers: the least-squares loop against scipy's, second derivatives that serve twice, and IPOPT's starts."""
+"""Solvers: the least-squares loop against scipy's, second derivatives that serve twice, and IPOPT's
+starts.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -31,7 +33,10 @@ CASES: list[tuple[str, Readout]] = [
     ("per_pixel", lampest.TwoPointReadout(**CONVERTER)),
     ("nodal", lampest.LoadedColumnsReadout(load_ohm=1000, drive_ohm=100, **CONVERTER)),
     ("nodal", lampest.GroundedReadout(load_ohm=1000, drive_ohm=70, **CONVERTER)),
-    ("nodal", lampest.VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER)),
+    (
+        "nodal",
+        lampest.VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER),
+    ),
 ]
 METHODS: dict[str, tuple[Term, ...]] = {
     "LSM": (),
@@ -64,8 +69,12 @@ def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
-def test_second_derivatives_are_factored_once_and_reused(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
-    """Evaluations of the cost, products with ∇²φ and factorisations are counted in the third frame."""
+def test_second_derivatives_are_factored_once_and_reused(
+    monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Evaluations of the cost, products with ∇²φ and factorisations are counted in the third
+    frame.
+    """
     bench = BenchFile(schema=1, sizes=(8,))
     counts = dict[str, int]()
     recording = bench.recording((8, 8), number)
@@ -96,10 +105,14 @@ def test_second_derivatives_are_factored_once_and_reused(monkeypatch: pytest.Mon
 
 
 def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
-    """Of a frame's cost, its data and the optimum that Newton's method finds, (1, rows, columns) ohm."""
+    """Of a frame's cost, its data and the optimum that Newton's method finds, (1, rows, columns)
+    ohm.
+    """
     rod = lampest.Rod(centre_mm=(20.0, 25.0), diameter_mm=25.0, mass_g=400.0)
     scene = lampest.Scene(lampest.Panel(5, 6), readout)
-    recording = lampest.simulate(lampest.Simulation(1, 5, scene, frames=3, loads=(rod,), baseline_frames=2))
+    recording = lampest.simulate(
+        lampest.Simulation(1, 5, scene, frames=3, loads=(rod,), baseline_frames=2)
+    )
     terms = (lampest.Misfit(weighting="noise"), *METHODS[method])
     estimator = lampest.Estimator(terms, "reduced", error_bars=False)
     resting = Readings.of(scene, recording.recorded[recording.role == 0]).mean()
@@ -114,11 +127,19 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("kind", "readout"), CASES)
-def test_ipopt_reaches_the_optimum_from_near_and_far(kind: str, readout: Readout, method: str) -> None:
-    """IPOPT never takes the start for the answer; with its own multipliers it needs few iterations."""
+def test_ipopt_reaches_the_optimum_from_near_and_far(
+    kind: str, readout: Readout, method: str
+) -> None:
+    """IPOPT never takes the start for the answer; with its own multipliers it needs few
+    iterations.
+    """
     cost, data, cells = problem(readout, method)
     solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS[kind])
-    optimum = ProjectedNewton(cost, Settings(1e-12)).solve(data, evaluated(cost, data, cells)).cell_resistance
+    optimum = (
+        ProjectedNewton(cost, Settings(1e-12))
+        .solve(data, evaluated(cost, data, cells))
+        .cell_resistance
+    )
     near = cells * np.exp(0.01 * np.random.default_rng(2).standard_normal(cells.shape))
     iterations = []
     carried = None

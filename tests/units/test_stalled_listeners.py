@@ -1,4 +1,6 @@
-"""Listeners: who is admitted; from those that never read frames go on, nothing piles up, and the end is not held up."""
+"""Listeners: who is admitted; from those that never read frames go on, nothing piles up, and the
+end is not held up.
+"""
 
 import gc
 import json
@@ -40,7 +42,20 @@ def message(number: int, side: int = 64) -> Message:
     status = "optimum verified"
     saturated = np.zeros(panel.shape, dtype=np.uint8)
     picture = Picture(
-        number, 0.0, 0.0, cells, cells, no, Force(1.0, 0.1), status, 0.0, 0, cells, cells, saturated, "pressing"
+        number,
+        0.0,
+        0.0,
+        cells,
+        cells,
+        no,
+        Force(1.0, 0.1),
+        status,
+        0.0,
+        0,
+        cells,
+        cells,
+        saturated,
+        "pressing",
     )
     return Message(panel, picture, View("here", "LSM", "receiving", panel))
 
@@ -110,7 +125,9 @@ def test_a_stalled_websocket_delays_neither_frames_nor_clients_nor_the_end() -> 
         assert received[-1] == FRAMES and received == sorted(set(received)), (
             "who listens gets the newest frame, in order"
         )
-        assert read_all(asleep) < FRAMES * len(message(1).text()) / 2, "what it did not take is not kept for it"
+        assert read_all(asleep) < FRAMES * len(message(1).text()) / 2, (
+            "what it did not take is not kept for it"
+        )
 
 
 @pytest.mark.slow
@@ -147,12 +164,14 @@ def test_a_stalled_broker_delays_neither_frames_nor_the_end() -> None:
         send_all(send)
         clients = [client for client in gc.get_objects() if type(client) is Client]
         sockets = [client.socket() for client in clients if client.socket() is not None]
-        assert sockets and all(client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for client in sockets), (
-            "sent at once"
-        )
+        assert sockets and all(
+            client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for client in sockets
+        ), "sent at once"
         finish_in_time(lambda: publishing.__exit__(None, None, None))
         with closing(taken[0]):
-            assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
+            assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, (
+                "nothing is kept for it"
+            )
 
 
 def test_a_websocket_is_local_or_requires_a_token() -> None:

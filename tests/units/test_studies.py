@@ -1,4 +1,6 @@
-"""The trade-off on tiny panels, shipped files of studies, tables of pages, the atlas of extremes; times are no test."""
+"""The trade-off on tiny panels, shipped files of studies, tables of pages, the atlas of extremes;
+times are no test.
+"""
 
 from dataclasses import replace
 from itertools import count
@@ -21,7 +23,15 @@ from lampest.runs.executors import Serial
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff
-from lampest.studies.extremes import AtlasFile, AtlasSample, Grid, atlas_remarks, recording_of, run_atlas, solves_of
+from lampest.studies.extremes import (
+    AtlasFile,
+    AtlasSample,
+    Grid,
+    atlas_remarks,
+    recording_of,
+    run_atlas,
+    solves_of,
+)
 from lampest.studies.paper import FILE, Side, read_published
 from lampest.studies.study import read_settings
 from lampest.studies.tradeoff import Plan, read_plan, run_tradeoff
@@ -55,7 +65,9 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return read_plan(folder / "tiny.yaml")
 
 
-def test_a_measured_time_is_the_minimum_of_all_turns(tiny: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_measured_time_is_the_minimum_of_all_turns(
+    tiny: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each frame of turn n takes 5 − n s: of a block of frames each has its share."""
     solve = tradeoff.reconstruct
     turns = count()
@@ -66,12 +78,18 @@ def test_a_measured_time_is_the_minimum_of_all_turns(tiny: Plan, monkeypatch: py
         turn = next(turns) // 2
         solved.append(estimator.method.kind)
         steps = tuple(replace(step, seconds=5.0 - turn) for step in estimates.steps)
-        return replace(estimates, steps=steps, baseline=replace(estimates.baseline, seconds=7.0 - turn))
+        return replace(
+            estimates, steps=steps, baseline=replace(estimates.baseline, seconds=7.0 - turn)
+        )
 
     monkeypatch.setattr(tradeoff, "reconstruct", timed)
     frames = run_tradeoff(tiny)
-    assert solved == ["naive", "reduced"] * 3 and all(frame.iterations >= 0 and frame.solved for frame in frames)
-    assert [frame.seconds for frame in frames] == [3] * 4 and {frame.baseline_s for frame in frames} == {5}
+    assert solved == ["naive", "reduced"] * 3 and all(
+        frame.iterations >= 0 and frame.solved for frame in frames
+    )
+    assert [frame.seconds for frame in frames] == [3] * 4 and {
+        frame.baseline_s for frame in frames
+    } == {5}
     run_tradeoff(tiny._replace(settings=replace(tiny.settings, patience_s=0.0)))
     assert solved[6:] == ["naive", "reduced"], "no turn begins after the patience"
     tasks = list[tuple[str, int]]()
@@ -83,14 +101,24 @@ def test_a_measured_time_is_the_minimum_of_all_turns(tiny: Plan, monkeypatch: py
 
     monkeypatch.setattr(tradeoff, "peak_memory", peak)
     joint = tiny._replace(settings=replace(tiny.settings, repeats=1))
-    measured = run_tradeoff(Plan(replace(joint.settings, memory="LSM"), tiny.recordings), lambda *at: steps.append(at))
+    measured = run_tradeoff(
+        Plan(replace(joint.settings, memory="LSM"), tiny.recordings), lambda *at: steps.append(at)
+    )
     assert tasks == [("naive", 3), ("reduced", 3)] and steps == [(1, 3), (2, 3), (3, 3)]
-    assert [each.memory_mb for each in measured] == [10, 10, 20, 20], "of each formulation on two frames"
-    monkeypatch.setattr(tradeoff, "reconstruct", lambda *task: replace(timed(*task), joint_start=True))
-    assert {frame.baseline_s for frame in run_tradeoff(joint)} == {0}, "it is solved with the first frame"
+    assert [each.memory_mb for each in measured] == [10, 10, 20, 20], (
+        "of each formulation on two frames"
+    )
+    monkeypatch.setattr(
+        tradeoff, "reconstruct", lambda *task: replace(timed(*task), joint_start=True)
+    )
+    assert {frame.baseline_s for frame in run_tradeoff(joint)} == {0}, (
+        "it is solved with the first frame"
+    )
 
 
-def test_the_time_of_a_call_is_the_lesser_of_wall_and_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_of_a_call_is_the_lesser_of_wall_and_processor_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for wall, cpu in ((3.0, 2.0), (2.0, 3.0)):
         clocks = {"perf_counter": iter([10.0, 10.0 + wall]), "process_time": iter([1.0, 1.0 + cpu])}
         for name, times in clocks.items():
@@ -122,8 +150,20 @@ def test_peak_memory_covers_two_frames_and_is_unknown_after_a_crash(
 @pytest.mark.slow
 def test_a_shipped_study_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
-    assert {*plan.settings.ladder} >= {"naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"}
-    assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}
+    assert {*plan.settings.ladder} >= {
+        "naive",
+        "scaled",
+        "linearised",
+        "truncated 2",
+        "reduced",
+        "nodal",
+    }
+    assert {recording.scene.panel.shape for recording in plan.recordings} == {
+        (10, 10),
+        (16, 16),
+        (32, 32),
+        (100, 100),
+    }
 
 
 def test_cases_of_the_shipped_tuning_file_can_be_tuned() -> None:
@@ -133,10 +173,15 @@ def test_cases_of_the_shipped_tuning_file_can_be_tuned() -> None:
 
 
 def test_a_page_names_the_commit_of_its_last_run_once() -> None:
-    text = "# A page\n\n    lampest run a.yaml   # first\n    python -m docs.studies.mats [--seed 1] --kinds 'a b'\n"
+    text = (
+        "# A page\n\n    lampest run a.yaml   # first\n    python -m docs.studies.mats [--seed "
+        "1] --kinds 'a b'\n"
+    )
     marked = with_commit(text, "abc", "1 May 2026")
     assert marked.startswith(text) and marked.endswith("ran at commit abc, 1 May 2026.\n")
-    assert with_commit(marked, "def", "2 May 2026") == marked.replace("abc", "def").replace("1 May", "2 May")
+    assert with_commit(marked, "def", "2 May 2026") == marked.replace("abc", "def").replace(
+        "1 May", "2 May"
+    )
     page = PAGE.with_name("bench.md")
     assert commands(page)[0] == "python -m docs.studies.bench configs/bench.yaml"
 
@@ -145,7 +190,10 @@ def test_the_audit_table_has_a_row_per_effect_and_a_column_per_estimator(tmp_pat
     (tmp_path / "audit.csv").write_text(ROWS)
     lines = table(rows_of(tmp_path)).splitlines()
     assert lines[0] == "| not specified | LSM | LSR | own part, LSM | own part, LSR | reported |"
-    assert lines[2] == "| as specified | 97 / 96 / 100 | 97 / 95 / 98 | 95 × 1.04 | 95 × 0.97 | 0 of 4 |"
+    assert (
+        lines[2]
+        == "| as specified | 97 / 96 / 100 | 97 / 95 / 98 | 95 × 1.04 | 95 × 0.97 | 0 of 4 |"
+    )
     assert lines[3] == "| noise 2 | 94 / 93 / nan | 95 / 94 / 97 | 95 × 1.00 | 95 × 1.00 | 4 of 4 |"
     text = PAGE.read_text(encoding="utf-8")
     assert len(MARKED.findall(text)) == with_table(text, "| new |\n").count("| new |") == 1
@@ -157,7 +205,10 @@ def test_table_one_agrees_with_the_shipped_run() -> None:
     for row in read_published(FILE).errors:
         figures = getattr(published[row.method], row.steps)
         assert (figures.time_s, figures.time_sd_s) == (row.time_s, row.time_sd_s)
-        assert (figures.error_percent, figures.error_sd_percent) == (row.error_percent, row.error_sd_percent)
+        assert (figures.error_percent, figures.error_sd_percent) == (
+            row.error_percent,
+            row.error_sd_percent,
+        )
 
 
 def test_a_published_method_without_results_gives_one_sentence() -> None:
@@ -178,7 +229,10 @@ def test_baselines_are_judged_by_their_own_cost_and_crashes_are_shown(
     """Relative methods solve theirs without the terms that compare with it."""
     atlas = AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), executor=Serial())
     solves = run_atlas(atlas)
-    assert {(solve.method, solve.part) for solve in solves} >= {("LSR-dCR", "baseline"), ("LSR-gdCR", "baseline")}
+    assert {(solve.method, solve.part) for solve in solves} >= {
+        ("LSR-dCR", "baseline"),
+        ("LSR-gdCR", "baseline"),
+    }
     assert all(solve.verified for solve in solves), solves
 
     def breaks(*arguments: object) -> None:
@@ -186,12 +240,18 @@ def test_baselines_are_judged_by_their_own_cost_and_crashes_are_shown(
 
     monkeypatch.setattr("lampest.studies.extremes.first_stream", breaks)
     solves = run_atlas(atlas)
-    assert all(solve.crashed and not solve.solved and "KeyError" in solve.status for solve in solves)
+    assert all(
+        solve.crashed and not solve.solved and "KeyError" in solve.status for solve in solves
+    )
     assert atlas_remarks(solves)[0].startswith("0 of ")
 
 
-@pytest.mark.parametrize("error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError])
-def test_broken_arithmetic_gives_a_status(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "error", [np.linalg.LinAlgError, ValueError, FloatingPointError, RuntimeError]
+)
+def test_broken_arithmetic_gives_a_status(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def breaks(*arguments: object) -> None:
         raise error("singular")
 
@@ -214,13 +274,21 @@ def test_broken_arithmetic_gives_a_status(error: type[Exception], monkeypatch: p
             assert np.all(np.isnan(solution.cell_resistance))
 
 
-def test_the_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:
+def test_the_heat_map_has_a_square_for_every_scene_and_counts_failures(
+    disk: SimpleNamespace,
+) -> None:
     text = "schema: 1\ngrid: {sizes: [2], decades: [1, 2], noise: [0]}\nstructured: {sizes: []}\n"
     text += "estimators: {mine: {terms: {misfit: {}}}}\n"
     atlas = read_settings(AtlasFile)(disk.run(text, "edge.yaml"))
     solves = [solve for sample in atlas.samples for solve in solves_of(atlas, sample)]
-    failed = [replace(solve, solved=False, status="crashed: no") if solve.decades == 2 else solve for solve in solves]
+    failed = [
+        replace(solve, solved=False, status="crashed: no") if solve.decades == 2 else solve
+        for solve in solves
+    ]
     map_axes, bar = extremes_figure(failed).axes
-    assert [label.get_text() for label in map_axes.get_yticklabels()] == ["2 × 2, 10¹", "2 × 2, 10²"]
+    assert [label.get_text() for label in map_axes.get_yticklabels()] == [
+        "2 × 2, 10¹",
+        "2 × 2, 10²",
+    ]
     assert [text.get_text() for text in map_axes.texts] == ["2", "reduced"]
     assert "verified optimum" in bar.get_xlabel()

@@ -1,7 +1,8 @@
-"""Several threads estimate at the same time: the same cells as one after the other, also beside cancellation and forks.
+"""Several threads estimate at the same time: the same cells as one after the other, also beside
+cancellation and forks.
 
-CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end is looked at. The
-threads of BLAS are a state of the process.
+CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end
+is looked at. The threads of BLAS are a state of the process.
 """
 
 import subprocess
@@ -34,8 +35,14 @@ import lampest
 WAYS = {
     "squares": ({}, [lampest.Misfit(), lampest.LogGradient(weight=1.0)]),
     "absolute": ({}, [lampest.Misfit(), lampest.TotalVariation(weight=1.0)]),
-    "program": ({"formulation": "nodal"}, [lampest.Misfit(loss=lampest.Huber(3.0)), lampest.CellResistance(1e-3)]),
-    "student": ({}, [lampest.Misfit(loss=lampest.Student(corner=3.0)), lampest.CellResistance(1e-3)]),
+    "program": (
+        {"formulation": "nodal"},
+        [lampest.Misfit(loss=lampest.Huber(3.0)), lampest.CellResistance(1e-3)],
+    ),
+    "student": (
+        {},
+        [lampest.Misfit(loss=lampest.Student(corner=3.0)), lampest.CellResistance(1e-3)],
+    ),
 }
 def recording(number):
     # Panels of one shape share what is compiled, and each process starts without any.
@@ -46,7 +53,8 @@ def recording(number):
 
 def estimate(number, way, more=()):
     options, terms = WAYS[way]
-    return lampest.reconstruct(recording(number), [*terms, *more], error_bars=False, **options).cell_resistance
+    options = {"error_bars": False, **options}
+    return lampest.reconstruct(recording(number), [*terms, *more], **options).cell_resistance
 
 def begun(count, work):
     threads = [threading.Thread(target=work, args=(number,)) for number in range(count)]
@@ -60,7 +68,8 @@ def ended(threads):
         assert not thread.is_alive(), "a thread hangs"
 
 def forks(count, seconds, work):
-    # The codes of processes that are forked now; an alarm ends one that hangs at a lock that nobody gives back.
+    # The codes of processes that are forked now; an alarm ends one that hangs at a lock that nobody
+    # gives back.
     for number in range(count):
         child = os.fork()
         if not child:
@@ -76,19 +85,31 @@ def work(number):
     estimates[number] = estimate(number, ways[number % len(ways)])
 ended(begun(count, work))
 for number in range(count):
-    np.testing.assert_allclose(estimates[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
+    alone = estimate(number, ways[number % len(ways)])
+    np.testing.assert_allclose(estimates[number], alone, rtol=1e-12)
 """
 
 
 def run(text: str, *arguments: object) -> None:
     """Run a scene in a process of its own, which must end well."""
-    command = [sys.executable, "-X", "faulthandler", "-c", SCENE + textwrap.dedent(text), *map(str, arguments)]
+    command = [
+        sys.executable,
+        "-X",
+        "faulthandler",
+        "-c",
+        SCENE + textwrap.dedent(text),
+        *map(str, arguments),
+    ]
     completed = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert (completed.returncode, completed.stderr) == (0, ""), f"{completed.returncode}: {completed.stderr[-3000:]}"
+    assert (completed.returncode, completed.stderr) == (0, ""), (
+        f"{completed.returncode}: {completed.stderr[-3000:]}"
+    )
 
 
 @pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"])
+@pytest.mark.parametrize(
+    "ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"]
+)
 def test_several_threads_give_the_cells_of_one_thread(count: int, ways: str) -> None:
     run(COMPARISON, count, ways)
 
@@ -114,17 +135,21 @@ def test_a_failing_or_cancelled_thread_harms_no_other() -> None:
             pass
 
         estimates, raised = {}, []
-        estimate(0, "squares")  # an exception that comes from outside may break an import, whoever imports
+        # An exception that comes from outside may break an import, whoever imports.
+        estimate(0, "squares")
         def work(number):
+            more = [Failing()] if number % 4 == 1 else []
             try:
                 for _ in range(3):
-                    estimates[number] = estimate(number, "squares", more=[Failing()] if number % 4 == 1 else [])
+                    estimates[number] = estimate(number, "squares", more)
             except (lampest.InputError, Cancelled) as error:
                 raised.append(error)  # kept by a thread that is not the one that made the symbols
 
         threads = begun(12, work)
         for thread in threads[2::4]:
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(Cancelled))
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                ctypes.c_ulong(thread.ident), ctypes.py_object(Cancelled)
+            )
         ended(threads)
         assert sum("no residual" in str(error) for error in raised) == 3
         raised.clear()
@@ -134,7 +159,7 @@ def test_a_failing_or_cancelled_thread_harms_no_other() -> None:
     )
 
 
-def test_a_dropped_owner_waits_for_a_guarded_call_without_python_code_that_an_interrupt_could_break() -> None:
+def test_a_dropped_owner_waits_for_a_guarded_call_and_runs_no_python_code_meanwhile() -> None:
     owner = CasadiOwner()
     reference = ref(owner)
     events: list[str] = []
@@ -149,7 +174,9 @@ def test_a_dropped_owner_waits_for_a_guarded_call_without_python_code_that_an_in
 
 @pytest.mark.slow
 def test_processes_forked_during_estimates_can_estimate() -> None:
-    """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
+    """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while
+    they are computed.
+    """
     run(
         """
         over = threading.Event()
@@ -189,11 +216,13 @@ def test_ctrl_c_ends_only_the_main_thread() -> None:
     run(
         """
         estimates = {}
-        estimate(7, "squares")  # Python's locks of modules stay taken if an exception from outside ends an import
+        # Python's locks of modules stay taken if an exception from outside ends an import.
+        estimate(7, "squares")
         def work(number):
             estimates[number] = estimate(number, "squares")
         threads = begun(6, work)
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background begins without it
+        # A process in the background begins without it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
         try:
             while True:
@@ -208,10 +237,16 @@ def test_ctrl_c_ends_only_the_main_thread() -> None:
 
 def blas_threads() -> set[int]:
     """How many each BLAS of this process has."""
-    return {library["num_threads"] for library in ThreadpoolController().info() if library["user_api"] == "blas"}
+    return {
+        library["num_threads"]
+        for library in ThreadpoolController().info()
+        if library["user_api"] == "blas"
+    }
 
 
-@pytest.mark.parametrize("panel", [lampest.Panel(3, 4), lampest.Panel(modules=Modules(1, 2, EachModule(3, 4)))])
+@pytest.mark.parametrize(
+    "panel", [lampest.Panel(3, 4), lampest.Panel(modules=Modules(1, 2, EachModule(3, 4)))]
+)
 def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
     panel: lampest.Panel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -221,14 +256,22 @@ def test_a_stream_and_an_estimate_from_python_use_one_thread_of_blas(
     readings = lampest.Readings.of(scene, recorded[0])
     during = list[set[int]]()
     networks = Data.networks
-    monkeypatch.setattr(Data, "networks", lambda *given: (during.append(blas_threads()), networks(*given))[1])
+    monkeypatch.setattr(
+        Data, "networks", lambda *given: (during.append(blas_threads()), networks(*given))[1]
+    )
     estimator = lampest.Estimator((lampest.Misfit(),), "reduced")
     with threadpool_limits(2, "blas"):
         stream = begin_stream(estimator, scene, 0.1, readings)
         stream.tared(readings).push(readings)
         alone = len(during)
-        lampest.reconstruct(lampest.Recording(scene, recorded, np.arange(3.0), role), estimator.terms)
-        assert 0 < alone < len(during) and all(threads == {1} for threads in during) and blas_threads() == {2}
+        lampest.reconstruct(
+            lampest.Recording(scene, recorded, np.arange(3.0), role), estimator.terms
+        )
+        assert (
+            0 < alone < len(during)
+            and all(threads == {1} for threads in during)
+            and blas_threads() == {2}
+        )
 
 
 def test_the_last_leaving_thread_restores_the_threads_of_blas() -> None:

@@ -24,7 +24,9 @@ from lampest.solvers.solution import Settings
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
-RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}, gradient: {weight: 1}}}}}"
+RUN = (
+    "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}, gradient: {weight: 1}}}}}"
+)
 # Rows and columns, memory that may be taken, words of the command, and what the refusal says.
 SIZES: tuple[tuple[int, str, tuple[str, ...], tuple[str, ...]], ...] = (
     (400, "", (), ("min and", "--yes")),
@@ -62,10 +64,20 @@ def test_failed_cases_stop_no_other_and_are_solved_by_the_next_run(
     plain = run(lambda estimator: len(estimator.terms) == 1)
     assert (plain.code, plain.err) == (3, "lampest: small × LSM failed: out of luck\n")
     assert "2 cases solved, 0 were done before, 1 failed" in plain.out
-    assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSR-CR", "LSR-dCR"]
+    assert [case.estimator for case in read_results(out / "results.h5").cases] == [
+        "LSR-CR",
+        "LSR-dCR",
+    ]
     all_solved = run(lambda estimator: False)
-    assert (all_solved.code, all_solved.err) == (0, "") and "1 case solved, 2 were done before" in all_solved.out
-    assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]
+    assert (all_solved.code, all_solved.err) == (
+        0,
+        "",
+    ) and "1 case solved, 2 were done before" in all_solved.out
+    assert [case.estimator for case in read_results(out / "results.h5").cases] == [
+        "LSM",
+        "LSR-CR",
+        "LSR-dCR",
+    ]
 
 
 @pytest.mark.slow
@@ -75,7 +87,9 @@ def test_the_study_of_starts_uses_the_chosen_weights(disk: SimpleNamespace) -> N
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
     words = (disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
     command = [sys.executable, "-m", "docs.studies.starts", *map(str, words)]
-    completed = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    completed = subprocess.run(
+        command, cwd=Path(__file__).parents[2], capture_output=True, text=True
+    )
     assert completed.returncode == 0, completed.stderr
     assert "one" in completed.stdout and "pair" in completed.stdout
     header, *rows = (disk.folder / "out" / "starts.csv").read_text().splitlines()
@@ -123,20 +137,27 @@ def test_a_call_that_returns_in_time_leaves_no_alarm() -> None:
 def recorded(frames: int = 4) -> Any:
     """Ohm as the divider gives it (frames, rows, columns)."""
     rng = np.random.default_rng(5)
-    cells = 1000 * np.exp(0.3 * rng.standard_normal((1, 4, 5)) + 0.05 * rng.standard_normal((frames, 4, 5)))
+    cells = 1000 * np.exp(
+        0.3 * rng.standard_normal((1, 4, 5)) + 0.05 * rng.standard_normal((frames, 4, 5))
+    )
     readout = SCENE.readout
     return readout.to_recorded(readout.exact_reading(cells), SCENE)
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_a_frame_not_solved_in_time_holds_nan_and_a_status(formulation: Any) -> None:
-    estimator = Estimator(FORMULATIONS[formulation], formulation, solver=Settings(time_limit_s=1e-9), error_bars=False)
+    estimator = Estimator(
+        FORMULATIONS[formulation], formulation, solver=Settings(time_limit_s=1e-9), error_bars=False
+    )
     stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, recorded()[:1]).mean())
     steps = [stream.push(Readings.of(SCENE, recorded()[1]))[1]]
     # The start of plain least squares, with which the smoother begins, is an optimum already.
     steps += [] if formulation == "smoother" or stream.baseline is None else [stream.baseline]
     for step in steps:
-        assert step.status == "the time limit was reached before an optimum" and np.isnan(step.cell_resistance).all()
+        assert (
+            step.status == "the time limit was reached before an optimum"
+            and np.isnan(step.cell_resistance).all()
+        )
 
 
 def test_a_hanging_solve_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +168,9 @@ def test_a_hanging_solve_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
         return original(*arguments)
 
     monkeypatch.setattr(newton_module, "trust_region_step", slowly)
-    estimator = Estimator(FORMULATIONS["reduced"], "reduced", solver=Settings(time_limit_s=0.08), error_bars=False)
+    estimator = Estimator(
+        FORMULATIONS["reduced"], "reduced", solver=Settings(time_limit_s=0.08), error_bars=False
+    )
     stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, recorded()[:1]).mean())
     assert stream.baseline is not None
     assert stream.baseline.status == "the time limit was reached before an optimum"

@@ -20,7 +20,8 @@ SOURCE = """LIMIT = 2.5
 class Panel:
     def area(self, length: Literal[4], width=3):
         message = f"{length + 7} µm", zip([], strict=True)
-        return sorted([-length * width, max(length, width)]) if length < LIMIT and not width is None else True
+        both = [-length * width, max(length, width)]
+        return sorted(both) if length < LIMIT and not width is None else True
 """
 BASE = "/entry/mouth/LSM"
 
@@ -30,7 +31,9 @@ def mutants(folder: Path) -> list[Mutant]:
     return mutants_of(folder, folder / "panel.py")
 
 
-def test_a_module_has_a_mutant_of_every_operator_in_every_computed_expression(tmp_path: Path) -> None:
+def test_a_module_has_a_mutant_of_every_operator_in_every_computed_expression(
+    tmp_path: Path,
+) -> None:
     all_mutants = mutants(tmp_path)
     changes = {(mutant.operator, mutant.before, mutant.after) for mutant in all_mutants}
     assert ("constant", "2.5", "25.0") in changes and ("constant", "3", "30") in changes
@@ -60,7 +63,11 @@ def test_a_mutant_meets_the_golden_rows_of_its_function_and_then_short_tests(
         "tests/c.py::of_something_else": {"seconds": 0.1, "functions": ["panel.py:g"]},
     }
     rows, other_tests = guards_of(area, tests)
-    assert rows == [f"{GOLDEN}row]"] and other_tests == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
+    assert rows == [f"{GOLDEN}row]"] and other_tests == [
+        "tests/a.py::short",
+        "tests/b.py::medium",
+        "tests/a.py::long",
+    ]
 
 
 @pytest.fixture
@@ -119,7 +126,9 @@ def test_a_difference_of_cells_or_statuses_counts(
 def test_rows_show_differences_and_the_exit_code_shows_equality(pair: tuple[Path, Path]) -> None:
     def code(*words: object) -> int:
         program = [sys.executable, "-m", "tests.studies.equal", *map(str, words)]
-        return subprocess.run(program, cwd=Path(__file__).parents[2], capture_output=True).returncode
+        return subprocess.run(
+            program, cwd=Path(__file__).parents[2], capture_output=True
+        ).returncode
 
     assert code(*pair) == 0
     with h5py.File(pair[1], "a") as file:

@@ -1,4 +1,6 @@
-"""Visits as a biologist counts them: rows with clock times over recordings and folders, which nothing ends."""
+"""Visits as a biologist counts them: rows with clock times over recordings and folders, which
+nothing ends.
+"""
 
 import csv
 import json
@@ -30,10 +32,24 @@ MOUTH = 1.0
 RING = 0.0
 
 
-def load(since_s: float, until_s: float | None, diameter_mm: float = 35.0, sucks: float = MOUTH) -> Attachment:
-    breath = Breathing(odds=10.0, previous_odds=10.0, hertz=(1.1, 0.05), depth=(0.08, 0.02), full_s=9.0, judged_s=9.0)
-    numbers = {"diameter_mm": (diameter_mm, 1.0), "suctions": ((-10.0, 1.0), (-12.0, 1.0), (-30.0, 2.0))}
-    return Attachment(sucks, since_s, (40.0, 1.0), (50.0, 1.0), until_s=until_s, breath=breath, **numbers)
+def load(
+    since_s: float, until_s: float | None, diameter_mm: float = 35.0, sucks: float = MOUTH
+) -> Attachment:
+    breath = Breathing(
+        odds=10.0,
+        previous_odds=10.0,
+        hertz=(1.1, 0.05),
+        depth=(0.08, 0.02),
+        full_s=9.0,
+        judged_s=9.0,
+    )
+    numbers = {
+        "diameter_mm": (diameter_mm, 1.0),
+        "suctions": ((-10.0, 1.0), (-12.0, 1.0), (-30.0, 2.0)),
+    }
+    return Attachment(
+        sucks, since_s, (40.0, 1.0), (50.0, 1.0), until_s=until_s, breath=breath, **numbers
+    )
 
 
 def detected_loads(
@@ -50,15 +66,28 @@ def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
         300.0,
         "yes",
     )
-    assert (first.suction_kpa, first.strongest_kpa) == (-12.0, -30.0)  # typical, and where it was strongest
-    assert (second.answer, second.duration_s, second.left, second.suction_kpa) == (PRESSES, 3600.0, "no", None)
+    # typical, and where it was strongest
+    assert (first.suction_kpa, first.strongest_kpa) == (-12.0, -30.0)
+    assert (second.answer, second.duration_s, second.left, second.suction_kpa) == (
+        PRESSES,
+        3600.0,
+        "no",
+        None,
+    )
 
 
 def test_visits_are_counted_by_day_and_by_night() -> None:
     answer = detected_loads(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
     table = count_table([answer], visits_of([answer]))
     ((day, hours, lampreys, _, an_hour, hours_of_night, at_night, _, _),) = table.cells
-    assert (day, hours, lampreys, an_hour, hours_of_night, at_night) == ("2026-05-04", "0.5", "1", "2", "1.5", "1")
+    assert (day, hours, lampreys, an_hour, hours_of_night, at_night) == (
+        "2026-05-04",
+        "0.5",
+        "1",
+        "2",
+        "1.5",
+        "1",
+    )
 
 
 def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
@@ -69,7 +98,10 @@ def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
 def test_visits_of_several_recordings_are_sorted_by_time() -> None:
     late = detected_loads(load(10.0, 20.0))
     early = detected_loads(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
-    assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == ["2026-05-03", "2026-05-04"]
+    assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == [
+        "2026-05-03",
+        "2026-05-04",
+    ]
 
 
 def test_the_sentence_counts_visits() -> None:
@@ -84,7 +116,9 @@ def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: s
 
 
 def test_a_reason_applies_to_its_time() -> None:
-    """After 55 minutes nothing shows within minutes, and after nine seconds nothing at 4.5 s at the earliest."""
+    """After 55 minutes nothing shows within minutes, and after nine seconds nothing at 4.5 s at the
+    earliest.
+    """
     silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
     assert "earliest" not in answer_of(silent, 4.0)[2]
     watched = replace(Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0), observed_s=3300.0)
@@ -92,21 +126,35 @@ def test_a_reason_applies_to_its_time() -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_of_recordings_gives_one_table(tmp_path: Path, lampest: Callable[..., Any]) -> None:
-    """Two recordings of one name, with clocks and in folders of their own; their visits are exported from the file."""
+def test_a_folder_of_recordings_gives_one_table(
+    tmp_path: Path, lampest: Callable[..., Any]
+) -> None:
+    """Two recordings of one name, with clocks and in folders of their own; their visits are
+    exported from the file.
+    """
     recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"
     out = tmp_path / "out"
     for day in (1, 2):
         (season / str(day)).mkdir(parents=True)
-        replace(recording, start_time=f"2026-05-0{day}T12:00:00+00:00").save(season / str(day) / "pond.h5")
+        replace(recording, start_time=f"2026-05-0{day}T12:00:00+00:00").save(
+            season / str(day) / "pond.h5"
+        )
     assert lampest("detect", season, "--out", out).code == 0
     with (out / "visits.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == list(COLUMNS) and [row["recording"] for row in rows] == ["pond", "pond_2"]
+    assert list(rows[0]) == list(COLUMNS) and [row["recording"] for row in rows] == [
+        "pond",
+        "pond_2",
+    ]
     assert [row["begin"][:10] for row in rows] == ["2026-05-01", "2026-05-02"]
     assert (out / "visits.png").exists()
-    assert lampest("export", out / "detections.h5", "--to", "csv", "--out", tmp_path / "visits.csv").code == 0
+    assert (
+        lampest(
+            "export", out / "detections.h5", "--to", "csv", "--out", tmp_path / "visits.csv"
+        ).code
+        == 0
+    )
     assert (tmp_path / "visits.csv").read_text() == (out / "visits.csv").read_text()
     refused = lampest("export", out / "detections.h5", "--to", "nwb")
     assert refused.code == 2 and "csv, parquet, mat" in refused.err
@@ -114,12 +162,16 @@ def test_a_folder_of_recordings_gives_one_table(tmp_path: Path, lampest: Callabl
     assert [answer["recording"] for answer in answers] == ["pond", "pond_2"]
 
 
-def test_a_folder_without_a_recording_is_refused(tmp_path: Path, lampest: Callable[..., Any]) -> None:
+def test_a_folder_without_a_recording_is_refused(
+    tmp_path: Path, lampest: Callable[..., Any]
+) -> None:
     refused = lampest("detect", tmp_path)
     assert refused.code == 2 and "holds no recording" in refused.err
 
 
-def test_a_failed_recognition_is_repeated_with_the_next_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_recognition_is_repeated_with_the_next_frames(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The next attempt recognises the load, and the recording is evaluated to its end."""
     recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
     known = known_of(Prepared(recording))
@@ -134,8 +186,12 @@ def test_a_failed_recognition_is_repeated_with_the_next_frames(monkeypatch: pyte
         return verdict(*frame)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Detector, "verdict", failing)
-    answer = known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
-    assert len(attempts) > 1 and answer.answer == PRESSES and answer.attachments[0].until_s is not None
+    answer = known.answer(
+        measured_frames(recording, known, np.ones(len(recording.time), dtype=bool))
+    )
+    assert (
+        len(attempts) > 1 and answer.answer == PRESSES and answer.attachments[0].until_s is not None
+    )
 
 
 @pytest.mark.slow
@@ -154,12 +210,17 @@ def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["wavy mouth", "mouth and body", "pulled mouth", "mouth in current"])
+@pytest.mark.parametrize(
+    "kind", ["wavy mouth", "mouth and body", "pulled mouth", "mouth in current"]
+)
 def test_uneven_mouths_near_bodies_in_currents_or_pulled_are_recognised(kind: str) -> None:
     answers = [seen(kind, 4.0, 8200 + number) for number in range(3)]
     assert all(attachment.sucks > 0.9 for attachment in answers)
     # a body whose tail beats at the rate of breath may hide it
-    assert kind == "mouth and body" or sum(np.isfinite(attachment.lamprey) for attachment in answers) >= 2
+    assert (
+        kind == "mouth and body"
+        or sum(np.isfinite(attachment.lamprey) for attachment in answers) >= 2
+    )
 
 
 @pytest.mark.slow
@@ -175,11 +236,15 @@ def test_an_arriving_load_is_not_assumed_in_the_unloaded_frames(kind: str) -> No
 def test_few_cells_becoming_even_are_not_taken_for_a_departed_load() -> None:
     """A fin presses on few cells, which happen to be more even under it."""
     answer = answered(attached("fin", 4.0, 977000)[0])
-    assert answer.answer == PRESSES and not any("in its unloaded frames" in note for note in answer.notes)
+    assert answer.answer == PRESSES and not any(
+        "in its unloaded frames" in note for note in answer.notes
+    )
 
 
 def test_a_wave_at_half_the_frame_rate_has_the_depth_of_a_breath() -> None:
-    """The sine of the wave is hardly sampled: the prior bounds the amplitude, and nothing is divided by zero."""
+    """The sine of the wave is hardly sampled: the prior bounds the amplitude, and nothing is
+    divided by zero.
+    """
     times = np.arange(0, 8, 0.25)
     rise = np.repeat([-2.0, 1.0], 20)
     slopes = np.repeat([-300.0, 90.0], 20)

@@ -1,4 +1,6 @@
-"""Loads that come and go at awkward times: in unloaded frames, before them, beside another, in the last moment."""
+"""Loads that come and go at awkward times: in unloaded frames, before them, beside another, in the
+last moment.
+"""
 
 import dataclasses
 import pickle
@@ -7,7 +9,19 @@ import numpy as np
 import pytest
 from laws.recognised import answered
 
-from lampest import OralDisc, Panel, Readout, Recording, Ring, Rod, Scene, Shape, Simulation, Unmodelled, simulate
+from lampest import (
+    OralDisc,
+    Panel,
+    Readout,
+    Recording,
+    Ring,
+    Rod,
+    Scene,
+    Shape,
+    Simulation,
+    Unmodelled,
+    simulate,
+)
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.detector import Detector
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
@@ -26,7 +40,11 @@ Course = tuple[Shape, int, int]  # a load, the first frame with it and the first
 
 
 def recording_with(
-    *courses: Course, frames: int = 20, readout: Readout = TWO_POINT, side: int = 6, memory_share: float = MEMORY_SHARE
+    *courses: Course,
+    frames: int = 20,
+    readout: Readout = TWO_POINT,
+    side: int = 6,
+    memory_share: float = MEMORY_SHARE,
 ) -> Recording:
     """A frame a second, the first five unloaded; of a load that leaves a film keeps a part."""
     scene = Scene(Panel(side, side), readout, 140.0 if readout is TWO_POINT else 0.0)
@@ -61,7 +79,9 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
 def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
     """What cells show then is like suction."""
     answer = answered(recording_with((ROD, 0, 10)))
-    assert answer.answer == CANNOT_SAY and answer.why.endswith("in its unloaded frames, and left at 10.0 s")
+    assert answer.answer == CANNOT_SAY and answer.why.endswith(
+        "in its unloaded frames, and left at 10.0 s"
+    )
     second = answered(recording_with((ROD, 0, 10), (MOUTH, 14, 20)))
     assert second.answer == SUCKS and len(second.attachments) == 1
 
@@ -76,7 +96,9 @@ def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() 
 )
 def test_a_load_in_all_unloaded_frames_is_not_called_nothing(load: Shape) -> None:
     answer = answered(recording_with((load, -1, 9), frames=8, side=10))
-    assert answer.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in answer.why
+    assert (
+        answer.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in answer.why
+    )
 
 
 def test_cells_of_an_uneven_film_are_not_taken_for_a_load_in_the_unloaded_frames() -> None:
@@ -115,15 +137,21 @@ def test_a_load_in_the_last_frames_is_recognised() -> None:
 
 @pytest.mark.slow
 def test_a_poorly_visible_load_arrives_and_leaves() -> None:
-    """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of the touch."""
-    readout = LoadedColumnsReadout(polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7)
+    """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of
+    the touch.
+    """
+    readout = LoadedColumnsReadout(
+        polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7
+    )
     weak = Rod(centre_mm=(26, 24), diameter_mm=22, mass_g=25)
     answer = answered(recording_with((weak, 8, 14), readout=readout))
     assert [attachment.until_s for attachment in answer.attachments] == [14.0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD])
+@pytest.mark.parametrize(
+    "other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD]
+)
 def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shape) -> None:
     mouth = OralDisc(centre_mm=(25, 68), diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10)
     answer = answered(recording_with((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
@@ -148,10 +176,15 @@ def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     assert isinstance(known, Known)
     watch = known.watch()
     sizes = list[int]()
-    for value, sigma, time in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
+    for value, sigma, time in measured_frames(
+        recording, known, np.ones(len(recording.time), dtype=bool)
+    ):
         watch = watch.push(value, sigma, time)
         sizes += [len(pickle.dumps(watch.window))] if time % 500 == 0 else []
-    reported = [(attachment.since_s, attachment.until_s, attachment.sucks > 0.5) for attachment in watch.attachments]
+    reported = [
+        (attachment.since_s, attachment.until_s, attachment.sucks > 0.5)
+        for attachment in watch.attachments
+    ]
     assert len(reported) == 3 and [sucks for *_, sucks in reported] == [True, False, True]
     for (since, until, _), (_, begin, end) in zip(reported, visits, strict=True):
         assert until is not None and abs(since - begin) <= 2 and abs(until - end) <= 2

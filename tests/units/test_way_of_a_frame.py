@@ -18,7 +18,9 @@ NO_OBJECT = "file, page, stream"
 
 
 def traced_classes(action: Any) -> list[str]:
-    """Return the names of the package's classes in the order in which `action` first makes an object of them."""
+    """Return the names of the package's classes in the order in which `action` first makes an
+    object of them.
+    """
     classes: list[str] = []
 
     def notice(frame: FrameType, event: str, _: Any) -> None:
@@ -43,7 +45,9 @@ def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> Non
     document = tmp_path / "run.yaml"
     estimators = "{smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 0.5}}}}"
     recording = ROOT / "data" / "rod.h5"
-    document.write_text(f"schema: 1\nrecordings: [{recording}]\nestimators: {estimators}\nformulation: reduced\n")
+    document.write_text(
+        f"schema: 1\nrecordings: [{recording}]\nestimators: {estimators}\nformulation: reduced\n"
+    )
     expected = [CLASSES.get(word, word) for word in objects]
     made = traced_classes(lambda: run_batch(read_run(document), tmp_path / "out", Serial()))
     assert [name for name in made if name in expected] == expected

@@ -23,9 +23,23 @@ from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
 from lampest.recording.board.port import NoBoardError
 from lampest.recording.board.protocol import Estimate, Frame, Garbage, Hello, message
-from lampest.recording.board.record import Progress, Recorded, Recorder, _wanted, noise_from_repeats, record
+from lampest.recording.board.record import (
+    Progress,
+    Recorded,
+    Recorder,
+    _wanted,
+    noise_from_repeats,
+    record,
+)
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, Sample, Samples, Scanning, scene_of
+from lampest.recording.board.stream import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    Sample,
+    Samples,
+    Scanning,
+    scene_of,
+)
 from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
@@ -48,8 +62,9 @@ PERIOD = 0.05
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
 SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
 HELLO_AT_PERIOD = replace(IDLE, period_us=round(1e6 * PERIOD))
-# Messages that arrive, how the board answers when it is asked (None: not at all), when the end is requested, and how
-# many samples come in each batch; and how many answers came since the last of them.
+# Messages that arrive, how the board answers when it is asked (None: not at all), when the end is
+# requested, and how many samples come in each batch; and how many answers came since the last of
+# them.
 RUNNING = replace(IDLE, running=True, period_us=0)
 FIT = Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
 ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
@@ -59,7 +74,8 @@ ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], in
     ([(), ()], [RUNNING, replace(RUNNING, readings=3)], [False, False], [0, 0], 2),
     ([()], [None], [False], [0], 0),
 )
-# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of 0.05 s each.
+# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of
+# 0.05 s each.
 LIMITS = (
     (None, None, [2, 0, 3, 2]),
     (4, None, [2, 0, 2]),
@@ -90,7 +106,10 @@ def restarts(hello: Hello) -> Sent:
 
 def replayed(hello: Hello) -> Sent:
     """Twenty frames, then the first ten of them for ever."""
-    return ((0.01, wire(hello, number)) for number in itertools.chain(range(20), itertools.cycle(range(10))))
+    return (
+        (0.01, wire(hello, number))
+        for number in itertools.chain(range(20), itertools.cycle(range(10)))
+    )
 
 
 def flooded(hello: Hello) -> Sent:
@@ -108,7 +127,8 @@ def silent(frames: int) -> Script:
 
 
 UNFIT = r"nothing fit for \d+ s, though the line is not silent \(\d+ "
-# What a line sends when ten frames are requested, the sentence, and how many frames are in the file.
+# What a line sends when ten frames are requested, the sentence, and how many frames are in the
+# file.
 USELESS: tuple[tuple[Script, str, int], ...] = (
     (larger, UNFIT + "frames of another size", 0),
     (garbage, UNFIT + "pieces that are no message", 0),
@@ -165,16 +185,23 @@ def complete_frames(count: int, session: int = 0) -> list[tuple[int, int, int]]:
 
 
 def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tuple[int, int]]:
-    """Frames every 10 ms, without those that are gone, on a clock that jumps by so many ms at a frame."""
-    clock = (100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number) for number in range(count))
+    """Frames every 10 ms, without those that are gone, on a clock that jumps by so many ms at a
+    frame.
+    """
+    clock = (
+        100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number)
+        for number in range(count)
+    )
     return [(number, ms) for number, ms in enumerate(clock) if number not in gone]
 
 
 TICKS = ticked(20, {})
 LATE_TICKS = [
-    (n, int(1000 + 10 * (n + late))) for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))
+    (n, int(1000 + 10 * (n + late)))
+    for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))
 ]
-# Frames (number, ms), what is made of them (number, frames lost before it, session), and where the clock jumped.
+# Frames (number, ms), what is made of them (number, frames lost before it, session), and where the
+# clock jumped.
 RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[int]]] = {
     "numbers and clock wrap": (
         [((2**32 - 5 + step) % 2**32, 2**32 - 22 + 10 * step) for step in range(9)],
@@ -182,7 +209,11 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
         [],
     ),
     "frames are sent again": ([*TICKS, *TICKS[:15], *TICKS[3:9]], complete_frames(20), []),
-    "frames are sent again, then new ones": ([*TICKS, *TICKS[:15], (20, 100_200)], complete_frames(21), []),
+    "frames are sent again, then new ones": (
+        [*TICKS, *TICKS[:15], (20, 100_200)],
+        complete_frames(21),
+        [],
+    ),
     "numbers begin anew": (
         [(0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550)],
         [*complete_frames(3), *complete_frames(3, session=1)],
@@ -193,7 +224,11 @@ RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[in
         [*complete_frames(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
         [],
     ),
-    "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], complete_frames(4), []),
+    "a frame is out of order": (
+        [(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)],
+        complete_frames(4),
+        [],
+    ),
     "a clock is wild once": (
         [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
         complete_frames(5),
@@ -226,14 +261,20 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
     for name, (sent, expected, jumps) in RUNS.items():
         _, samples = run_of(*sent)
         assert places(samples)[1:] == expected[1:], name
-        assert [number for number, sample in enumerate(samples) if CLOCK_JUMPED in sample.events] == jumps, name
+        assert [
+            number for number, sample in enumerate(samples) if CLOCK_JUMPED in sample.events
+        ] == jumps, name
         period = [0.01 * (1 + lost) for _, lost, _ in expected[1:]]
         elapsed = [sample.time for sample in samples]
-        np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE_TICKS else 1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            np.diff(elapsed), period, atol=0.01 if sent is LATE_TICKS else 1e-9, err_msg=name
+        )
     for jumps in ADJACENT:
         _, samples = run_of(*ticked(30, jumps))
         assert places(samples) == complete_frames(30)
-        np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
+        np.testing.assert_allclose(
+            [sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9
+        )
 
 
 def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
@@ -244,13 +285,19 @@ def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
         assert samples[-1].time == pytest.approx(0.02) and not run.rest()
     for last in ((1, 510), (0, 500), (900, 515)):
         run, samples = run_of((0, 500), (1, 510), last)
-        assert not run.rest() and places(samples) == complete_frames(2), "repeated and foreign frames are none"
+        assert not run.rest() and places(samples) == complete_frames(2), (
+            "repeated and foreign frames are none"
+        )
 
 
 def test_the_clock_limits_the_accepted_frame_number() -> None:
     """The first one; and none that its clock puts days ahead."""
-    assert [run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))] == [7, 0, 0]
-    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == complete_frames(3)
+    assert [
+        run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))
+    ] == [7, 0, 0]
+    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == complete_frames(
+        3
+    )
     _, samples = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
     assert samples[2].session == 1 and samples[2].lost < 10_000 and samples[2].time < 100
 
@@ -286,7 +333,12 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
 
 def test_an_unplugged_board_loses_no_counted_frames_and_missed_ticks_are_no_jump() -> None:
     run, (*_, last) = run_of((0, 500), (1, 510))
-    resumed = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 1, replace(last, host_time=last.host_time - 60))
+    resumed = Scanning(
+        replace(IDLE, period_us=10_000),
+        BOARD_SCENE,
+        1,
+        replace(last, host_time=last.host_time - 60),
+    )
     (sample,) = resumed.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
     (sample,) = run.take(replace(frame(2, 5520), missed=500))
@@ -307,7 +359,9 @@ def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
     wrong = [(field, value) for field, values in IMPOSSIBLE_FIELDS.items() for value in values]
     greetings = [replace(IDLE, **{field: value}) for field, value in wrong]
     for hello, (field, value) in zip(greetings, wrong, strict=True):
-        assert re.fullmatch(rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault)
+        assert re.fullmatch(
+            rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault
+        )
     assert IDLE.fault == ""
     with (
         wild_board(hundred_a_second, greetings[0]) as board,
@@ -318,7 +372,9 @@ def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_recording_leaves_a_clean_file(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_recording_leaves_a_clean_file(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     def interrupt(progress: Progress) -> None:
         if progress.frames == 6:
             os.kill(os.getpid(), number)
@@ -330,7 +386,9 @@ def test_an_interrupted_recording_leaves_a_clean_file(tmp_path: Path, number: si
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
 
 
-def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pytest.raises(KeyboardInterrupt), process.ending_signals():  # nothing is worth finishing
         signal.raise_signal(signal.SIGTERM)
     monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
@@ -344,7 +402,9 @@ def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(mo
 
 def test_an_ignored_signal_stays_ignored_unless_it_ends_programs() -> None:
     """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
-    handlers = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)}
+    handlers = {
+        number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)
+    }
     try:
         with process.ending_signals(lambda: True) as ended_by:
             signal.raise_signal(signal.SIGHUP)
@@ -359,14 +419,24 @@ def test_an_ignored_signal_stays_ignored_unless_it_ends_programs() -> None:
 def test_a_scene_that_contradicts_the_board_is_refused() -> None:
     for panel, changes, words in (
         (Panel(17, 10), {}, r"panel\.rows is 17, but the board can do at most 16"),
-        (Panel(3, 4), {"readings": 65}, r"readout\.readings is 65, but the board can do at most 64"),
-        (Panel(3, 4), {"measured_across": "sensor"}, "measured_across is sensor, but the board says reference"),
+        (
+            Panel(3, 4),
+            {"readings": 65},
+            r"readout\.readings is 65, but the board can do at most 64",
+        ),
+        (
+            Panel(3, 4),
+            {"measured_across": "sensor"},
+            "measured_across is sensor, but the board says reference",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             scene_of(IDLE, Scene(panel, TwoPointReadout(**changes)))
 
 
-def test_the_error_names_a_port_without_a_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_names_a_port_without_a_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
         record("loop://", tmp_path / "r.h5", frames=1)
@@ -378,7 +448,11 @@ def test_ports_and_modules_must_have_equal_numbers() -> None:
     for ports, scene, words in (
         ("ab", dead, r"reads 3 modules: .* order \[0, 0\], \[1, 0\], \[1, 1\]; not 2"),
         ("ab", None, "several boards need a scene"),
-        ("abcdefg", larger, r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7"),
+        (
+            "abcdefg",
+            larger,
+            r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             samples_of(ports, scene)
@@ -388,18 +462,24 @@ def sent(number: int, at: float, arrived: float | None = None) -> Sample:
     """Frame `number` of a board whose clock began at −100 s of the host's."""
     sums = np.full((3, 4), number, np.uint16)
     frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
-    return Sample(frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, at if arrived is None else arrived, 0, 0)
+    return Sample(
+        frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, at if arrived is None else arrived, 0, 0
+    )
 
 
 def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
     frames = []
     while (parts := alignment.frame(moment)) is not None:
-        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(alignment.boards)))
+        frames.append(
+            tuple(parts[b].frame.sequence if b in parts else None for b in range(alignment.boards))
+        )
     return frames
 
 
 def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
-    """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board −1 sends none."""
+    """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board
+    −1 sends none.
+    """
     image = Alignment(2)
     complete = list[tuple[int | None, ...]]()
     for board, number, at, arrival in arrivals:
@@ -419,11 +499,15 @@ def test_the_next_board_leads_during_the_absence_of_the_first() -> None:
     delivered = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
     complete = [(number, number) for number in (*range(5), *range(12, 20))]
     assert [image for image in delivered if None not in image] == complete
-    assert [image for image in delivered if None in image] == [(None, number) for number in range(5, 12)]
+    assert [image for image in delivered if None in image] == [
+        (None, number) for number in range(5, 12)
+    ]
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
-    """A part that began 0.4 periods before belongs to the frame; the second board leads once the first is late."""
+    """A part that began 0.4 periods before belongs to the frame; the second board leads once the
+    first is late.
+    """
     alignment = Alignment(2)
     late = 1.5 * PERIOD + LATE_SECONDS
     for board, at in enumerate((0.0, -0.4 * PERIOD)):
@@ -441,10 +525,14 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
 
 
 def test_a_returning_board_is_shown_at_any_phase() -> None:
-    """Frames of the returning board arrive after those of the leading one, which must wait for them again."""
+    """Frames of the returning board arrive after those of the leading one, which must wait for them
+    again.
+    """
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
-        delivered = images((*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25)
+        delivered = images(
+            (*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25
+        )
         assert delivered[6:26] == [(number, None) for number in range(6, 26)]
         assert delivered[26:] == [(number, number) for number in range(26, 40)]
 
@@ -461,7 +549,9 @@ def test_the_image_begins_when_every_board_has_sent() -> None:
 def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
     alignment = Alignment(1)
     for number in range(60):
-        alignment.take(0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02)))
+        alignment.take(
+            0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02))
+        )
     assert len(alignment.delays[0]) == 50
     late = [alignment.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)]
     assert late == pytest.approx([0.02, 0.01, 0.01])
@@ -469,8 +559,12 @@ def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
     assert [*alignment.delays[0]] == pytest.approx([-99.5])
 
 
-def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> tuple[list[Sample], list[str]]:
-    """The image of four boards that send these samples and then fall silent, and what is said meanwhile."""
+def image_of(
+    monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]
+) -> tuple[list[Sample], list[str]]:
+    """The image of four boards that send these samples and then fall silent, and what is said
+    meanwhile.
+    """
     states = list[str]()
     silent = set[str]()
     waiting = {port: iter(samples) for port, samples in boards.items()}
@@ -487,12 +581,16 @@ def image_of(monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]) -> t
     monkeypatch.setattr(several, "board_samples", samples)
     monkeypatch.setattr(several, "time", lambda: 0.0)
     monkeypatch.setattr(several, "RETRY_SECONDS", 0.0)
-    batches = samples_of([*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards))
+    batches = samples_of(
+        [*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards)
+    )
     return [sample for batch in batches for sample in batch], states
 
 
 def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second board lacks the frames 2 and 3, the third hangs, is opened anew and says that it lost two frames."""
+    """The second board lacks the frames 2 and 3, the third hangs, is opened anew and says that it
+    lost two frames.
+    """
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
     later = [replace(sample, lost=2, events=(CLOCK_JUMPED,)) for sample in boards["c"][4:]]
@@ -504,23 +602,37 @@ def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.Monk
     images, states = image_of(monkeypatch, boards)
     assert [image.missing for image in images] == [0, 0, 1, 1, 0, 0]
     jumped = (CLOCK_JUMPED,)
-    assert [image.events for image in images] == [(), (), ("gone: 0,1",), (), (*jumped, "back: 0,1"), jumped]
+    assert [image.events for image in images] == [
+        (),
+        (),
+        ("gone: 0,1",),
+        (),
+        (*jumped, "back: 0,1"),
+        jumped,
+    ]
     assert [image.frame.sequence for image in images] == [0, 1, 2, 3, 4, 5]
     assert {image.frame.missed for image in images} == {3}
     assert [image.session for image in images] == [0, 0, 0, 0, 1, 1]
     assert not any(image.lost for image in images), "no board lacks it where the others have it"
     np.testing.assert_allclose([image.time for image in images], PERIOD * np.arange(6), atol=1e-9)
-    np.testing.assert_allclose([image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose(
+        [image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=1e-9
+    )
     assert {(image.hello.rows, image.hello.columns) for image in images} == {(6, 8)}
     parts = LAYOUT.split(np.array([image.frame.sums for image in images]))
-    assert [[int(module[0, 0]) for module in image] for image in parts][1:3] == [[1] * 4, [2, 65535, 2, 2]]
+    assert [[int(module[0, 0]) for module in image] for image in parts][1:3] == [
+        [1] * 4,
+        [2, 65535, 2, 2],
+    ]
     assert set(states) == {"module 0,1 at b: no frame came"}
 
 
 def test_frames_lost_by_all_boards_count_as_lost_and_a_silent_board_ends_the_recording(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    boards: dict[str, list[Any]] = {name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"}
+    boards: dict[str, list[Any]] = {
+        name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"
+    }
     for lost, samples in enumerate(boards.values(), 2):
         samples[0], samples[-1] = replace(samples[0], lost=7), replace(samples[-1], lost=lost)
     images, states = image_of(monkeypatch, boards)
@@ -550,9 +662,9 @@ def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> No
     assert recording.acquisition is not None and recording.raw_sums is not None
     assert recording.acquisition.sequence.tolist() == [*range(8)]
     assert recording.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
-    assert recording.acquisition.event_label == ("zero",) and recording.acquisition.event_time[0] == pytest.approx(
-        100.4
-    )
+    assert recording.acquisition.event_label == ("zero",) and recording.acquisition.event_time[
+        0
+    ] == pytest.approx(100.4)
     del messages[:]
     for name in ("one", "two"):
         recorder.ask(name)
@@ -560,19 +672,35 @@ def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> No
             recorder.take(sent(number, 0.1 * number))
     recorder.close()
     second = Recording.load(tmp_path / "two.h5")
-    assert second.acquisition is not None and second.acquisition.sequence.tolist() == [4, 5, 9, 10], "since the zero"
+    assert second.acquisition is not None and second.acquisition.sequence.tolist() == [
+        4,
+        5,
+        9,
+        10,
+    ], "since the zero"
     assert second.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
-    assert messages[0] == (f"not recorded: {path}: exists already; a recording is never written over", False)
+    assert messages[0] == (
+        f"not recorded: {path}: exists already; a recording is never written over",
+        False,
+    )
 
 
-def test_a_recording_summary_counts_its_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_summary_counts_its_events(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     samples = [sent(number, 0.1 * number - 100) for number in range(5)]
-    changes: tuple[dict[str, Any], ...] = ({"lost": 2}, {"events": (CLOCK_JUMPED,)}, {"events": (CLOCK_STOPPED,)})
+    changes: tuple[dict[str, Any], ...] = (
+        {"lost": 2},
+        {"events": (CLOCK_JUMPED,)},
+        {"events": (CLOCK_STOPPED,)},
+    )
     for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
         samples[number] = replace(samples[number], **change)
     calls: list[Any] = []
 
-    def arriving(urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int) -> Samples:
+    def arriving(
+        urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int
+    ) -> Samples:
         calls.append((urls, scene, period, ending(), baseline))
         yield tuple(samples[:2])
         on_state("the board does not answer")
@@ -583,15 +711,29 @@ def test_a_recording_summary_counts_its_events(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr("lampest.recording.board.record.samples_of", arriving)
     steps: list[tuple[int, int, str]] = []
-    for name, ports, limits in (("a", "p", {"seconds": 2.0}), ("b", ["p", "q"], {"frames": 5}), ("c", None, {})):
+    for name, ports, limits in (
+        ("a", "p", {"seconds": 2.0}),
+        ("b", ["p", "q"], {"frames": 5}),
+        ("c", None, {}),
+    ):
         del steps[:]
-        limits |= {"period": 0.1, "on_progress": lambda at: steps.append((at.frames, at.lost, at.state))}
+        limits |= {
+            "period": 0.1,
+            "on_progress": lambda at: steps.append((at.frames, at.lost, at.state)),
+        }
         summary = record(ports, tmp_path / name, **limits)
         counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
         assert {key: getattr(summary, key) for key in counts} == counts and summary.clock_stopped
         assert (summary.path, summary.ended_by, summary.noise_lsb) == (tmp_path / name, "", None)
         assert summary.silent == (1.55 if name == "a" else 0.0)
-        assert steps == [(1, 0, ""), (2, 2, ""), (2, 2, "the board is gone"), (3, 2, ""), (4, 2, ""), (5, 2, "")]
+        assert steps == [
+            (1, 0, ""),
+            (2, 2, ""),
+            (2, 2, "the board is gone"),
+            (3, 2, ""),
+            (4, 2, ""),
+            (5, 2, ""),
+        ]
         recording = Recording.load(summary.path)
         assert recording.role.tolist() == [MEASURED] * 5 and recording.acquisition is not None
         assert recording.acquisition.event_label == ("clock jump", "clock stopped")
@@ -601,7 +743,10 @@ def test_a_recording_summary_counts_its_events(tmp_path: Path, monkeypatch: pyte
 
 def batches_of(*sizes: int) -> Samples:
     numbers = itertools.count()
-    yield from (tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size)) for size in sizes)
+    yield from (
+        tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size))
+        for size in sizes
+    )
 
 
 def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
@@ -617,7 +762,9 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
     line._since -= stream.UNFIT_SECONDS + 3.1
     line.check(1.1)
     kinds = "9 answers, 6 pieces that are no message, 4 frames of another size"
-    with pytest.raises(InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"):
+    with pytest.raises(
+        InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"
+    ):
         line.check(1.0)
     run = Scanning(idle, BOARD_SCENE, 0, None)
     samples, finished = line._taken(run, (fit, fit))
@@ -626,11 +773,15 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
 
 
 def test_a_frame_has_the_estimate_sent_before_it() -> None:
-    """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a line up."""
+    """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a
+    line up.
+    """
     line = stream._Line("url", None, None, lambda: False)
     run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
     change = np.arange(12, dtype=np.float32).reshape(3, 4)
-    frames = [Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)]
+    frames = [
+        Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)
+    ]
     messages = (
         *(Estimate(0, 0, change), frames[0], frames[1]),
         *(Estimate(0, 1, change), frames[2]),
@@ -649,7 +800,9 @@ def test_a_frame_has_the_estimate_sent_before_it() -> None:
 
 
 def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A silent board is identified anew; one that scans on is believed, one that does not has restarted."""
+    """A silent board is identified anew; one that scans on is believed, one that does not has
+    restarted.
+    """
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
     for arrived, answers, ending, sizes, since in ENDED_RUNS:
         messages = iter(arrived)
@@ -675,12 +828,16 @@ def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch
     board.messages = [(FIT,)].pop
     board.identify = lambda: IDLE
     line._ending = lambda: False
-    assert [sample.session for batch in line._run(board, RUNNING, BOARD_SCENE) for sample in batch] == [5]
+    assert [
+        sample.session for batch in line._run(board, RUNNING, BOARD_SCENE) for sample in batch
+    ] == [5]
 
 
 def test_a_recording_ends_after_its_frames_or_seconds() -> None:
     for frames, seconds, sizes in LIMITS:
-        assert [len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)] == sizes
+        assert [
+            len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)
+        ] == sizes
 
 
 def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
@@ -692,7 +849,11 @@ def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
     sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
     sums[30:] += 800
     sums[50:] += np.arange(0, 1000, 100, dtype=np.uint16)[:, None, None]
-    sums[::2, 0, 0], sums[::2, 0, 1], sums[1::2, 0, :2] = 2 * readings, 1021 * readings, 500 * readings
+    sums[::2, 0, 0], sums[::2, 0, 1], sums[1::2, 0, :2] = (
+        2 * readings,
+        1021 * readings,
+        500 * readings,
+    )
     codes = sums[:50].reshape(50, 6)[:, 2:] / readings
     differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
     numbers = np.arange(frames)
@@ -711,6 +872,8 @@ def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
             acquisition=Acquisition(*(counter[:count] for counter in counters), np.zeros(0)),
         )
 
-    assert noise_from_repeats([first(frames)]) == readout.noise_of_variance(np.mean(differences**2) / 2)
+    assert noise_from_repeats([first(frames)]) == readout.noise_of_variance(
+        np.mean(differences**2) / 2
+    )
     assert noise_from_repeats([first(13)]) is None, "48 pairs"
     assert noise_from_repeats([first(14)]) is not None, "52 pairs"

@@ -1,4 +1,6 @@
-"""The drawings of docs/howto/readouts.md, one for each circuit: python docs/howto/circuits/draw.py."""
+"""The drawings of docs/howto/readouts.md, one for each circuit: python
+docs/howto/circuits/draw.py.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-STYLE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "lampest", "font.family": "sans-serif", "font.size": 9}
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "lampest",
+    "font.family": "sans-serif",
+    "font.size": 9,
+}
 LIVE = "#c0392b"
 IDLE = "#444444"
 LINES = 3
@@ -38,7 +45,9 @@ class Drawing:
                 self.cell(column, TOP - row)
 
     def wire(self, points: list[tuple[float, float]], colour: str = IDLE) -> None:
-        self.axes.plot(*zip(*points, strict=True), color=colour, lw=1.2, solid_capstyle="round", zorder=1)
+        self.axes.plot(
+            *zip(*points, strict=True), color=colour, lw=1.2, solid_capstyle="round", zorder=1
+        )
 
     def text(self, x: float, y: float, words: str, **options: Any) -> None:
         self.axes.text(x, y, words, **({"ha": "center", "va": "center"} | options))
@@ -49,12 +58,19 @@ class Drawing:
         along = np.array([1, 1]) / np.sqrt(2)
         across = np.array([1, -1]) / np.sqrt(2)
         centre = np.array([x + 0.21, y - 0.21])
-        corners = [centre + a * 0.15 * along + b * 0.065 * across for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+        corners = [
+            centre + a * 0.15 * along + b * 0.065 * across
+            for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
+        ]
         self.axes.add_patch(Polygon(corners, fc="white", ec=IDLE, lw=1, zorder=2))
 
-    def resistor(self, x: float, y: float, name: str, upright: bool = False, colour: str = IDLE) -> None:
+    def resistor(
+        self, x: float, y: float, name: str, upright: bool = False, colour: str = IDLE
+    ) -> None:
         width, height = (BOX, REACH) if upright else (REACH, BOX)
-        box = Rectangle((x - width, y - height), 2 * width, 2 * height, fc="white", ec=colour, lw=1.2, zorder=2)
+        box = Rectangle(
+            (x - width, y - height), 2 * width, 2 * height, fc="white", ec=colour, lw=1.2, zorder=2
+        )
         self.axes.add_patch(box)
         if upright:
             self.text(x + 0.18, y, name, ha="left")
@@ -102,7 +118,9 @@ class Drawing:
         else:
             self.text(-2.5, y, to, ha="right", color=colour)
 
-    def load(self, column: int, start: float = -0.6, to: str = "ground", name: str = "load") -> None:
+    def load(
+        self, column: int, start: float = -0.6, to: str = "ground", name: str = "load"
+    ) -> None:
         """A sensed line's load, below it, and the converter's tap above the load."""
         colour = LIVE if column == 0 else IDLE
         self.wire([(column, start), (column, start - 1.1)], colour)
@@ -232,6 +250,8 @@ CIRCUITS = (
 
 if __name__ == "__main__":
     with mpl.rc_context(STYLE):
-        drawings = {one.__name__: one() for one in CIRCUITS} | {"loaded_columns_diode": loaded_columns(diode=True)}
+        drawings = {one.__name__: one() for one in CIRCUITS} | {
+            "loaded_columns_diode": loaded_columns(diode=True)
+        }
     for name, drawing in drawings.items():
         drawing.save(name)

@@ -1,4 +1,7 @@
-"""Calibration: numbers of the circuit or of the film, estimated from recordings of known resistors or loads."""
+"""Calibration: numbers of the circuit or of the film.
+
+They are estimated from recordings of known resistors or loads.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -40,8 +43,13 @@ class Calibration:
         return "".join(f"# {remark}\n" for remark in self.remarks) + to_yaml(self.scene)
 
 
-def common_scene(recordings: Sequence[Recording], relevant: Callable[[Scene], Scene] = lambda scene: scene) -> Scene:
-    """Return the scene of the first recording. Raises InputError where the `relevant` part of another differs."""
+def common_scene(
+    recordings: Sequence[Recording], relevant: Callable[[Scene], Scene] = lambda scene: scene
+) -> Scene:
+    """Return the scene of the first recording.
+
+    Raises InputError where the `relevant` part of another differs.
+    """
     first, *further = recordings
     for recording in further:
         if relevant(recording.scene) != relevant(first.scene):

@@ -1,7 +1,8 @@
-"""Calibration of channels, series resistance and reference from ordinary recordings under many loads.
+"""Calibration of channels, series resistance and reference.
 
-Under a wrong circuit, untouched cells seem to move when others do. The smoother's cost has the errors z that all frames
-share as unknowns. Every block of frames gives an estimate z with the precision Λ of its likelihood, where the cells are
+It is made from ordinary recordings under many loads. Under a wrong circuit, untouched cells seem to
+move when others do. The smoother's cost has the errors z that all frames share as unknowns. Every
+block of frames gives an estimate z with the precision Λ of its likelihood, where the cells are
 integrated out by the Schur complement. All blocks together give the posterior N(ẑ, C),
 
     C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z,
@@ -37,8 +38,11 @@ from lampest.posterior.covariance import positive_inverse
 from lampest.recording.recording import Recording
 
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
-UNCHANGED = 0.9  # ratio of the deviations after and before: above it the recordings determine hardly any channel
-HARDLY = "these loads determine hardly any channel; press the panel at more places, or record longer"
+# Ratio of the deviations after and before: above it the recordings determine hardly any channel.
+UNCHANGED = 0.9
+HARDLY = (
+    "these loads determine hardly any channel; press the panel at more places, or record longer"
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,12 +69,13 @@ class ChannelCalibration(Calibration):
 
 
 def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
-    """Estimate the electronics' errors that explain the cells that nobody touches, in recordings of one circuit.
+    """Estimate the electronics' errors that explain the cells that nobody touches.
 
-    The scene is corrected by them, and its systematic errors are their posterior uncertainty.
+    The cells are those in recordings of one circuit. The scene is corrected by them, and its
+    systematic errors are their posterior uncertainty.
 
-    Raises InputError without a readout, for a readout that states no numbers of its lines, for panels of modules, where
-    scenes differ, or where no frame can be estimated.
+    Raises InputError without a readout, for a readout that states no numbers of its lines, for
+    panels of modules, where scenes differ, or where no frame can be estimated.
     """
     common_scene(recordings, _circuit)
     name = recordings[0].name
@@ -79,7 +84,9 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     channel_prior = float(prior.channel_spread_ohm)
     scene = replace(recordings[0].scene, systematic=prior)
     rows, columns = scene.panel.shape
-    parts = [part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))]
+    parts = [
+        part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))
+    ]
     if not parts:
         raise InputError(f"{name}: no calibration: no frame could be estimated")
     unit = np.eye(len(parts[0][0]))
@@ -98,10 +105,13 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     )
     summary = (
         f"reference {100 * errors[0]:+.2f} +- {100 * deviation[0]:.2f} %, channels off by "
-        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {spread:.2f} ohm beside their mean, "
+        f"{np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms and known to {spread:.2f} ohm beside "
+        "their mean, "
         f"from {frames} frames"
     )
-    texts = [f"{error:+.2f} +- {sd:.2f}" for error, sd in zip(errors[1:], deviation[1:], strict=True)]
+    texts = [
+        f"{error:+.2f} +- {sd:.2f}" for error, sd in zip(errors[1:], deviation[1:], strict=True)
+    ]
     sides = (("rows", texts[:rows]), ("columns", texts[rows:]))
     remarks = [f"{side} are off by {', '.join(offsets)} ohm" for side, offsets in sides]
     return ChannelCalibration(
@@ -118,19 +128,32 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
 
 
 def _check_determined(name: str, scene: Scene) -> None:
-    """Raise InputError unless recordings of a scene determine its channels; `name` is that of a recording."""
+    """Raise InputError unless recordings of a scene determine its channels.
+
+    `name` is that of a recording.
+    """
     if scene.readout is None:
-        raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
+        raise InputError(
+            f"{name}: its scene names no readout, whose numbers a calibration could find"
+        )
     if not scene.circuit.line_numbers():
-        raise InputError(f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})")
+        raise InputError(
+            f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})"
+        )
     if scene.panel.modules is not None:
         raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
 
 
 def _prior_sizes(scene: Scene) -> Systematic:
     """Return the prior sizes of all errors, channels included."""
-    prior = systematic_of(scene) or replace(USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
-    return replace(prior, channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm, reading_error=None)
+    prior = systematic_of(scene) or replace(
+        USUAL, series_tolerance_ohm=None, inl_lsb=None, wire_ohm_per_cell=None
+    )
+    return replace(
+        prior,
+        channel_spread_ohm=prior.channel_spread_ohm or ASSUMED.channel_ohm,
+        reading_error=None,
+    )
 
 
 def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[float, float]:
@@ -148,7 +171,9 @@ def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[flo
     mean[rows:, 1] = 1 / columns
     of_means = mean.T @ covariance @ mean
     # (Σ var e − Σ_sides n var ē)/(lines − 2)
-    spread = float(np.sqrt((np.trace(covariance) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2)))
+    spread = float(
+        np.sqrt((np.trace(covariance) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2))
+    )
     common = float(of_means.sum()) - spread**2 * (1 / rows + 1 / columns)
     return spread, float(np.sqrt(max(common, 0.0)))
 
@@ -161,22 +186,37 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
         driven: Any = readout.with_channels(*more)
         return replace(scene, readout=_rounded(driven))
     known = scene.series_resistance_ohm
-    both = (known.rows, known.columns) if isinstance(known, SeriesPerLine) else (known / 2, known / 2)
-    lines = (np.round(np.maximum(np.add(ohm, offsets), 0.0), DIGITS) for ohm, offsets in zip(both, more, strict=True))
+    both = (
+        (known.rows, known.columns) if isinstance(known, SeriesPerLine) else (known / 2, known / 2)
+    )
+    lines = (
+        np.round(np.maximum(np.add(ohm, offsets), 0.0), DIGITS)
+        for ohm, offsets in zip(both, more, strict=True)
+    )
     series = SeriesPerLine(*(tuple(map(float, line)) for line in lines))
     return replace(scene, readout=_rounded(readout), series_resistance_ohm=series)
 
 
 def _rounded(readout: Any) -> Any:
     """Return the readout with resistances to a milliohm."""
-    names = {"drive_ohm", "sense_ohm", *RESISTORS}.intersection(field.name for field in fields(readout))
+    names = {"drive_ohm", "sense_ohm", *RESISTORS}.intersection(
+        field.name for field in fields(readout)
+    )
     values = {name: np.round(getattr(readout, name), DIGITS).tolist() for name in names}
-    return replace(readout, **{name: tuple(ohm) if isinstance(ohm, list) else ohm for name, ohm in values.items()})
+    return replace(
+        readout,
+        **{name: tuple(ohm) if isinstance(ohm, list) else ohm for name, ohm in values.items()},
+    )
 
 
 def _circuit(scene: Scene) -> Scene:
-    """Return the scene without loads, environment and film, the part that all recordings must share."""
-    return replace(scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None)
+    """Return the scene without loads, environment and film.
+
+    It is the part that all recordings must share.
+    """
+    return replace(
+        scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None
+    )
 
 
 def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
@@ -184,7 +224,9 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
     noise = Prepared(recording).noise
     parts = []
     method = SmootherMethod()
-    estimator = Estimator((Misfit(weighting="noise", loss=Student(corner=4.0)),), method, error_bars=False)
+    estimator = Estimator(
+        (Misfit(weighting="noise", loss=Student(corner=4.0)),), method, error_bars=False
+    )
     stream = first_stream(recording, noise.readings, estimator, noise)
     usable = np.flatnonzero(noise.readings.enough(recording.scene))
     for block in np.array_split(usable, max(round(len(usable) / BLOCK), 1)):
@@ -195,7 +237,10 @@ def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
 
 
 def _units(scene: Scene, prior: Systematic, count: int) -> Array:
-    """Return the matrix (1 + lines, count) that maps z to the relative error of the reference and to ohm of lines."""
+    """Return the matrix that maps z to the relative error of the reference and to ohm of lines.
+
+    Shape (1 + lines, count).
+    """
     rows, columns = scene.panel.shape
     lines = sum(scene.panel.shape)
     first = 0 if scene.contact_prior is None else lines
@@ -204,5 +249,7 @@ def _units(scene: Scene, prior: Systematic, count: int) -> Array:
     units[:, first : first + 1 + lines] = np.diag(sizes)
     if prior.series_tolerance_ohm:
         driven = of_side(scene.circuit.noisy_side, (1.0, 0.0), (0.0, 1.0))[0]
-        units[1:, first + 1 + lines] = prior.series_tolerance_ohm * np.repeat(driven, (rows, columns))
+        units[1:, first + 1 + lines] = prior.series_tolerance_ohm * np.repeat(
+            driven, (rows, columns)
+        )
     return units

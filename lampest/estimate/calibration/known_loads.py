@@ -36,7 +36,8 @@ class KnownLoad:
     mass_g, force_newton, pressure_kpa : float or None
         One of the three; a negative pressure is suction.
     diameter_mm, length_mm, width_mm, angle_deg, x_mm, y_mm : float or None
-        The foot, round or rectangular, and its centre. A pressure without foot acts on the whole panel.
+        The foot, round or rectangular, and its centre. A pressure without foot acts on the whole
+        panel.
 
     Raises
     ------
@@ -60,7 +61,9 @@ class KnownLoad:
     def __post_init__(self) -> None:
         if not 0 <= self.frames[0] <= self.frames[1]:
             raise ValueError("frames must be the first and the last of the load, counted from 0")
-        check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
+        check_positive_fields(
+            self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm"
+        )
         if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
 
@@ -68,16 +71,24 @@ class KnownLoad:
         """Raise ValueError unless these numbers make one load."""
         if [self.mass_g, self.force_newton, self.pressure_kpa].count(None) != 2:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
-        given = tuple(number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm))
+        given = tuple(
+            number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm)
+        )
         if given not in ((True, False, False), (False, True, True), (False, False, False)):
             raise ValueError("a foot is diameter_mm, or length_mm and width_mm")
         if any(given) != (self.x_mm is not None and self.y_mm is not None):
             raise ValueError("a foot needs x_mm and y_mm, and they need a foot")
         if not any(given) and self.pressure_kpa is None:
-            raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
+            raise ValueError(
+                "a weight or force needs its foot: diameter_mm, or length_mm and width_mm"
+            )
 
-    def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
-        """Return the mean pressure on every patch, (rows, columns) kPa. Raises ValueError as `check`.
+    def pressure(
+        self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0
+    ) -> Array:
+        """Return the mean pressure on every patch, (rows, columns) kPa.
+
+        Raises ValueError as `check`.
 
         Parameters
         ----------
@@ -90,11 +101,21 @@ class KnownLoad:
         self.check()
         if self.x_mm is None or self.y_mm is None:
             return np.full(panel.shape, self.pressure_kpa)
-        length, width, diameter = (size or 0.0 for size in (self.length_mm, self.width_mm, self.diameter_mm))
+        length, width, diameter = (
+            size or 0.0 for size in (self.length_mm, self.width_mm, self.diameter_mm)
+        )
         area = length * width or pi / 4 * diameter**2
-        # a foot under 1 kPa, whose mean pressure on a patch is the share of the patch that it covers
-        under: dict[str, Any] = {"centre_mm": (self.x_mm + along_mm, self.y_mm + down_mm), "mass_g": area / GRAVITY}
-        block: dict[str, Any] = {"length_mm": length, "width_mm": width, "angle_deg": self.angle_deg}
+        # a foot under 1 kPa, whose mean pressure on a patch is the share of the patch that it
+        # covers
+        under: dict[str, Any] = {
+            "centre_mm": (self.x_mm + along_mm, self.y_mm + down_mm),
+            "mass_g": area / GRAVITY,
+        }
+        block: dict[str, Any] = {
+            "length_mm": length,
+            "width_mm": width,
+            "angle_deg": self.angle_deg,
+        }
         foot = Rod(diameter_mm=diameter, **under) if diameter else Block(**block, **under)
         newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
         kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa
@@ -103,7 +124,9 @@ class KnownLoad:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLoads:
-    """All loads of a calibration. Raises ValueError where there is none, or a number is out of range.
+    """All loads of a calibration.
+
+    Raises ValueError where there is none, or a number is out of range.
 
     Attributes
     ----------
@@ -126,7 +149,10 @@ class KnownLoads:
         check_not_negative(self, "place_mm")
 
     def pressures(self, panel: Panel) -> tuple[Array, Array]:
-        """Return the pressures of the loads and their standard deviations by position, (loads, rows, columns) kPa."""
+        """Return the pressures of the loads and their standard deviations by position.
+
+        Both are (loads, rows, columns) kPa.
+        """
         shift = self.place_mm
         patch = patch_of(panel, self.patch_mm)
 
@@ -140,7 +166,9 @@ class KnownLoads:
 
 
 def read_known_loads(path: Path) -> KnownLoads:
-    """Return known loads from a YAML file, or a CSV file with columns `first`, `last` and fields of `KnownLoad`.
+    """Return known loads from a YAML file or a CSV file.
+
+    The CSV file has columns `first`, `last` and fields of `KnownLoad`.
 
     Raises InputError with the line of the fault.
     """
@@ -158,23 +186,34 @@ def read_known_loads(path: Path) -> KnownLoads:
         if not table:
             raise
         # The column number refers to the YAML, and is removed.
-        raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
+        raise InputError(
+            re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))
+        ) from error
 
 
 def _as_yaml(path: Path) -> str:
-    """Return the table as YAML with the same line numbers, so that errors state the line of the table."""
+    """Return the table as YAML with the same line numbers.
+
+    Thus errors state the line of the table.
+    """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         note_read(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text ({' '.join(str(error).split())})") from error
+        raise InputError(
+            f"{path}: cannot be read as text ({' '.join(str(error).split())})"
+        ) from error
     names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
     text = ["{schema: 1, loads: ["]
     for number, row in enumerate(rows, 2):
         cells = {name: _scalar(cell) for name, cell in zip(names, row, strict=False) if cell}
         if cells and not (cells.keys() >= {"first", "last"} and len(row) <= len(names)):
             raise InputError(f"{path}:{number}: {WRONG_ROW}")
-        text.append(json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + "," if cells else "")
+        text.append(
+            json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + ","
+            if cells
+            else ""
+        )
     return "\n".join([*text, "]}"])
 
 

@@ -19,7 +19,9 @@ from lampest.panel.readouts.lines import Side
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
-BELIEF = 4.0  # repeats to which the scene's noise is equivalent: few frames with equal codes do not imply no noise
+# Repeats to which the scene's noise is equivalent: few frames with equal codes do not imply no
+# noise.
+BELIEF = 4.0
 CHANGE = "change from frame to frame, which fixed resistors do not"
 
 
@@ -34,13 +36,15 @@ class Trial:
     known : array, shape (rows, columns)
         Resistors, ohm; 0 shorted, NaN no resistor.
     volt, sigma_volt : array, shape (rows, columns)
-        Mean voltage at the converter over the frames, and its standard deviation including quantisation, V.
+        Mean voltage at the converter over the frames, and its standard deviation including
+        quantisation, V.
     noise_lsb : array, shape (driven lines,)
         Noise of one reading, LSB, with the scene's noise as BELIEF additional repeats.
     repeats : array, shape (driven lines,)
         Degrees of freedom of the noise.
     everywhere : bool
-        Whether readings of lines without a resistor count, because the converter has a memory of the channel before.
+        Whether readings of lines without a resistor count, because the converter has a memory of
+        the channel before.
     """
 
     name: str
@@ -53,14 +57,19 @@ class Trial:
 
     @classmethod
     def of(cls, recording: Recording, known: Array | float) -> "Trial":
-        """Return the trial of a recording with its known resistors, (rows, columns) or one number, ohm.
+        """Return the trial of a recording with its known resistors.
 
-        Raises InputError without a readout or a resistor, or where readings change from frame to frame.
+        They are (rows, columns) or one number, ohm.
+
+        Raises InputError without a readout or a resistor, or where readings change from frame to
+        frame.
         """
         readout = recording.scene.readout
         name = recording.name
         if readout is None:
-            raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
+            raise InputError(
+                f"{name}: its scene names no readout, whose numbers a calibration could find"
+            )
         ohm = np.broadcast_to(np.asarray(known, dtype=float), recording.scene.panel.shape)
         ohm = np.where(np.isinf(ohm), np.nan, ohm)
         if np.any(ohm < 0):
@@ -79,10 +88,15 @@ class Trial:
         squares = (residual**2).sum(axis=(0, 1 + across))
         freedom = np.where(inside, counts - 1, 0).sum(axis=across)
         # pooled variance: (BELIEF σ_scene² + Σ residual²)/(BELIEF + freedom), LSB²
-        variance = (BELIEF * readout.averaged_variance(readout.assumed_noise) + squares) / (BELIEF + freedom)
+        variance = (BELIEF * readout.averaged_variance(readout.assumed_noise) + squares) / (
+            BELIEF + freedom
+        )
         noise = np.array([readout.noise_of_variance(value) for value in variance])
         lasting = np.array([float(readout.sigma_code(value, ENDLESS)) for value in noise])
-        of_mean = np.expand_dims(variance, across) / np.maximum(counts, 1) + np.expand_dims(lasting, across) ** 2
+        of_mean = (
+            np.expand_dims(variance, across) / np.maximum(counts, 1)
+            + np.expand_dims(lasting, across) ** 2
+        )
         memory = recording.scene.known_memory is not None
         return cls(name, ohm, mean, readout.lsb_volt * np.sqrt(of_mean), noise, freedom, memory)
 
@@ -104,7 +118,7 @@ class Trial:
 
     @cached_property
     def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
-        """Place (row, column) of each resistor by its value and its number among those of equal value.
+        """Place (row, column) of each resistor by value and number among those of equal value.
 
         A resistor with the same key in another trial is the same resistor, moved.
         """
@@ -114,7 +128,7 @@ class Trial:
 
 
 def usable_range(readout: Readout) -> tuple[float, float]:
-    """Return the lowest and the highest voltage at which noise does not reach a rail of the converter, V."""
+    """Return the lowest and highest voltage at which noise reaches no rail of the converter, V."""
     margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
     return margin, readout.full_scale_volt - margin
 
@@ -126,18 +140,22 @@ def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
 
 
 def _check_drift(name: str, readout: Readout, residual: Array) -> None:
-    """Raise InputError where the residuals (frames, rows, columns) LSB of successive frames are correlated, a drift.
+    """Raise InputError where the residuals of successive frames are correlated, a drift.
 
-    Source: von Neumann's ratio of the mean square successive difference to the variance, Annals of Mathematical
-    Statistics 12(4), 1941.
+    The residuals are (frames, rows, columns) LSB.
+
+    Source: von Neumann's ratio of the mean square successive difference to the variance, Annals of
+    Mathematical Statistics 12(4), 1941.
     """
     parts = (residual, np.diff(residual, axis=0) / np.sqrt(2))
     total, quick = ((part**2).sum() / max(len(residual) - 1, 1) for part in parts)
-    # rms of the drift: the variance less half of the mean square successive difference, as a fraction of full scale
+    # rms of the drift: the variance less half of the mean square successive difference, as a
+    # fraction of full scale
     lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
     if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
         raise InputError(
-            f"{name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
+            f"{name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, "
+            f"and {CHANGE}"
         )
 
 
@@ -161,17 +179,23 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
         robust = MAD_TO_SIGMA * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
     # Where the noise is below one step of the code, the median deviation is zero.
     least = np.maximum(readout.sigma_code(readout.assumed_noise), 1 / readout.readings)
-    wild = np.abs(deviation) > 7.0 * np.expand_dims(np.maximum(np.nan_to_num(robust), least), across)  # robust σ
+    # Robust σ.
+    wild = np.abs(deviation) > 7.0 * np.expand_dims(
+        np.maximum(np.nan_to_num(robust), least), across
+    )
     if wild.sum() > 0.02 * wild.size + 2:  # spikes are some in ten thousand
-        raise InputError(f"{name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")
+        raise InputError(
+            f"{name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}"
+        )
     return valid & ~wild
 
 
 def known_resistors(text: str, panel: Panel) -> Array:
-    """Return the resistors in place of the cells, (rows, columns) ohm, from a number or a .csv or .npy file.
+    """Return the resistors in place of the cells, (rows, columns) ohm.
 
-    In a file every row is a line of the panel; inf, nan or nothing between two commas stands for no resistor. Raises
-    InputError where it is neither a number nor such a table.
+    They come from a number or a .csv or .npy file. In a file every row is a line of the panel; inf,
+    nan or nothing between two commas stands for no resistor. Raises InputError where it is neither
+    a number nor such a table.
     """
     try:
         return np.full(panel.shape, float(text))
@@ -182,11 +206,15 @@ def known_resistors(text: str, panel: Panel) -> Array:
         if path.suffix == ".npy":
             table = np.load(path, allow_pickle=False)
         else:
-            table = np.genfromtxt(path.read_text(encoding="utf-8-sig").splitlines(), delimiter=",", ndmin=2)
+            table = np.genfromtxt(
+                path.read_text(encoding="utf-8-sig").splitlines(), delimiter=",", ndmin=2
+            )
     except FileNotFoundError as error:
         raise InputError(f"--known: '{text}' is neither a number of ohm nor a file") from error
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: no table of resistances ({' '.join(str(error).split())})") from error
+        raise InputError(
+            f"{path}: no table of resistances ({' '.join(str(error).split())})"
+        ) from error
     if table.dtype.kind not in "iuf" or table.shape != panel.shape:
         size, shape = (" × ".join(map(str, lengths)) for lengths in (panel.shape, table.shape))
         raise InputError(f"{path}: the panel has {size} cells, but the table holds {shape} numbers")

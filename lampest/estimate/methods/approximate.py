@@ -1,6 +1,7 @@
 """Approximations with a fixed amount of work: closed form, linearisation, truncated Newton method.
 
-Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4 (chord method).
+Source: Kelley, Iterative Methods for Linear and Nonlinear Equations, 1995, section 5.4 (chord
+method).
 """
 
 from contextlib import suppress
@@ -22,8 +23,8 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
 
-# Relative residual of conjugate gradients: lines dominate single cells in the quadratic model, and 1e-2 does not
-# resolve the change of a single cell.
+# Relative residual of conjugate gradients: lines dominate single cells in the quadratic model, and
+# 1e-2 does not resolve the change of a single cell.
 ACCURACY = 1e-5
 MAX_STEP = 3.0  # of log r: a factor of 20
 
@@ -32,7 +33,8 @@ MAX_STEP = 3.0  # of log r: a factor of 20
 class UncorrectedMethod(Method):
     """Closed forms without any solve.
 
-    naive : each reading as if its cell were alone, r = R_m for two-point readings, otherwise the voltage divider.
+    naive : each reading as if its cell were alone, r = R_m for two-point readings, otherwise the
+        voltage divider.
     scaled : each reading as if all cells were equal, r = R_m·MN/(M + N − 1) for two-point readings.
 
     >>> lampest.UncorrectedMethod().kind
@@ -41,13 +43,23 @@ class UncorrectedMethod(Method):
 
     kind: Literal["naive", "scaled"] = "naive"
 
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
         """Return the closed form within the bounds."""
         readout = data.readout
         measured = data.measured
-        cells = readout.apparent_resistance(measured) if self.kind == "naive" else readout.uniform_start(measured)
+        cells = (
+            readout.apparent_resistance(measured)
+            if self.kind == "naive"
+            else readout.uniform_start(measured)
+        )
         cells = np.clip(cells, data.lower, data.upper)
-        return approximation(solver.cost, data, Outcome(cells, np.zeros(len(solver.cost.slope)), Status.APPROXIMATE, 0))
+        return approximation(
+            solver.cost,
+            data,
+            Outcome(cells, np.zeros(len(solver.cost.slope)), Status.APPROXIMATE, 0),
+        )
 
 
 @dataclass(frozen=True)
@@ -67,16 +79,22 @@ class TruncatedMethod(Method):
         if self.steps < 1:
             raise ValueError("steps must be at least 1")
 
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
         """Return the point after the last step."""
         start = evaluated(solver.cost, data, data.uniform_start if previous is None else previous)
-        outcome = ProjectedNewton(solver.cost, Settings(max_iterations=self.steps)).solve(data, start)
+        outcome = ProjectedNewton(solver.cost, Settings(max_iterations=self.steps)).solve(
+            data, start
+        )
         return approximation(solver.cost, data, outcome)
 
 
 @dataclass(frozen=True)
 class LinearisedMethod(Method):
-    """One Newton step from the baseline, log r = log r_b − H_b⁻¹ ∇φ(r_b), with one factor for the whole recording.
+    """One Newton step from the baseline, log r = log r_b − H_b⁻¹ ∇φ(r_b).
+
+    There is one factor for the whole recording.
 
     >>> lampest.LinearisedMethod().kind
     'linearised'
@@ -85,14 +103,21 @@ class LinearisedMethod(Method):
     kind: Literal["linearised"] = "linearised"
 
     def begin(self, state: AnyState) -> AnyState:
-        """Return the state with its baseline and the factor of H_b; without a factor where the baseline failed."""
+        """Return the state with its baseline and the factor of H_b.
+
+        It is without a factor where the baseline failed.
+        """
         absolute = state.without_comparisons()
         reduced = OptimalMethod("reduced")
-        start = state.with_baseline(reduced.solve(absolute, *reduced.given(absolute, state.resting)))
+        start = state.with_baseline(
+            reduced.solve(absolute, *reduced.given(absolute, state.resting))
+        )
         if start.previous is None:
             return start
         objective = state.estimator
-        background = replace(state.background, previous=start.previous if objective.relative else None)
+        background = replace(
+            state.background, previous=start.previous if objective.relative else None
+        )
         data = objective.data(state.resting.alone(), background)
         cost = objective.cost(state.scene, 1, partial=data.partial)
         with suppress(*BROKEN):
@@ -100,8 +125,13 @@ class LinearisedMethod(Method):
             return replace(start, prepared=(at, inverse_hessian(at)))
         return start
 
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the point after the step, of which |log r| is at most `MAX_STEP`; the optimum without a factor."""
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
+        """Return the point after the step, of which |log r| is at most `MAX_STEP`.
+
+        Without a factor it is the optimum.
+        """
         if prepared is not None:
             with suppress(*BROKEN):
                 baseline, inverse = prepared
@@ -110,12 +140,17 @@ class LinearisedMethod(Method):
                 # −H_b⁻¹ ∇φ(r_b), with the gradient of the frame's cost at the baseline's cells
                 step = np.clip(-inverse(Hessian(at, smoothing).gradient), -MAX_STEP, MAX_STEP)
                 cells = at.cell_resistance * np.exp(step).reshape(at.cell_resistance.shape)
-                return approximation(solver.cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1))
+                return approximation(
+                    solver.cost, data, Outcome(cells, smoothing.dual, Status.APPROXIMATE, 1)
+                )
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
 
 def inverse_hessian(at: Evaluation) -> Linear:
-    """Return the product with H⁻¹ at a point, by conjugate gradients with a factor: one step where it is Cholesky's."""
+    """Return the product with H⁻¹ at a point, by conjugate gradients with a factor.
+
+    It takes one step where the factor is Cholesky's.
+    """
     hessian = Hessian(at, Smoothing.start(at))
     free = np.ones(len(hessian.gradient), dtype=bool)
     precondition = preconditioner(hessian, free).over(free, at.cell_resistance)

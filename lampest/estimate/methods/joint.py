@@ -1,13 +1,14 @@
 """Joint cost of all frames, its Newton step, and error bars from the inverse of its Hessian.
 
-    Φ(u, w, z, c) = Σ_t misfit(f(u_t) + V_t w_t + U_t z, y_t) + |w|² + |z|² + Σ_t c_t²/τ² + ε |u − a|²
-                    + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
+    Φ(u, w, z, c) = Σ_t misfit(f(u_t) + V_t w_t + U_t z, y_t) + |w|² + |z|² + Σ_t c_t²/τ²
+                    + ε |u − a|² + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
 
-u_t is log r of the unloaded panel (t = 0) and of every frame, w the errors that readings of one frame share (gain,
-ripple), z the errors that all readings share (reference, channels, contacts), both in standard deviations, and c_t the
-step that all cells have in common. λ is the stiffness of the walk (`lampest.estimate.methods.smoother`). The anchor a,
-of negligible weight ε, determines cells that no reading determines. The Hessian is block tridiagonal in t with a border
-of z and c (`lampest.posterior.chain`).
+u_t is log r of the unloaded panel (t = 0) and of every frame, w the errors that readings of one
+frame share (gain, ripple), z the errors that all readings share (reference, channels, contacts),
+both in standard deviations, and c_t the step that all cells have in common. λ is the stiffness of
+the walk (`lampest.estimate.methods.smoother`). The anchor a, of negligible weight ε, determines
+cells that no reading determines. The Hessian is block tridiagonal in t with a border of z and c
+(`lampest.posterior.chain`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,7 +31,8 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars
 
 ROUNDING = 1e-11  # relative error of Φ, a sum of some thousand terms
-# Share of the frames' information on z that is used, because cells that move little and are taken for still bias z.
+# Share of the frames' information on z that is used, because cells that move little and are taken
+# for still bias z.
 BELIEVED = 0.5
 HELD_PRECISION = 1e8  # precision of fixed z, in units of its prior
 
@@ -106,25 +108,42 @@ class Joint:
             # each part is a mean of unloaded/resting frames
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
         lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
-        start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2])))
+        start = np.pad(
+            np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, drawn.shape[2]))
+        )
         border = np.zeros((count, size, 0))
         steps = np.zeros(count - 1)
-        joint = cls(tuple(cost), tuple(data), errors, alone, drawn, border, start, steps, np.zeros((count - 1, size)))
+        joint = cls(
+            tuple(cost),
+            tuple(data),
+            errors,
+            alone,
+            drawn,
+            border,
+            start,
+            steps,
+            np.zeros((count - 1, size)),
+        )
         return replace(joint, position=np.clip(start, *joint.bounds)).sharing()
 
     def sharing(self) -> "Joint":
         """Return Φ with U evaluated at the model's readings.
 
-        Evaluated at the measured readings, U would correlate with the noise, and a reference that reduces the noise
-        would seem to fit.
+        Evaluated at the measured readings, U would correlate with the noise, and a reference that
+        reduces the noise would seem to fit.
         """
         shared = self.responses(self.errors)
         known = self._sharing
-        shift = np.append(self.shift[:known] if known else np.zeros(shared.shape[2]), self.shift[known:])
+        shift = np.append(
+            self.shift[:known] if known else np.zeros(shared.shape[2]), self.shift[known:]
+        )
         return replace(self, shared=shared, shift=shift)
 
     def responses(self, errors: Shared | None) -> Array:
-        """Return the response of the readings to shared errors, (frames, readings, n); n is 0 without errors."""
+        """Return the response of the readings to shared errors, (frames, readings, n).
+
+        Here n is 0 without errors.
+        """
         if errors is None:
             return np.zeros((*self.anchor.shape, 0))
         return np.stack([errors.columns(at.networks[0], at.reading[0]) for at in self.at])
@@ -135,17 +154,25 @@ class Joint:
         limits = zip(*(data.log_bounds for data in self.data), strict=True)
         lower, upper = (np.stack(limit).reshape(self.anchor.shape) for limit in limits)
         more = ((0, 0), (0, self.drawn.shape[2]))
-        return np.pad(lower, more, constant_values=-np.inf), np.pad(upper, more, constant_values=np.inf)
+        return np.pad(lower, more, constant_values=-np.inf), np.pad(
+            upper, more, constant_values=np.inf
+        )
 
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
         """Misfit of every frame, with the shared errors U z + V w subtracted from its readings."""
         evaluations = []
-        offsets = self.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", self.drawn, self.chance)
-        for cost, data, position, offset in zip(self.cost, self.data, self.log_cells, offsets, strict=True):
+        offsets = self.shared @ self.shift[: self._sharing] + np.einsum(
+            "tri,ti->tr", self.drawn, self.chance
+        )
+        for cost, data, position, offset in zip(
+            self.cost, self.data, self.log_cells, offsets, strict=True
+        ):
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
-            evaluations.append(Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape)))
+            evaluations.append(
+                Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape))
+            )
         return tuple(evaluations)
 
     @property
@@ -190,7 +217,9 @@ class Joint:
     def certainty(self) -> Array:
         """Prior precision of z and c."""
         known = 1.0 if self.held is None else HELD_PRECISION
-        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_step**-2)])
+        return np.concatenate(
+            [np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_step**-2)]
+        )
 
     @property
     def ties(self) -> Array:
@@ -203,7 +232,8 @@ class Joint:
         """½ ∂Φ/∂(u, w), (frames, cells + n)."""
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
-        # ½ ∂Φ/∂u_t = ½ ∂misfit/∂u_t + λ_{t−1} x_{t−1} − λ_t x_t + ε (u_t − a_t);  ½ ∂Φ/∂w_t = V_tᵀ ½ ∂misfit/∂f + w_t
+        # ½ ∂Φ/∂u_t = ½ ∂misfit/∂u_t + λ_{t−1} x_{t−1} − λ_t x_t + ε (u_t − a_t);  ½ ∂Φ/∂w_t = V_tᵀ
+        # ½ ∂misfit/∂f + w_t
         cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * (self.log_cells - self.anchor)
         chance = np.einsum("tri,tr->ti", self.drawn, self._through) + self.chance
         return np.concatenate([cells, chance], axis=1)
@@ -215,15 +245,25 @@ class Joint:
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
-        """Whether an unknown is at a bound with the gradient pointing outside, (frames, cells + n)."""
+        """Whether an unknown is at a bound with the gradient pointing outside.
+
+        Shape (frames, cells + n).
+        """
         lower, upper = self.bounds
-        return ((self.position <= lower) & (self.gradient > 0)) | ((self.position >= upper) & (self.gradient < 0))
+        return ((self.position <= lower) & (self.gradient > 0)) | (
+            (self.position >= upper) & (self.gradient < 0)
+        )
 
     @property
     def kkt_residual(self) -> Array:
-        """Norm of the projected gradient of Φ in each frame, (frames,), see `Evaluation.projected_gradient`."""
+        """Norm of the projected gradient of Φ in each frame, (frames,).
+
+        See `Evaluation.projected_gradient`.
+        """
         pairs = zip(self.at, 2 * self.gradient[:, : self.cells], strict=True)
-        return np.array([at.projected_gradients(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs])
+        return np.array(
+            [at.projected_gradients(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs]
+        )
 
     @cached_property
     def models(self) -> tuple[LinearModel, ...]:
@@ -234,16 +274,21 @@ class Joint:
     def sensitivities(self) -> list[Array]:
         """√ω ∂x/∂(u, w) of every frame's data residuals x, (rows, cells + n)."""
         slopes = [model.at.networks[0].sensitivity() for model in self.models]
-        return self._weighted([np.concatenate(pair, axis=1) for pair in zip(slopes, self.drawn, strict=True)])
+        return self._weighted(
+            [np.concatenate(pair, axis=1) for pair in zip(slopes, self.drawn, strict=True)]
+        )
 
     def _weighted(self, columns: Iterable[Array]) -> list[Array]:
-        """Return √ω ∂x/∂f U of every frame (rows, n), for changes U of its readings (readings, n)."""
+        """Return √ω ∂x/∂f U of every frame (rows, n), for changes U of readings (readings, n)."""
         parts = zip(self.models, self._sizes, columns, strict=True)
         return [np.asarray(model.through @ moved) * size[:, None] for model, size, moved in parts]
 
     @cached_property
     def _sizes(self) -> list[Array]:
-        """√ω of every frame's residuals: ω is the loss's curvature, or where that is not positive, its IRLS weight."""
+        """√ω of every frame's residuals.
+
+        Here ω is the loss's curvature, or where that is not positive, its IRLS weight.
+        """
         loss = self.cost[0].terms[0].loss
         x = [model.residual for model in self.models]
         differences = np.concatenate(x)
@@ -258,7 +303,9 @@ class Joint:
         count = len(self.position)
         sharing = self._sharing
         cells = self.cells
-        prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.drawn.shape[2])), constant_values=1.0)
+        prior = np.pad(
+            self.ties + IGNORANCE, ((0, 0), (0, self.drawn.shape[2])), constant_values=1.0
+        )
         # Diagonal blocks A_t = J̃ᵀ J̃ + ties + ε over the free unknowns, 1 for the fixed ones.
         blocks = np.stack([rows.T @ rows for rows in self.sensitivities])
         blocks *= free[:, :, None] & free[:, None, :]
@@ -294,7 +341,9 @@ class Joint:
         return border, corner.sum(axis=0)
 
     def answer(self, columns: Array) -> Array:
-        """Return the response of u (frames, cells, n) to errors of the readings that Φ does not contain.
+        """Return the response of u to errors of the readings that Φ does not contain.
+
+        Shape (frames, cells, n).
 
         Parameters
         ----------
@@ -302,12 +351,21 @@ class Joint:
         """
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
-        return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
+        return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[
+            0
+        ][:, : self.cells]
 
     @property
     def shared_estimate(self) -> tuple[Array, Array]:
-        """z (n,), and the precision (n, n) with which the frames alone, without its prior, determine it."""
-        learned = self.chain.learned(self._sharing) if self.held is None else self.held[1] - np.eye(self._sharing)
+        """z (n,), and the precision (n, n) with which the frames alone determine it.
+
+        The precision is that without the prior of z.
+        """
+        learned = (
+            self.chain.learned(self._sharing)
+            if self.held is None
+            else self.held[1] - np.eye(self._sharing)
+        )
         return self.shift[: self._sharing], learned
 
     def expected_squares(self) -> Array:
@@ -320,18 +378,26 @@ class Joint:
     def newton(self) -> tuple[Array, Array]:
         """Return the Gauss-Newton step of (u, w), (frames, cells + n), and of (z, c)."""
         shared = np.einsum("tri,tr->i", self.shared, self._through)
-        # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti + c_t/τ²
-        slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self._shifted * self.certainty
-        cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
+        # ½ ∂Φ/∂z = Σ_t Uᵀ ½ ∂misfit/∂f + z (or its deviation from ẑ), ½ ∂Φ/∂c_t = −Σ_i λ_ti x_ti +
+        # c_t/τ²
+        slope = (
+            np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)])
+            + self._shifted * self.certainty
+        )
+        cells, shift = self.chain.solve(
+            -np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None]
+        )
         return cells[..., 0], shift[:, 0]
 
     def agreeing(self, stiffness: Array) -> "Joint":
-        """Return the problem with z fixed, if cells near loads contradict all other cells; else unchanged.
+        """Return the problem with z fixed, if cells near loads contradict all other cells.
 
-        Cells near a load move a little with it, are taken for still, and so bias z. Let ẑ, C be the estimate of z with
-        its covariance, and ẑ', C' those without cells near loads. If both agree, the mean of |ẑ − ẑ'|² is tr D with
-        D = C' − C (Hausman, Econometrica 46, 1978). If it is ρ > 1 times that, z is fixed at an average of both, in
-        which ẑ has the share (ρ exp(1 − ρ))^(n/2) with n = (tr D)²/tr D², Chernoff's bound of P(χ²_n > n ρ).
+        Else return it unchanged. Cells near a load move a little with it, are taken for still, and
+        so bias z. Let ẑ, C be the estimate of z with its covariance, and ẑ', C' those without cells
+        near loads. If both agree, the mean of |ẑ − ẑ'|² is tr D with D = C' − C (Hausman,
+        Econometrica 46, 1978). If it is ρ > 1 times that, z is fixed at an average of both, in
+        which ẑ has the share (ρ exp(1 − ρ))^(n/2) with n = (tr D)²/tr D², Chernoff's bound of
+        P(χ²_n > n ρ).
 
         Parameters
         ----------
@@ -340,26 +406,34 @@ class Joint:
         """
         count = self._sharing
         unlinked = replace(self, stiffness=stiffness)
-        covariance, without = (problem.chain.border_covariance[:count, :count] for problem in (self, unlinked))
-        shift, shift_alone = (self.shift[:count] + problem.newton()[1][:count] for problem in (self, unlinked))
+        covariance, without = (
+            problem.chain.border_covariance[:count, :count] for problem in (self, unlinked)
+        )
+        shift, shift_alone = (
+            self.shift[:count] + problem.newton()[1][:count] for problem in (self, unlinked)
+        )
         expected = float(np.trace(without - covariance))
         squares = float(np.sum((shift_alone - shift) ** 2))
         if squares <= expected:
             return self
         precision, prior_precision = (positive_inverse(matrix) for matrix in (covariance, without))
-        # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these precisions
+        # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these
+        # precisions
         ratio = squares / expected
         between = without - covariance
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
         believed, pull = (
             share * first + (1 - share) * second
-            for first, second in ((precision, prior_precision), (precision @ shift, prior_precision @ shift_alone))
+            for first, second in (
+                (precision, prior_precision),
+                (precision @ shift, prior_precision @ shift_alone),
+            )
         )
         return replace(self, held=(np.linalg.solve(believed, pull), believed))
 
     @property
     def uncertain(self) -> Chain:
-        """The chain for error bars, with the share BELIEVED of the frames' information on z and c."""
+        """Chain for error bars, with the share BELIEVED of the frames' information on z and c."""
         free = replace(self, held=None)
         chain = free.chain.doubting(BELIEVED, free.certainty)
         if self.held is None:
@@ -367,11 +441,16 @@ class Joint:
         return chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared_estimate[1])
 
     def stepped(self) -> "Joint":
-        """Return the point after a step, halved until Φ does not increase; this point where no step achieves that."""
+        """Return the point after a step, halved until Φ does not increase.
+
+        Return this point where no step achieves that.
+        """
         step, shift = self.newton()
         size = 1.0
         while size > np.sqrt(np.finfo(float).eps):
-            position = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.bounds)
+            position = np.clip(
+                self.position + size * np.where(self.pressed, 0.0, step), *self.bounds
+            )
             trial = replace(self, position=position, shift=self.shift + size * shift)
             if trial.value <= self.value + ROUNDING * abs(self.value):
                 return trial
@@ -400,8 +479,8 @@ class TiedModel(LinearModel):
 def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     """Return the error bars of log r of one frame.
 
-    The resolution counts the frame's own readings alone. The data share is 1, because ties compare frames and do not
-    pull cells to a prior value.
+    The resolution counts the frame's own readings alone. The data share is 1, because ties compare
+    frames and do not pull cells to a prior value.
 
     Parameters
     ----------
@@ -419,11 +498,16 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     tie = joint.ties[frame]
 
     def released(cells: NDArray[np.intp]) -> Array:
-        """Return the variance of cells at a bound if each alone were released; neighbouring frames count as known."""
+        """Return the variance of cells at a bound if each alone were released.
+
+        Neighbouring frames count as known.
+        """
         across = rows[:, free].T @ rows[:, cells]
         precision = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
         # Schur complement: a_ii − a_iᵀ P a_i over the free cells
-        taken = np.einsum("fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True)
+        taken = np.einsum(
+            "fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True
+        )
         return np.asarray(1 / np.maximum(precision - taken, IGNORANCE))
 
     # diag(P J̃ᵀ J̃), the diagonal of the averaging kernel
@@ -432,12 +516,16 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     variance = np.diag(covariance)
     across = posterior[cells, joint.cells :]
     # variance of u that w explains: P_uw P_ww⁻¹ P_wu
-    inherited = np.sum(across @ np.linalg.inv(posterior[joint.cells :, joint.cells :]) * across, axis=1)
+    inherited = np.sum(
+        across @ np.linalg.inv(posterior[joint.cells :, joint.cells :]) * across, axis=1
+    )
     shared = np.minimum(chain.shared_variance(frame)[cells] + inherited, variance)
     return Certainty.of(model, (variance[free], shared[free]), shares, released)
 
 
-def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tuple[Certainty, tuple[Bars, ...]]:
+def error_bars(
+    joint: Joint, resting: int, beyond: Shared | None = None
+) -> tuple[Certainty, tuple[Bars, ...]]:
     """Return the error bars of the baseline and of all frames after it.
 
     Parameters
@@ -453,8 +541,11 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     numbers = range(resting - 1, len(joint.position))
     certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
     baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
-    # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors beyond it
-    covariances = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
+    # cov(u_t, u_baseline) of each cell, for the variance of changes: from Φ, and from the errors
+    # beyond it
+    covariances = chain.since(resting - 1)[1:, : joint.cells] + np.sum(
+        answer[resting:] * answer[resting - 1], axis=2
+    )
     covariances = covariances.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, covariances, strict=True)
     return baseline, tuple(Bars(frame, frame.less(baseline, shared)) for frame, shared in pairs)

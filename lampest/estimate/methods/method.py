@@ -1,4 +1,7 @@
-"""Methods of estimation: from a frame's data to its cells and the state for the next frame; verified optima."""
+"""Methods of estimation: from a frame's data to its cells and the state for the next frame.
+
+Their optima are verified.
+"""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -35,9 +38,11 @@ from lampest.solvers.multistart import best_solution, lower_of, settles
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
-NODAL_CELLS = 144  # cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md)
+# Cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md).
+NODAL_CELLS = 144
 NODAL_PERIOD = 0.5  # s: period from which this is a few hundredths of the time between frames
-FALLBACK_CELLS = 256  # cells up to which a frame that projected Newton does not solve is given to IPOPT
+# Cells up to which a frame that projected Newton does not solve is given to IPOPT.
+FALLBACK_CELLS = 256
 
 
 @dataclass(frozen=True)
@@ -68,14 +73,19 @@ class Method(Configuration):
         """Raise InputError where the method cannot minimise these terms."""
 
     def check_scene(self, scene: Scene) -> None:
-        """Raise InputError where the method does not support an entry of the scene, or its readout."""
+        """Raise InputError where the method does not support a scene's entry, or its readout."""
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
-        """Return the solver of a cost on frames `period` seconds apart; it is built once per process."""
+        """Return the solver of a cost on frames `period` seconds apart.
+
+        It is built once per process.
+        """
         return ProjectedNewton(cost, settings)
 
     @abstractmethod
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
         """Return the solution of a frame.
 
         Parameters
@@ -113,7 +123,9 @@ class Method(Configuration):
         if self.joint_start(objective) and not state.rested:
             return objective.data(state.resting.together(readings), behind), None
         if objective.relative:
-            known = state.scene.circuit.uniform_start(readings.value) if previous is None else previous
+            known = (
+                state.scene.circuit.uniform_start(readings.value) if previous is None else previous
+            )
             baseline = None if state.baseline is None else state.baseline.estimate(0)
             behind = replace(behind, previous=known, baseline=baseline)
             if objective.weighs_previous:
@@ -122,13 +134,17 @@ class Method(Configuration):
                 if state.track is not None and state.track.deviation is not None:
                     deviation = np.fmin(state.track.deviation, deviation)
                 behind = replace(behind, previous_deviation=deviation)
-                # remove the step that all cells have in common, so that the previous cells predict the frame's level
+                # remove the step that all cells have in common, so that the previous cells predict
+                # the frame's level
                 data = objective.data(readings.alone(), behind)
-                step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
+                step = data.readout.common_step(
+                    data.measured[0], data.network(0, known).reading(), data.plain[0]
+                )
                 behind = replace(behind, previous=known * step)
         data = replace(objective.data(readings.alone(), behind), first=state.first)
         if previous is None and (panels := state.scene.circuit.panels_alike(state.resting.value)):
-            # Of several panels that give the same readings the one nearest to the unloaded panel is meant.
+            # Of several panels that give the same readings the one nearest to the unloaded panel is
+            # meant.
             previous = np.minimum(panels[0][1], data.upper[0])
         return data, None if previous is None else previous[None]
 
@@ -147,7 +163,9 @@ class Method(Configuration):
             begin = perf_counter()
             limit = objective.solver.time_limit_s
             if objective.automatic:
-                objective = with_chosen_weights(objective, state.scene, data.limited(limit), previous)
+                objective = with_chosen_weights(
+                    objective, state.scene, data.limited(limit), previous
+                )
             choice = perf_counter() - begin
             cost = objective.cost(state.scene, len(data.measured), partial=data.partial)
             solver = self.solver(cost, state.scene, objective.solver, state.period)
@@ -156,7 +174,12 @@ class Method(Configuration):
             with ended_where_hung(limit):
                 solution = self.solution(solver, data.limited(limit), previous, state.prepared)
             weights = tuple(float(weight) for weight in solver.cost.weights)
-            return Step(solution, choice + perf_counter() - begin, weights, weight_sigma=objective.weight_sigma)
+            return Step(
+                solution,
+                choice + perf_counter() - begin,
+                weights,
+                weight_sigma=objective.weight_sigma,
+            )
 
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
@@ -182,10 +205,13 @@ class Method(Configuration):
             state, step = with_contacts(state, readings, step, self._elsewhere)
         return self.after(state, step, readings)
 
-    def verified(self, state: AnyState, readings: Readings, after: AnyState, step: Step) -> tuple[AnyState, Step]:
-        """Return the state after a frame and its step, compared with a second solve by IPOPT from another start.
+    def verified(
+        self, state: AnyState, readings: Readings, after: AnyState, step: Step
+    ) -> tuple[AnyState, Step]:
+        """Return the state after a frame and its step, compared with a second solve.
 
-        A lower optimum of the witness takes the place of the first one.
+        The second solve is by IPOPT from another start. A lower optimum of the witness takes the
+        place of the first one.
 
         Parameters
         ----------
@@ -196,7 +222,9 @@ class Method(Configuration):
         after, step
             State after the frame, and its step.
         """
-        before = replace(state, estimator=state.estimator.with_weights(step.weights, step.weight_sigma))
+        before = replace(
+            state, estimator=state.estimator.with_weights(step.weights, step.weight_sigma)
+        )
         data, previous = self.given(before, readings)
         cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
         witness = testimony(cost, data, previous, state.estimator.solver)
@@ -208,7 +236,10 @@ class Method(Configuration):
         return replace(after, estimator=state.estimator), lower
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after a solved frame, and its step with error bars where the state requests them."""
+        """Return the state after a solved frame, and its step.
+
+        The step has error bars where the state requests them.
+        """
         track = state.track
         model = step.surroundings()
         begin = perf_counter()
@@ -219,7 +250,11 @@ class Method(Configuration):
                     bars = bars.reaching_farther(*self._beyond(state, readings, step, model))
                 track = advanced
                 step = replace(step, bars=bars, bars_seconds=perf_counter() - begin)
-        prepared, step, estimate = self.prepared_by(step.solution, state.prepared), step.bare(), step.estimate(-1)
+        prepared, step, estimate = (
+            self.prepared_by(step.solution, state.prepared),
+            step.bare(),
+            step.estimate(-1),
+        )
         baseline = step if len(step.solution.cell_resistance) == 2 else state.baseline
         state = replace(state, baseline=baseline, prepared=prepared, track=track)
         if estimate is not None:
@@ -248,28 +283,38 @@ class Method(Configuration):
         raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
-        """Return the step of a frame solved with another state or other readings, from given cells on."""
+        """Return the step of a frame solved with another state or other readings.
+
+        It is solved from given cells on.
+        """
         return self.solve(state, replace(self.given(state, readings)[0], first=False), near)
 
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
     ) -> tuple[Array, Array]:
-        """Return by how much the intervals of log r exceed those of linear theory, see `beyond_tangents`."""
+        """Return by how much the intervals of log r exceed those of linear theory.
+
+        See `beyond_tangents`.
+        """
 
         def moved(readings: Readings) -> Array:
             ended = self._elsewhere(state, readings, solved.solution.cell_resistance)
             return np.asarray(np.log(ended.cell_resistance / solved.cell_resistance))
 
         missing = readings.missing(state.scene)
-        return beyond_tangents(model, readings, missing, None if state.estimator.penalised else moved)
+        return beyond_tangents(
+            model, readings, missing, None if state.estimator.penalised else moved
+        )
 
 
 @dataclass(frozen=True)
 class OptimalMethod(Method):
-    """The optimum argmin Σ weight·loss(residual) within the bounds, verified independently of the solver.
+    """The optimum argmin Σ weight·loss(residual) within the bounds.
 
-    joint : whether terms that compare frames solve the baseline together with the first frame (paper, equations 15 and
-    21), rather than the baseline alone and the first frame against it.
+    It is verified independently of the solver.
+
+    joint : whether terms that compare frames solve the baseline together with the first frame
+    (paper, equations 15 and 21), rather than the baseline alone and the first frame against it.
 
     >>> lampest.Estimator((lampest.Misfit(),), lampest.OptimalMethod(kind="reduced")).method.kind
     'reduced'
@@ -282,17 +327,18 @@ class OptimalMethod(Method):
     def joint_start(self, objective: Objective) -> bool:
         """Return whether the baseline is solved together with the first frame.
 
-        Terms that weigh the previous frame by its uncertainty exclude it, because they need the baseline as the first
-        previous frame.
+        Terms that weigh the previous frame by its uncertainty exclude it, because they need the
+        baseline as the first previous frame.
         """
         return self.joint and objective.relative and not objective.weighs_previous
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of the formulation.
 
-        per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials eliminated. auto :
-        nodal where IPOPT takes a few hundredths of the time between frames, else reduced: on panels of up to
-        NODAL_CELLS with squared losses, if frames are at least NODAL_PERIOD apart.
+        per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials
+        eliminated. auto : nodal where IPOPT takes a few hundredths of the time between frames, else
+        reduced: on panels of up to NODAL_CELLS with squared losses, if frames are at least
+        NODAL_PERIOD apart.
         """
         kind = self.kind
         if kind == "auto":
@@ -301,11 +347,14 @@ class OptimalMethod(Method):
             kind = "nodal" if few and squared and period >= NODAL_PERIOD else "reduced"
         return _solver(cost, scene.circuit, scene.wiring, kind, settings)
 
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the lowest optimum of a frame's starts; `prepared` is what an earlier solution carries, or None.
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
+        """Return the lowest optimum of a frame's starts.
 
-        With auto a frame that one solver does not end at an optimum is given to the other one, from the same starts;
-        so is one that IPOPT does not end at a strict optimum, because the other one holds more digits.
+        `prepared` is what an earlier solution carries, or None. With auto a frame that one solver
+        does not end at an optimum is given to the other one, from the same starts; so is one that
+        IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = isinstance(solver, ProjectedNewton)
@@ -314,7 +363,13 @@ class OptimalMethod(Method):
             return solution
         if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
             return solution
-        other = _solver(solver.cost, data.readout, data.wiring, "nodal" if is_newton else "reduced", solver.settings)
+        other = _solver(
+            solver.cost,
+            data.readout,
+            data.wiring,
+            "nodal" if is_newton else "reduced",
+            solver.settings,
+        )
         second = best_solution(other, data, previous)
         return second if settles(second, solution) else lower_of(solution, second)
 
@@ -324,7 +379,9 @@ class OptimalMethod(Method):
 
 
 @lru_cache(maxsize=32)
-def _solver(cost: Cost, readout: Readout, wiring: Wiring | None, kind: str, settings: Settings) -> Solver:
+def _solver(
+    cost: Cost, readout: Readout, wiring: Wiring | None, kind: str, settings: Settings
+) -> Solver:
     if kind in EXCITATIONS:
         return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
     return ProjectedNewton(cost, settings)

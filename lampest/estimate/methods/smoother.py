@@ -1,16 +1,19 @@
-"""`formulation: smoother`: all frames of a recording together, by a variational method with graduated non-convexity.
+"""`formulation: smoother`: all frames of a recording together.
 
-The estimate u = log r with its covariance P minimises the free energy
+It uses a variational method with graduated non-convexity. The estimate u = log r with its
+covariance P minimises the free energy
 
     F(u, z, c, P) = misfits + |z|² + Σ c²/τ² + walk(E x²) + tr A P − log det P,
 
-where A is the Hessian of the misfits, x are the steps of cells between frames, and E x² = x² + var x under P. Two
-updates alternate: a Newton step of `Joint` in u, z, c for given stiffnesses λ = ∂walk/∂E x², and P as the inverse of
-the Newton matrix, which gives new E x² and λ. The walk's scale q decreases from round to round. Finally λ is fixed, and
-u, z, c minimise Φ of `lampest.estimate.methods.joint`.
-Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction, 1987 (decreasing q);
-Geman & McClure, Bull. Int. Stat. Inst. 52, 1987, and Black & Rangarajan, Int. J. Comput. Vision 19, 1996 (κ); Candès,
-Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008 (sums in a logarithm).
+where A is the Hessian of the misfits, x are the steps of cells between frames, and E x² = x² + var
+x under P. Two updates alternate: a Newton step of `Joint` in u, z, c for given stiffnesses λ =
+∂walk/∂E x², and P as the inverse of the Newton matrix, which gives new E x² and λ. The walk's scale
+q decreases from round to round. Finally λ is fixed, and u, z, c minimise Φ of
+`lampest.estimate.methods.joint`.
+Sources: Opper & Archambeau, Neural Comput. 21, 2009 (F); Blake & Zisserman, Visual Reconstruction,
+1987 (decreasing q); Geman & McClure, Bull. Int. Stat. Inst. 52, 1987, and Black & Rangarajan, Int.
+J. Comput. Vision 19, 1996 (κ); Candès, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008 (sums in a
+logarithm).
 """
 
 from collections.abc import Callable, Sequence
@@ -41,34 +44,47 @@ from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.linear import IGNORANCE
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.solution import VERIFIED, Outcome, Settings, Solution, Solver, Status, failure, solution_at
+from lampest.solvers.solution import (
+    VERIFIED,
+    Outcome,
+    Settings,
+    Solution,
+    Solver,
+    Status,
+    failure,
+    solution_at,
+)
 
 MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by a further Newton step
 MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
 MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
-MAX_ROUND_CHANGE = 0.3  # of a standard deviation: change of a cell in a round below which rounds may end
-# Factors on q from round to round. The slow one applies where the variance of steps depends on λ, and must follow it.
+# Of a standard deviation: change of a cell in a round below which rounds may end.
+MAX_ROUND_CHANGE = 0.3
+# Factors on q from round to round. The slow one applies where the variance of steps depends on λ,
+# and must follow it.
 FAST_DECREASE = 0.6
 SLOW_DECREASE = 0.8
-# Median E x² of still cells over q²: above TIED the decrease is slow; above FOLLOWED λ has not followed q, which waits.
+# Median E x² of still cells over q²: above TIED the decrease is slow; above FOLLOWED λ has not
+# followed q, which waits.
 TIED = 0.5
 FOLLOWED = 1.5
 
 
 @dataclass(frozen=True)
 class SmootherMethod(Method):
-    """Φ = misfits + changes of cells between frames + errors common to all readings, over all frames and the baseline.
+    """Φ = misfits + changes of cells between frames + errors common to all readings.
 
-    Most cells stand still, some always move, and any cell may jump; a step that all cells have in common costs little.
-    In a stream each frame is estimated together with the `lag` frames before it.
+    It is over all frames and the baseline. Most cells stand still, some always move, and any cell
+    may jump; a step that all cells have in common costs little. In a stream each frame is estimated
+    together with the `lag` frames before it.
 
     Raises ValueError where a number is out of range.
 
     Attributes
     ----------
     walk : float
-        Least standard deviation of a still cell's steps, as a fraction of the median noise of frames that are
-        estimated alone; the frames may show a larger one.
+        Least standard deviation of a still cell's steps, as a fraction of the median noise of
+        frames that are estimated alone; the frames may show a larger one.
     jump : float
         Steps of more walks than this cost no more.
     lag : int
@@ -91,17 +107,24 @@ class SmootherMethod(Method):
             raise ValueError("lag must be at least 1")
 
     def check(self, terms: tuple[Term, ...]) -> None:
-        """Raise InputError unless the misfit, in units of its noise and with a robust smooth loss, is the only term."""
+        """Raise InputError unless the misfit is the only term.
+
+        The misfit has to be in units of its noise and with a robust smooth loss.
+        """
         [first, *further] = terms
         fits = isinstance(first, Misfit) and first.weighting == "noise" and first.weight == 1
         if further or not fits or first.loss.squared or first.loss.enters == "dual":
             raise InputError(
-                "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: student, corner: 4}}, of "
-                "weight 1; its loss may be huber or a smooth one of your own, but not squared, with which one wrong "
+                "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: "
+                "student, corner: 4}}, of "
+                "weight 1; its loss may be huber or a smooth one of your own, but not squared, "
+                "with which one wrong "
                 "reading pulls at all frames, nor absolute, which is not smooth"
             )
 
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+    def solution(
+        self, solver: Solver, data: Data, previous: Array | None, prepared: Any
+    ) -> Solution:
         """Return the estimate of a frame alone, as a start."""
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
@@ -112,9 +135,12 @@ class SmootherMethod(Method):
         rested = state.resting.enough(state.scene)
         usable = readings.enough(state.scene) & rested
         read = [readings[frame] for frame in np.flatnonzero(usable)]
-        # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can be identified.
+        # The unloaded frames enter as means of a few parts, so that a wrong reading in one part can
+        # be identified.
         numbers = np.flatnonzero(resting.enough(state.scene))
-        parts = np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
+        parts = (
+            np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
+        )
         groups = [resting[part].mean() for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing = state.unsolved(Status.UNREAD if rested else Status.UNRESTED)
@@ -122,14 +148,20 @@ class SmootherMethod(Method):
         return state, [next(solved) if read_enough else missing for read_enough in usable]
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after one frame, and its step, solved together with the `lag` frames before it."""
-        before, estimates = state.prepared or ((), ())  # readings of the last frames, and their cells
+        """Return the state after one frame, and its step.
+
+        The frame is solved together with the `lag` frames before it.
+        """
+        # Readings of the last frames, and their cells.
+        before, estimates = state.prepared or ((), ())
         read = (*before, readings)[-1 - self.lag :]
         cells = estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
         if not steps[-1].solution.solved:
             return state, steps[-1]
-        return replace(after, prepared=(read, tuple(step.cell_resistance for step in steps))), steps[-1]
+        return replace(
+            after, prepared=(read, tuple(step.cell_resistance for step in steps))
+        ), steps[-1]
 
     def _together(
         self,
@@ -173,9 +205,14 @@ class SmootherMethod(Method):
                 seconds = (perf_counter() - begin) / len(solutions)
                 track = replace(track, baseline=certainty)
                 pairs = zip(steps, bars, strict=True)
-                steps = [replace(s, bars=bar, bars_seconds=seconds) if s.solution.solved else s for s, bar in pairs]
+                steps = [
+                    replace(s, bars=bar, bars_seconds=seconds) if s.solution.solved else s
+                    for s, bar in pairs
+                ]
             baseline = baseline if baseline.solution.solved else state.baseline
-            return replace(state, baseline=baseline, previous=steps[-1].estimate(0), track=track), steps
+            return replace(
+                state, baseline=baseline, previous=steps[-1].estimate(0), track=track
+            ), steps
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
 
     def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
@@ -188,9 +225,17 @@ class SmootherMethod(Method):
         return self._joint(state, *_begun(state, (), readings, (), lambda: None))[0]
 
     def _joint(
-        self, state: SequenceState, data: Sequence[Data], start: Array, resting: int = 0, until: float = inf
+        self,
+        state: SequenceState,
+        data: Sequence[Data],
+        start: Array,
+        resting: int = 0,
+        until: float = inf,
     ) -> tuple[Joint, int]:
-        """Return `smoothed` for the data of all frames, the first `resting` of which are means of unloaded ones."""
+        """Return `smoothed` for the data of all frames.
+
+        The first `resting` of them are means of unloaded ones.
+        """
         costs = [state.estimator.cost(state.scene, 1, partial=frame.partial) for frame in data]
         begun = Joint.of(costs, data, Shared.of(state.scene), start, state.frame_noise, resting)
         return smoothed(begun, Walk(self.walk, self.jump), state.estimator.solver, until)
@@ -203,7 +248,9 @@ def _begun(
     cells: Sequence[Array],
     on_frame: Callable[[], None],
 ) -> tuple[list[Data], Array]:
-    """Return the data of all frames, unloaded first, and log r of each frame alone by least squares, (frames, cells).
+    """Return the data of all frames, unloaded first, and log r of each frame alone.
+
+    The latter is by least squares, (frames, cells).
 
     Parameters
     ----------
@@ -219,7 +266,9 @@ def _begun(
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
     absolute = replace(state, estimator=state.estimator.with_terms(terms))
     reduced = OptimalMethod("reduced")
-    data = [state.estimator.data(frame.alone(), state.background) for frame in (*resting, *readings)]
+    data = [
+        state.estimator.data(frame.alone(), state.background) for frame in (*resting, *readings)
+    ]
     estimates = [state.baseline.cell_resistance, *cells] if len(resting) == 1 else []
     for number, frame in enumerate(data[len(estimates) :], len(estimates)):
         before = estimates[-1] if estimates else state.baseline.cell_resistance
@@ -231,11 +280,18 @@ def _begun(
 
 
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
-    """Return the solution of every frame; NaN with the status `fault` where the optimality conditions do not hold."""
-    faint = np.any(np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1)
+    """Return the solution of every frame.
+
+    It is NaN with the status `fault` where the optimality conditions do not hold.
+    """
+    faint = np.any(
+        np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1
+    )
     solutions = []
     slopes = 2 * joint.gradient[:, : joint.cells]
-    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual.tolist(), faint, slopes, strict=True):
+    for at, residual, weak, slope in zip(
+        joint.at, joint.kkt_residual.tolist(), faint, slopes, strict=True
+    ):
         outcome = Outcome(at.cell_resistance, NO_DUAL, fault, rounds)
         if not residual <= VERIFIED:
             solutions.append(failure(at.cost, at.data, fault, residual, outcome))
@@ -250,13 +306,15 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
 class Walk:
     """Cost of the steps x of log r between frames.
 
-        n k Σ_i log(1 + a_i) + Σ x²/s²,   a_i = mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
+        n k Σ_i log(1 + a_i) + Σ x²/s²,
+        a_i = mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
 
-    s is the standard deviation of a jump, and K averages over successive steps. The cost of a single step grows like
-    x²/q² and saturates at κ² (Geman and McClure), so that a jump costs the same at any size. The cost of a cell grows
-    like the logarithm of its unrest a, so that a cell which always moves is hardly tied. The factor k makes the
-    stiffness of a cell with steps of size q equal to 1/q². q begins at several times the noise and decreases as far as
-    the still cells permit, so that small jumps are found after large ones.
+    s is the standard deviation of a jump, and K averages over successive steps. The cost of a
+    single step grows like x²/q² and saturates at κ² (Geman and McClure), so that a jump costs the
+    same at any size. The cost of a cell grows like the logarithm of its unrest a, so that a cell
+    which always moves is hardly tied. The factor k makes the stiffness of a cell with steps of size
+    q equal to 1/q². q begins at several times the noise and decreases as far as the still cells
+    permit, so that small jumps are found after large ones.
 
     Attributes
     ----------
@@ -272,7 +330,8 @@ class Walk:
     def stiffness(self, squares: Array) -> Array:
         """Return λ = ∂cost/∂(E x²), (frames − 1, cells).
 
-        The cost is concave in E x², so that Σ λ E x² is its tangent and an upper bound up to a constant.
+        The cost is concave in E x², so that Σ λ E x² is its tangent and an upper bound up to a
+        constant.
         """
         # d/dS κ² S/(κ² + S) = 1/(1 + S/κ²)², then the chain rule through K and log(1 + a)
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
@@ -287,8 +346,8 @@ class Walk:
     def drawn_down(self, squares: Array, stiffness: Array, least: float) -> tuple["Walk", bool]:
         """Return the walk with the next smaller q, and whether rounds go on.
 
-        Still cells are the half with the least unrest. For the most probable λ of a Gaussian walk the mean of λ E x² is
-        1; where it exceeds 1 over the still cells, q is small enough.
+        Still cells are the half with the least unrest. For the most probable λ of a Gaussian walk
+        the mean of λ E x² is 1; where it exceeds 1 over the still cells, q is small enough.
 
         Parameters
         ----------
@@ -308,7 +367,9 @@ class Walk:
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
     def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Return the steps in which a cell or one of its neighbours jumps, S > κ², (frames − 1, cells).
+        """Return the steps in which a cell or one of its neighbours jumps, S > κ².
+
+        Shape (frames − 1, cells).
 
         Parameters
         ----------
@@ -326,7 +387,10 @@ class Walk:
 
 
 def averaged(steps: Array) -> Array:
-    """Return K x with (K x)_t = x_{t−1}/4 + x_t/2 + x_{t+1}/4; the first and the last step are repeated at the ends."""
+    """Return K x with (K x)_t = x_{t−1}/4 + x_t/2 + x_{t+1}/4.
+
+    The first and the last step are repeated at the ends.
+    """
     around = np.concatenate([steps[:1], steps, steps[-1:]])
     return np.asarray(around[:-2] / 4 + around[1:-1] / 2 + around[2:] / 4)
 
@@ -347,7 +411,8 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     until : float
         End of the rounds, in s of `time.monotonic`.
     """
-    # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at three times its median.
+    # Noise of frames alone, from diag (J̃ᵀ J̃ + prior)⁻¹: the walk begins at three times its
+    # median.
     cells = slice(joint.cells)
     prior = np.pad(np.full(joint.cells, IGNORANCE), (0, joint.drawn.shape[2]), constant_values=1.0)
     inverses = [positive_inverse(rows.T @ rows + np.diag(prior)) for rows in joint.sensitivities]
@@ -361,11 +426,13 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     while rounds < MAX_ROUNDS and moving and monotonic() < until:
         before = joint
         joint = joint.stepped()
-        moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, cells])
+        moved = np.abs(joint.log_cells - before.log_cells).max(
+            initial=0.0, where=~joint.pressed[:, cells]
+        )
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
-        # U is evaluated at the model's readings, and again with the last q: with a large q these follow the noise,
-        # which an error of the reference would seem to explain.
+        # U is evaluated at the model's readings, and again with the last q: with a large q these
+        # follow the noise, which an error of the reference would seem to explain.
         joint = replace(joint if on else joint.sharing(), stiffness=walk.stiffness(squares))
         rounds = rounds + 1
         moving = on or moved > MAX_ROUND_CHANGE * noise

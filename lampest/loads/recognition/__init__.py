@@ -1,1 +1,4 @@
-"""Recognition of loads: shapes with few parameters, fitted to frames and compared by their evidence."""
+"""Recognition of loads by shapes with few parameters.
+
+The shapes are fitted to frames and compared by their evidence.
+"""

@@ -1,4 +1,7 @@
-"""Attachments: loads over time, with place, size, and the probabilities that they suck, breathe and pump."""
+"""Attachments: loads over time, with place and size.
+
+They also have the probabilities that they suck, breathe and pump.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +27,8 @@ from lampest.panel.panel import Array, Panel
 
 Pair = tuple[float, float]
 JUDGED_S = 1.0  # between two judgements of breath
-MAX_SUCTIONS = 256  # recognitions of an attachment whose suction is kept: four hours, and then every second one
+# Recognitions of an attachment whose suction is kept: four hours, and then every second one.
+MAX_SUCTIONS = 256
 MIN_SAMPLE_FRAMES = 3  # of a sample of suction, whose median is free of an outlier
 
 
@@ -82,12 +86,18 @@ class Attachment:
 
     @property
     def breathes(self) -> float:
-        """Probability that its suction oscillates like breathing, given that it sucks; 1/2 before any observation."""
+        """Probability that its suction oscillates like breathing, given that it sucks.
+
+        1/2 before any observation.
+        """
         return self.breath.probability
 
     @property
     def suction_kpa(self) -> Pair | None:
-        """Typical suction: the median over all recognitions, kPa, and the median of their standard deviations."""
+        """Typical suction, the median over all recognitions, kPa, and its standard deviation.
+
+        The latter is the median of their standard deviations.
+        """
         if not self.suctions:
             return None
         values, errors = np.array(self.suctions).T
@@ -95,7 +105,10 @@ class Attachment:
 
     @property
     def strongest_kpa(self) -> Pair | None:
-        """Strongest suction, kPa, and its standard deviation: that which all but its error exceeds all others."""
+        """Strongest suction, kPa, and its standard deviation.
+
+        It is that which all but its error exceeds all others.
+        """
         return min(self.suctions, key=lambda pair: pair[0] + pair[1], default=None)
 
     @property
@@ -110,7 +123,10 @@ class Attachment:
 
     @property
     def pumps(self) -> float:
-        """Probability that its suction is pumped up after a decay, given that it sucks; 1/2 before any observation."""
+        """Probability that its suction is pumped up after a decay, given that it sucks.
+
+        1/2 before any observation.
+        """
         return 1 / (1 + exp(-self._pumping))
 
     @property
@@ -125,8 +141,12 @@ class Attachment:
 
     @property
     def lives(self) -> float:
-        """Probability that it is a mouth, given that it sucks: the product of the odds of breath and of pumps."""
-        # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln odds of pumps add
+        """Probability that it is a mouth, given that it sucks.
+
+        It is given by the product of the odds of breath and of pumps.
+        """
+        # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln
+        # odds of pumps add
         breathes = max(float(logit(self.breathes)), -RARE_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
@@ -159,30 +179,48 @@ class Attachment:
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
     def ended(self, time: float) -> "Attachment":
-        """Return the attachment after it left at a time in s, without what only later frames need."""
+        """Return the attachment after it left at a time in s.
+
+        It is without what only later frames need.
+        """
         return replace(self, until_s=time, patterns=None)
 
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history.
 
-        The earlier state is kept if the load sucked and is now less clear, because leaking suction has no clear shape.
+        The earlier state is kept if the load sucked and is now less clear, because leaking suction
+        has no clear shape.
         """
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
         # a move: farther than three standard deviations of the distance, and than 3 mm
-        far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
+        far = NOISE_REACH * max(
+            1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1])
+        )
         moves = self.distance(later.place) > far and later.since_s > self.placed_s
-        moved, placed = ((*self.moved_s, later.since_s), later.since_s) if moves else (self.moved_s, self.placed_s)
+        moved, placed = (
+            ((*self.moved_s, later.since_s), later.since_s)
+            if moves
+            else (self.moved_s, self.placed_s)
+        )
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        earlier = replace(later, since_s=self.since_s, breath=self.breath, track=self.track, placed_s=placed)
+        earlier = replace(
+            later, since_s=self.since_s, breath=self.breath, track=self.track, placed_s=placed
+        )
         suctions = (*self.suctions, *later.suctions)
         thinned = suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions
         return replace(earlier, sucks_s=began, moved_s=moved, suctions=thinned)
 
     def listened(
-        self, frames: Sequence[tuple[float, Array]], steps: Sequence[float], whitening: Array, verdict: Verdict
+        self,
+        frames: Sequence[tuple[float, Array]],
+        steps: Sequence[float],
+        whitening: Array,
+        verdict: Verdict,
     ) -> "Attachment":
-        """Return the attachment after its breath was judged by the frames since the last full window in its place.
+        """Return the attachment after its breath was judged.
+
+        It is judged by the frames since the last full window in its place.
 
         Parameters
         ----------
@@ -202,25 +240,35 @@ class Attachment:
         last = float(times[-1])
         if last - times[0] < MIN_WINDOW_S or last - before.judged_s < JUDGED_S:
             return replace(self, breath=before)
-        interval = SteadyFrames.of(times, np.array([logarithm for at, logarithm in frames if at > begin]), steps)
+        interval = SteadyFrames.of(
+            times, np.array([logarithm for at, logarithm in frames if at > begin]), steps
+        )
         if not len(interval.times):
             return replace(self, breath=before)
         full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
         changes = changes_without_water(interval, verdict.frame, verdict.best) @ whitening.T
-        return replace(self, breath=before.after(breath(interval, changes, self.patterns), last, full=full))
+        return replace(
+            self, breath=before.after(breath(interval, changes, self.patterns), last, full=full)
+        )
 
-    def sampled(self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation) -> "Attachment":
+    def sampled(
+        self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation
+    ) -> "Attachment":
         """Return the attachment after a sample of its suction, where the last one is BLOCK_S old.
 
-        `frame` is the recognised one, `whitening` (cells, cells) whitens changes of ln y. A sample with too few frames
-        waits.
+        `frame` is the recognised one, `whitening` (cells, cells) whitens changes of ln y. A sample
+        with too few frames waits.
         """
         if self.patterns is None or self.sucks <= 0.5:
             return self
         track = self.track
         moves = len(self.moved_s)
         time = frames[-1][0]
-        begin = max(self.placed_s, frames[0][0]) if track is None or track.moves != moves else track.since_s
+        begin = (
+            max(self.placed_s, frames[0][0])
+            if track is None or track.moves != moves
+            else track.since_s
+        )
         block = np.array([logarithm for at, logarithm in frames if at > begin])
         if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
             return self
@@ -250,7 +298,9 @@ def attachments_of(
     first = 0
     change = frame.free_map
     sd = frame.free_sd
-    moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
+    moved = np.abs(change) > NOISE_REACH * np.hypot(
+        sd, frame.baseline.model_errors.resting_sd(frame.seconds)
+    )
     # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
     resting = np.exp(-frame.baseline.logarithm)
     more = resting * np.expm1(-change)
@@ -290,14 +340,24 @@ def attachments_of(
 
 
 def _contacts(frame: Observation, more: Array, errors: Array) -> list[NDArray[np.bool_]]:
-    """Return the cells of the contacts whose conductance rose significantly by `more` siemens with the `errors`."""
+    """Return the cells of the contacts whose conductance rose significantly.
+
+    It rose by `more` siemens with the `errors`.
+    """
     sd = np.hypot(frame.free_sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     groups = contacts_of(frame.panel, frame.free_map, sd)
-    return [group for group in groups if more[group].sum() > SIGNIFICANT * np.hypot.reduce(errors[group])]
+    return [
+        group
+        for group in groups
+        if more[group].sum() > SIGNIFICANT * np.hypot.reduce(errors[group])
+    ]
 
 
 def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:
-    """Return the centre, number and area of a group of cells that changed by ln r/r0, by their names."""
+    """Return the centre, number and area of a group of cells, by their names.
+
+    The cells changed by ln r/r0.
+    """
     # centre of the cells weighted by |ln r/r₀|, to half a pitch
     weight = np.abs(change) * (group if group.any() else 1.0)
     half_pitch = panel.pitch_mm / 2
@@ -311,7 +371,9 @@ def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str,
 def continued_by(
     before: Sequence[Attachment], loads: Sequence[Attachment], time: float, *, again: bool = False
 ) -> tuple[Attachment, ...]:
-    """Return all attachments after a recognition; each load continues the nearest attachment that is present.
+    """Return all attachments after a recognition.
+
+    Each load continues the nearest attachment that is present.
 
     Parameters
     ----------
@@ -321,22 +383,33 @@ def continued_by(
     time : float
         Time of the last step, s; attachments without a load left then.
     again : bool
-        Whether it is a repeated recognition since that step. Attachments without a load then stay, because nothing
-        leaves without a step, except those that arrived with the step, which were parts of another load.
+        Whether it is a repeated recognition since that step. Attachments without a load then stay,
+        because nothing leaves without a step, except those that arrived with the step, which were
+        parts of another load.
     """
     attachments = list(before)
     left = [number for number, load in enumerate(before) if load.present]
-    # Greedy matching: the load with the nearest attachment first, within the larger diameter of both.
-    distances = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
+    # Greedy matching: the load with the nearest attachment first, within the larger diameter of
+    # both.
+    distances = [
+        min((attachments[number].distance(load.place) for number in left), default=inf)
+        for load in loads
+    ]
     for load in (loads[number] for number in np.argsort(distances, kind="stable")):
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
-        if near is not None and attachments[near].distance(load.place) < max(attachments[near].size, load.size):
+        if near is not None and attachments[near].distance(load.place) < max(
+            attachments[near].size, load.size
+        ):
             attachments[near] = attachments[near].continued(load)
             left.remove(near)
         else:
             attachments.append(load)
     if again:
-        return tuple(load for number, load in enumerate(attachments) if number not in left or load.since_s < time)
+        return tuple(
+            load
+            for number, load in enumerate(attachments)
+            if number not in left or load.since_s < time
+        )
     for number in left:
         attachments[number] = attachments[number].ended(time)
     return tuple(attachments)

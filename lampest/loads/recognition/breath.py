@@ -1,11 +1,13 @@
 """Detection of a periodic change of a load's suction in one window, by Bayesian odds of a sinusoid.
 
-The relative amplitude s_t in a window is a weighted mean of the readings, less a trend, with the model
+The relative amplitude s_t in a window is a weighted mean of the readings, less a trend, with the
+model
 
     s_t = a cos 2πft + b sin 2πft + noise,   a, b ~ N(0, A²),   noise ~ N(0, σ²).
 
 The odds compare the A of breathing with that of tremble, summed over f and σ.
-Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988; docs/theory/recognition.md.
+Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988;
+docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass, replace
@@ -24,19 +26,28 @@ from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-PRIOR_ODDS = 10.0  # assumed, of suction that oscillates to the rim alone, and to the place or the tilt
+# assumed, of suction that oscillates to the rim alone, and to the place or the tilt
+PRIOR_ODDS = 10.0
 LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
 MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
 MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and as many again
 MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
-MAX_PULL = 3.0  # largest suction that counts over that of the recognised frame, and the inverse of the smallest
+# Largest suction that counts over that of the recognised frame, and the inverse of the smallest.
+MAX_PULL = 3.0
 
 Pair = tuple[float, float]
 
 
 def too_slow(rate: float) -> str:
-    """Return the reason why a frame rate is too low to determine breathing, in words; '' where it suffices."""
-    return "" if rate >= MIN_RATE_HZ else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
+    """Return the reason why a frame rate is too low to determine breathing, in words.
+
+    '' where it suffices.
+    """
+    return (
+        ""
+        if rate >= MIN_RATE_HZ
+        else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
+    )
 
 
 @dataclass(frozen=True)
@@ -62,8 +73,8 @@ class Breath:
 def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath | None:
     """Return the breath of a window; None where it is too short or frames are too few.
 
-    The breath is steady in the whole window, or in one of its parts, because a pull changes the swings: each is as
-    probable as the others.
+    The breath is steady in the whole window, or in one of its parts, because a pull changes the
+    swings: each is as probable as the others.
 
     Parameters
     ----------
@@ -77,14 +88,21 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
     if interval.part.any():
         suction = _relative_suction(interval, changes, patterns)
         spans += [interval.part == number for number in range(interval.part.max() + 1)]
-    breaths = [_steady_breath(interval.only(span), changes[span], patterns, suction[span]) for span in spans]
+    breaths = [
+        _steady_breath(interval.only(span), changes[span], patterns, suction[span])
+        for span in spans
+    ]
     known = [steady for steady in breaths if steady is not None]
     best = max(known, key=attrgetter("odds"), default=None)
     return None if best is None else replace(best, odds=best.odds - log(len(known)))
 
 
-def _steady_breath(interval: SteadyFrames, recorded: Array, patterns: Patterns, suction: Array) -> Breath | None:
-    """Return the breath of a window in which it is steady; None where it is too short or frames are too few.
+def _steady_breath(
+    interval: SteadyFrames, recorded: Array, patterns: Patterns, suction: Array
+) -> Breath | None:
+    """Return the breath of a window in which it is steady.
+
+    None where it is too short or frames are too few.
 
     Parameters
     ----------
@@ -103,7 +121,8 @@ def _steady_breath(interval: SteadyFrames, recorded: Array, patterns: Patterns, 
     within = (times - times[0]) / lasted
     trend = interval.trend()
     own_patterns, changes = patterns.beside_others(_without(trend, recorded))
-    # Sine and cosine at every rate, without their trend as orthonormal axes (rates, 2, frames) with their gains.
+    # Sine and cosine at every rate, without their trend as orthonormal axes (rates, 2, frames) with
+    # their gains.
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
     even_waves = _waves(hertz, times)
     waves = suction[:, None] * even_waves
@@ -127,7 +146,10 @@ def _steady_breath(interval: SteadyFrames, recorded: Array, patterns: Patterns, 
         return breath(parts, recorded[left], patterns)
     freedom = len(times) - trend.shape[1]
     best = int(np.argmax(power))
-    breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
+    breathing, steady = (
+        logsumexp(_evidence(total, amplitude, gain, sd, freedom))
+        for sd in (BREATHING_SD, TREMBLE_SD)
+    )
     remaining = max(total - power[best], 1e-12) / (freedom - 2)
     # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
@@ -141,7 +163,10 @@ def _steady_breath(interval: SteadyFrames, recorded: Array, patterns: Patterns, 
 
 
 def _without(trend: Array, series: Array) -> Array:
-    """Return series (…, frames, n) without their projection on a trend, an orthonormal basis (frames, k)."""
+    """Return series (…, frames, n) without their projection on a trend.
+
+    The trend is an orthonormal basis (frames, k).
+    """
     return np.asarray(series - trend @ (trend.T @ series))
 
 
@@ -152,20 +177,27 @@ def _waves(hertz: Array, times: Array) -> Array:
 
 
 def _tapered(waves: Array, within: Array) -> Array:
-    """Return waves (rates, frames, 2) that fade towards the ends of the window, as unit vectors (rates, 2, frames)."""
+    """Return waves (rates, frames, 2) that fade towards the ends of the window.
+
+    They are returned as unit vectors (rates, 2, frames).
+    """
     faded = waves * (np.sin(np.pi * within) ** 2)[:, None]
     return np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2)
 
 
 def _background(swings: Array) -> float:
-    """Return the variance of swings (rates, 2, readings) at most rates: the lower quartile, and at least the noise."""
+    """Return the variance of swings (rates, 2, readings) at most rates.
+
+    It is the lower quartile, and at least the noise.
+    """
     return max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25))) if len(swings) else 1.0
 
 
 def _whitening(others: Array) -> Array:
     """Return the whitening of movements at all rates, and of noise, (readings, readings).
 
-    `others` (rates, 2, readings) are the readings' swings at rates that the strongest one does not leak into.
+    `others` (rates, 2, readings) are the readings' swings at rates that the strongest one does not
+    leak into.
     """
     samples = others.reshape(-1, others.shape[2])
     noise = _background(others) * np.eye(samples.shape[1])
@@ -176,18 +208,21 @@ def _whitening(others: Array) -> Array:
 def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Array:
     """Return the suction of each frame's part over that of the recognised frame, (frames,).
 
-    A breath swings by a share of the suction. While that is pulled, it is larger, and so are the swings.
+    A breath swings by a share of the suction. While that is pulled, it is larger, and so are the
+    swings.
     """
     level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
     means = np.bincount(interval.part, level) / np.bincount(interval.part)
     return np.asarray(np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part])
 
 
-def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> tuple[float, float]:
+def _depth(
+    patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float
+) -> tuple[float, float]:
     """Return the relative amplitude of the suction and its standard deviation.
 
-    The amplitude and the phase of the wave may change linearly over the window. A film with hysteresis shows the share
-    1 − RESPONSE_SD of a swing, by which both are divided.
+    The amplitude and the phase of the wave may change linearly over the window. A film with
+    hysteresis shows the share 1 − RESPONSE_SD of a swing, by which both are divided.
 
     Parameters
     ----------
@@ -217,7 +252,9 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         variances = np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
-        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
+        film = (
+            float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
+        )
         variance = depth**2 * film + float(variances[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
 
@@ -248,9 +285,10 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 
 
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
-    """Return the probability that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
+    """Return the probability that suction oscillates with its rim.
 
-    Each cause is taken at its own best rate, because the square of a movement oscillates at twice its rate.
+    It is not that of the rim alone, nor of the load's place or tilt. Each cause is taken at its own
+    best rate, because the square of a movement oscillates at twice its rate.
 
     Parameters
     ----------
@@ -270,7 +308,9 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
 
 
 def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
-    """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,), averaged over sizes up to `most`.
+    """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,).
+
+    It is averaged over sizes up to `most`.
 
     Parameters
     ----------
@@ -286,7 +326,9 @@ def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
     square = (swings @ along) ** 2 / noise
     sizes = np.geomspace(TREMBLE_SD, most, 13)
     wide = (sizes[:, None] * lengths) ** 2 / noise
-    # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along each axis of B, for
-    # sine and cosine
-    evidence = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
+    # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along
+    # each axis of B, for sine and cosine
+    evidence = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(
+        axis=1
+    )
     return np.asarray(logsumexp(evidence, axis=1, b=1 / len(sizes)))

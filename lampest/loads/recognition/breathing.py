@@ -1,6 +1,7 @@
-"""Breathing of an attachment: the odds of all windows together, and whether suction or the rim alone oscillates.
+"""Breathing of an attachment: the odds of all windows together.
 
-Each window has a `Breath`. The odds of full windows multiply; of incomplete ones, two in a row have to agree.
+Also whether suction or the rim alone oscillates. Each window has a `Breath`. The odds of full
+windows multiply; of incomplete ones, two in a row have to agree.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,8 @@ class Breathing:
     causes : float
         ln odds of the same by full windows, without the prior odds.
     hertz, depth : (float, float) or None
-        Rate in Hz and relative amplitude, each with its standard deviation, from the last window that determines them.
+        Rate in Hz and relative amplitude, each with its standard deviation, from the last window
+        that determines them.
     full_s, judged_s : float
         Times of the last frame of the last full window, and of the last window, s.
     """
@@ -55,24 +57,29 @@ class Breathing:
     def parted(self, steps: Sequence[float]) -> "Breathing":
         """Return the breath after steps at times in s: one ends a window that determined a rhythm.
 
-        The swings after a pull are others. They begin a window of their own, and do not replace the odds of this one.
+        The swings after a pull are others. They begin a window of their own, and do not replace the
+        odds of this one.
         """
         if self.odds == self.previous_odds or not any(step > self.judged_s for step in steps):
             return self
         return replace(self._caused(self.last), previous_odds=self.odds, full_s=self.judged_s)
 
     def _caused(self, suction: float) -> "Breathing":
-        """Return the breath with one more window, in which suction oscillates with this probability."""
+        """Return the breath with one more window.
+
+        In it suction oscillates with this probability.
+        """
         window = logit(suction) - np.log(PRIOR_ODDS / 2)
         causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
         return replace(self, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
 
     def after(self, seen: Breath | None, time: float, *, full: bool) -> "Breathing":
-        """Return the breath after a window that ends at a time in s; of a full one the odds are kept.
+        """Return the breath after a window that ends at a time in s.
 
-        Assumptions: one mouth in twenty never shows its breath, because it is faint or at half the frame rate, and a
-        mouth pauses in one window of twenty. The odds of full windows multiply. Of incomplete windows, two successive
-        ones have to agree that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
+        Of a full one the odds are kept. Assumptions: one mouth in twenty never shows its breath,
+        because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
+        The odds of full windows multiply. Of incomplete windows, two successive ones have to agree
+        that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
         lampreys for a second (docs/studies/mouths.md).
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)

@@ -1,4 +1,7 @@
-"""Candidates of recognition: no load, an equal pressure on all cells, one or several shapes; starts of their fits."""
+"""Candidates of recognition, and starts of their fits.
+
+The candidates are no load, an equal pressure on all cells, and one or several shapes.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,8 +20,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import RESPONSE_SD
 
 AND = " and "
-# Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %, some with correlated
-# neighbours or with faulty cells, the largest score was 6.3.
+# Standard deviations of a template's score. Of 720 bare panels with films uneven by 12 to 25 %,
+# some with correlated neighbours or with faulty cells, the largest score was 6.3.
 MAX_UNEVENNESS = 8.0
 # initial pressures inside, and under the rim
 FULL_KPA = (0.0, 8.0)
@@ -34,7 +37,11 @@ class Several(Candidate):
     @classmethod
     def of(cls, parts: tuple[Candidate, ...]) -> "Several":
         """Return the candidate of several parts, with their joined labels."""
-        return cls(label=AND.join(part.label for part in parts), sucks=all(part.sucks for part in parts), parts=parts)
+        return cls(
+            label=AND.join(part.label for part in parts),
+            sucks=all(part.sucks for part in parts),
+            parts=parts,
+        )
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
         """Return the priors of all parts, with names such as `0.x`."""
@@ -46,14 +53,19 @@ class Several(Candidate):
 
     @cached_property
     def _own(self) -> list[tuple[Candidate, slice]]:
-        """Every part with the slice of its φ; the numbers of parameters do not depend on the panel."""
+        """Every part with the slice of its φ.
+
+        The numbers of parameters do not depend on the panel.
+        """
         ends = [0, *accumulate(len(part.priors(Panel(2, 2))) for part in self.parts)]
         return [(part, slice(*pair)) for part, pair in zip(self.parts, pairwise(ends), strict=True)]
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """Return the sum of the parts' pressures, and the derivatives by all φ."""
         parts = [part.pressure(panel, patch_mm, values) for part, values in self.loads(parameters)]
-        return np.sum([pressure for pressure, _ in parts], axis=0), np.concatenate([slopes for _, slopes in parts])
+        return np.sum([pressure for pressure, _ in parts], axis=0), np.concatenate(
+            [slopes for _, slopes in parts]
+        )
 
     def start(self, disc: Disc) -> Array:
         return np.concatenate([part.start(disc) for part in self.parts])
@@ -64,7 +76,10 @@ class Several(Candidate):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Uniform(Candidate):
-    """An equal pressure φ on all cells, which resembles a drift of the whole panel; without numbers, no load."""
+    """An equal pressure φ on all cells, which resembles a drift of the whole panel.
+
+    Without numbers, it is no load.
+    """
 
     numbers: tuple[str, ...] = ()
 
@@ -81,14 +96,19 @@ class Uniform(Candidate):
 
 
 NOTHING, FLAT = UNIFORM = Uniform(label="nothing"), Uniform(label="flat load", numbers=("flat",))
-LOADS: tuple[Candidate, ...] = tuple(shape.candidate for shape in shape_types() if shape.candidate is not None)
-FIELD = Uniform(label="unlike any")  # changes of any form, see `lampest.loads.recognition.fit.field_fit`
+LOADS: tuple[Candidate, ...] = tuple(
+    shape.candidate for shape in shape_types() if shape.candidate is not None
+)
+# Changes of any form, see `lampest.loads.recognition.fit.field_fit`.
+FIELD = Uniform(label="unlike any")
 
 
 def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
     """Return the cells whose centre is within a disc enlarged by half a pitch, (rows, columns)."""
     across, down = panel.places_mm
-    return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2)
+    return np.asarray(
+        np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,26 +137,36 @@ class DiscSearch:
         discs = []
         patterns = []
         x, y = panel.places_mm[:, panel.present]
-        places = x + 1j * y  # complex places: regular panels have few distinct displacements, computed once each
+        # Complex places: regular panels have few distinct displacements, computed once each.
+        places = x + 1j * y
         steps, step = np.unique(np.round(places - places[:, None], 6), return_inverse=True)
         for template in templates:
             size = (template.outer_mm, template.inner_mm)
             pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
             for shift in (0.0, panel.pitch_mm / 2):
                 shifted = Disc(shift, shift, *size, template.inside, -1.0, 0.0, 0.0)
-                pattern, _ = pressure_at_places(np.stack([steps.real, steps.imag]), patch_mm, shifted)
+                pattern, _ = pressure_at_places(
+                    np.stack([steps.real, steps.imag]), patch_mm, shifted
+                )
                 patterns.append(csr_array(pattern[step.reshape(len(places), -1)]))
-                discs += [Disc(*at, *size, *pressures, 0.0, 0.0) for at in zip(x + shift, y + shift, strict=True)]
+                discs += [
+                    Disc(*at, *size, *pressures, 0.0, 0.0)
+                    for at in zip(x + shift, y + shift, strict=True)
+                ]
         changes = vstack(patterns)
         changes.data /= np.repeat(np.sqrt(changes.power(2).sum(axis=1)), np.diff(changes.indptr))
         cells = np.flatnonzero(panel.present)[changes.indices]
         shape = panel.crossings, len(discs)
-        return cls(panel, templates, tuple(discs), csc_array((changes.data, cells, changes.indptr), shape))
+        return cls(
+            panel, templates, tuple(discs), csc_array((changes.data, cells, changes.indptr), shape)
+        )
 
     @cached_property
     def faint(self) -> NDArray[np.bool_]:
         """Whether each disc's template is used for detection in noise, (discs,)."""
-        return np.repeat([template.faint for template in self.templates], len(self.discs) // len(self.templates))
+        return np.repeat(
+            [template.faint for template in self.templates], len(self.discs) // len(self.templates)
+        )
 
     @cached_property
     def places(self) -> Array:
@@ -156,11 +186,12 @@ class DiscSearch:
         return csc_array(templates @ diags_array(1 / np.sqrt(np.maximum(square, 1e-300))))
 
     def lies_on(self, logarithm: Array) -> bool:
-        """Return whether unloaded cells are uneven in the shape of a load, tᵀδ > MAX_UNEVENNESS σ for a template t.
+        """Return whether unloaded cells are uneven in the shape of a load.
 
-        δ is ln r less its median, and σ its robust standard deviation, at least that of an even film. Templates are
-        negative where a load decreases ln r, so that only a positive tᵀδ counts. δ is clipped at SIGNIFICANT σ, so that
-        a faulty cell is not taken for a load.
+        They are if tᵀδ > MAX_UNEVENNESS σ for a template t. δ is ln r less its median, and σ its
+        robust standard deviation, at least that of an even film. Templates are negative where a
+        load decreases ln r, so that only a positive tᵀδ counts. δ is clipped at SIGNIFICANT σ, so
+        that a faulty cell is not taken for a load.
 
         Parameters
         ----------
@@ -189,4 +220,7 @@ class DiscSearch:
         gain = pulled * np.abs(pulled) / np.maximum(size, 1e-300)
         best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)
         size = len(self.discs) // len(self.templates)
-        return {template: self.discs[at * size + int(best[at])] for at, template in enumerate(self.templates)}
+        return {
+            template: self.discs[at * size + int(best[at])]
+            for at, template in enumerate(self.templates)
+        }

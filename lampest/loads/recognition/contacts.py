@@ -1,9 +1,10 @@
 """Contacts: neighbouring cells that conduct more than at rest.
 
-A cover spreads pressure, and errors of the circuit change cells beside a heavy load a little. Both join what lies
-apart. Contacts are therefore divided where the change between them is faint, as a watershed divides two lakes, and a
-contact has the cells that changed by more than a share of its strongest one. Errors of the cells must not explain a
-division: between the cells of one foot on a real insole they did.
+A cover spreads pressure, and errors of the circuit change cells beside a heavy load a little. Both
+join what lies apart. Contacts are therefore divided where the change between them is faint, as a
+watershed divides two lakes, and a contact has the cells that changed by more than a share of its
+strongest one. Errors of the cells must not explain a division: between the cells of one foot on a
+real insole they did.
 """
 
 import numpy as np
@@ -13,12 +14,15 @@ from lampest.files.levels import NOISE_REACH
 from lampest.loads.recognition.suction import MIN_FALL
 from lampest.panel.panel import Array, Panel
 
-# Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet under a soft cover it is
-# a fifth, under the arch of one foot a half.
+# Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet
+# under a soft cover it is a fifth, under the arch of one foot a half.
 FAINT_SHARE = 0.3
 SMALL_CELLS = 3
-SMALL_SHARE = 0.15  # likewise for contacts of fewer cells: between two feet in a circuit with grounded lines up to 0.12
-GHOST_SHARE = 0.05  # of the strongest ln r0/r of all cells: errors of the circuit beside a heavy load
+# Likewise for contacts of fewer cells: between two feet in a circuit with grounded lines up to
+# 0.12.
+SMALL_SHARE = 0.15
+# Of the strongest ln r0/r of all cells: errors of the circuit beside a heavy load.
+GHOST_SHARE = 0.05
 
 
 def contacts_of(panel: Panel, change: Array, sd: Array) -> list[NDArray[np.bool_]]:
@@ -37,15 +41,22 @@ def contacts_of(panel: Panel, change: Array, sd: Array) -> list[NDArray[np.bool_
     touched = clear & (strength > GHOST_SHARE * strength[clear].max())
     basin = _basins(panel, strength, sd, touched)
     joined = _joined(panel, strength, sd, basin)
-    clear_of = {peak: touched & (basin == peak) & ~_is_faint(strength, sd, peak) for peak in set(basin[touched])}
+    clear_of = {
+        peak: touched & (basin == peak) & ~_is_faint(strength, sd, peak)
+        for peak in set(basin[touched])
+    }
     peaks = sorted(set(joined[touched]), key=lambda cell: -strength.flat[cell])
-    contacts = [np.any([clear_of[part] for part in set(basin[joined == peak])], axis=0) for peak in peaks]
+    contacts = [
+        np.any([clear_of[part] for part in set(basin[joined == peak])], axis=0) for peak in peaks
+    ]
     least = SMALL_SHARE * strength[clear].max()
-    return [cells for cells in contacts if cells.sum() >= SMALL_CELLS or strength[cells].max() >= least]
+    return [
+        cells for cells in contacts if cells.sum() >= SMALL_CELLS or strength[cells].max() >= least
+    ]
 
 
 def _is_faint(strength: Array, sd: Array, peak: int) -> NDArray[np.bool_]:
-    """Return whether cells changed by clearly less than a share of the strongest cell of a contact."""
+    """Return whether cells changed by clearly less than a share of a contact's strongest cell."""
     error = np.hypot(sd, FAINT_SHARE * sd.flat[peak])
     return np.asarray(FAINT_SHARE * strength.flat[peak] - strength > NOISE_REACH * error)
 
@@ -60,26 +71,32 @@ def _cells_beside(panel: Panel) -> dict[int, list[int]]:
 
 
 def _joined(panel: Panel, strength: Array, sd: Array, basin: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the basins with those joined between which lies a cell that may have changed as they have.
+    """Return the basins with some of them joined.
 
-    Of a cell whose readings are bounds, or of a dead line, nothing is known: it divides no contact.
+    Those are joined between which lies a cell that may have changed as they have. Of a cell whose
+    readings are bounds, or of a dead line, nothing is known: it divides no contact.
     """
     joined = basin.copy()
     for cell, neighbours in _cells_beside(panel).items():
         if basin.flat[cell] >= 0:
             continue
-        peaks = sorted({int(joined.flat[near]) for near in neighbours} - {-1}, key=lambda peak: -strength.flat[peak])
+        peaks = sorted(
+            {int(joined.flat[near]) for near in neighbours} - {-1},
+            key=lambda peak: -strength.flat[peak],
+        )
         for peak in peaks[1:]:
             if not _is_faint(strength, sd, peak).flat[cell]:
                 joined[joined == peak] = peaks[0]
     return joined
 
 
-def _basins(panel: Panel, strength: Array, sd: Array, touched: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the number of the strongest cell of every touched cell's contact, (rows, columns); −1 elsewhere.
+def _basins(
+    panel: Panel, strength: Array, sd: Array, touched: NDArray[np.bool_]
+) -> NDArray[np.intp]:
+    """Return the number of the strongest cell of every touched cell's contact.
 
-    Cells are added from the strongest to the weakest. A cell that connects two groups joins them unless it is faint for
-    the weaker one.
+    Shape (rows, columns); −1 elsewhere. Cells are added from the strongest to the weakest. A cell
+    that connects two groups joins them unless it is faint for the weaker one.
     """
     beside = _cells_beside(panel)
     basin = np.full(strength.size, -1, dtype=np.intp)

@@ -1,8 +1,9 @@
-"""Recognition of a single frame: candidates are fitted from several starts, and compared by their evidence.
+"""Recognition of a single frame.
 
-The cost has many minima, because readings do not depend on rims between patches. Fits begin where templates match, with
-coarse errors about the field of cells. They are then refined with the errors about the best explanation. Where no
-candidate explains the frame, several loads are fitted together.
+Candidates are fitted from several starts, and compared by their evidence. The cost has many minima,
+because readings do not depend on rims between patches. Fits begin where templates match, with
+coarse errors about the field of cells. They are then refined with the errors about the best
+explanation. Where no candidate explains the frame, several loads are fitted together.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,15 @@ from scipy.linalg import cho_solve
 from scipy.special import softmax
 
 from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
-from lampest.loads.recognition.candidates import FIELD, FULL_KPA, LOADS, UNIFORM, DiscSearch, Several, under
+from lampest.loads.recognition.candidates import (
+    FIELD,
+    FULL_KPA,
+    LOADS,
+    UNIFORM,
+    DiscSearch,
+    Several,
+    under,
+)
 from lampest.loads.recognition.fit import (
     EVIDENCE_SHARE,
     MAX_LOG_RATIO,
@@ -37,8 +46,8 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse
 
-# χ² of a reading in a fit with coarse errors, beyond which it is not refined: rods, rings and pairs of rods have up to
-# 0.5, hands and rocks up to 3.
+# χ² of a reading in a fit with coarse errors, beyond which it is not refined: rods, rings and pairs
+# of rods have up to 0.5, hands and rocks up to 3.
 MAX_COARSE = 0.7
 SHARPENED = 2  # rounds of fits and outlier detection
 START_SIZES = (0.8, 1.1)  # diameters of the starts, over that of the area of the risen cells
@@ -59,10 +68,11 @@ class Detector:
     most_loads : int
         Largest number of loads that are fitted together.
     response_levels : tuple of float
-        Factors on the response's standard deviation, from a film as published to a bent, uneven one.
+        Factors on the response's standard deviation, from a film as published to a bent, uneven
+        one.
     exponents : tuple of float
-        Alternative exponents of the published curve under suction, beside 1: ln f is known at one point only, through
-        which a straight line or a threshold pass, too (docs/studies/mouths.md).
+        Alternative exponents of the published curve under suction, beside 1: ln f is known at one
+        point only, through which a straight line or a threshold pass, too (docs/studies/mouths.md).
     """
 
     patch_mm: float
@@ -74,14 +84,17 @@ class Detector:
 
     def search(self, panel: Panel) -> DiscSearch:
         """Return the matched filter with the templates of all loads."""
-        templates = tuple(dict.fromkeys(template for load in self.loads for template in load.templates))
+        templates = tuple(
+            dict.fromkeys(template for load in self.loads for template in load.templates)
+        )
         return DiscSearch.over(panel, self.patch_mm, templates)
 
     def verdict(self, frame: Observation) -> Verdict:
         """Return the verdict on a frame.
 
-        Cells that have risen decide whether something sucks, and where. Every place under suction is then fitted with
-        a load that sucks, and cells beside it are free. Where nothing sucks, the loads that press are compared.
+        Cells that have risen decide whether something sucks, and where. Every place under suction
+        is then fitted with a load that sucks, and cells beside it are free. Where nothing sucks,
+        the loads that press are compared.
         """
         if (undisturbed := self.calm(frame)) is not None:
             return self._judged(undisturbed, ())
@@ -103,7 +116,9 @@ class Detector:
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
         if not 2 <= len(groups) <= self.most_loads or not self._doubtful(frame, single, field):
             return self._spread(frame, single)
-        several = self._together(kinds, without, field, [self._under(frame.panel, group) for group in groups])
+        several = self._together(
+            kinds, without, field, [self._under(frame.panel, group) for group in groups]
+        )
         if several.chi2 > MAX_COARSE * frame.measured.size:
             return self._spread(frame, single)
         verdict = self._settled(frame, (several, *single.loads[:1]), field, without)
@@ -119,8 +134,9 @@ class Detector:
     ) -> Verdict:
         """Return the verdict with one load at each place under suction, of the most probable kind.
 
-        The area of the risen cells gives the starts. Cells beside the loads have whatever they changed by as their
-        standard deviation, so that a body beside a mouth does not pull at its rim.
+        The area of the risen cells gives the starts. Cells beside the loads have whatever they
+        changed by as their standard deviation, so that a body beside a mouth does not pull at its
+        rim.
         """
         loose = np.abs(field.change)
         panel = frame.panel
@@ -140,15 +156,18 @@ class Detector:
                 position, _ = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
                 fits.append(fitting.fit_at(position, likelihood))
         best = max(fits, key=attrgetter("evidence"))
-        calm, best = self._sharpened(frame, best, best, without, self.response_levels[-1] * self._response(frame))
+        calm, best = self._sharpened(
+            frame, best, best, without, self.response_levels[-1] * self._response(frame)
+        )
         best, _ = self._own(calm, best)
         verdict = self._judged(calm, (best,), places)
         return self._spread(frame, verdict)
 
     def calm(self, frame: Observation) -> Observation | None:
-        """Return the frame without outliers if it shows no load, neither by χ² nor by a template; else None.
+        """Return the frame without outliers if it shows no load; else None.
 
-        In a circuit without crosstalk a pressed cell changes its own reading alone, as an outlier does; but a contact
+        To show no load, it must show one neither by χ² nor by a template. In a circuit without
+        crosstalk a pressed cell changes its own reading alone, as an outlier does; but a contact
         has neighbouring cells, so that only readings without an outlying neighbour are left out.
         """
         whitening = Whitening.about(frame)
@@ -163,15 +182,19 @@ class Detector:
         return undisturbed if stands_out.max() < SIGNIFICANT else None
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
-        """Return the frame without readings that contradict a fit, and the errors about the fit's change of cells."""
+        """Return the frame without readings that contradict a fit, and the errors.
+
+        The errors are those about the fit's change of cells.
+        """
         calm = frame.without(self._contradicting(frame, fit))
         return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
 
     def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
-        """Return the posterior departure d = ln r − ln r0 − x of the cells from a fit, and its covariance.
+        """Return the posterior departure of the cells from a fit, and its covariance.
 
-        With A = (∂f/∂ln r, E), the prior covariance P of d and the offsets, and C = A P Aᵀ + σ², the mean of d and of
-        the offsets is P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0).
+        The departure is d = ln r − ln r0 − x. With A = (∂f/∂ln r, E), the prior covariance P of d
+        and the offsets, and C = A P Aᵀ + σ², the mean of d and of the offsets is P Aᵀ C⁻¹ (R −
+        f(r0·e^x) − E δ0).
 
         Returns
         -------
@@ -184,7 +207,8 @@ class Detector:
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
         spread = resting + self.fitting(fit.candidate, frame).film(fit, fit.scatter)
         both = np.hstack([calm.slope(fit.change), calm.offsets])
-        # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C = root rootᵀ
+        # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C
+        # = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
         mean = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
         prior = baseline.covariance[:cells, :cells] + spread
@@ -197,9 +221,10 @@ class Detector:
     def _sharpened(
         self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
     ) -> tuple[Observation, Fit]:
-        """Return the frame without outliers, and the fit to it, by alternating fits and outlier detection.
+        """Return the frame without outliers, and the fit to it.
 
-        Outliers are detected among all readings in each round, so that a reading returns if a better fit explains it.
+        They are found by alternating fits and outlier detection. Outliers are detected among all
+        readings in each round, so that a reading returns if a better fit explains it.
 
         Parameters
         ----------
@@ -208,7 +233,8 @@ class Detector:
         fit : Fit
             Start of the fit.
         explains : Fit
-            Fit about which the errors of the first round are taken; later rounds take the fit itself.
+            Fit about which the errors of the first round are taken; later rounds take the fit
+            itself.
         calm : Observation
             The frame without the outliers that are known at the start.
         scatter : float
@@ -232,22 +258,31 @@ class Detector:
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
-        """Return the best fit of every kind from the matches of its templates, with coarse errors about the field."""
+        """Return the best fit of every kind from the matches of its templates.
+
+        It is made with coarse errors about the field.
+        """
         likelihood = coarse_errors(calm, field.change)
         fits = list[Fit]()
         starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
         for load in kinds:
             fitting = self.fitting(load, calm)
             begins = [load.start(starts[template]) for template in load.templates]
-            descents = [fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins]
-            fits.append(fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood))
+            descents = [
+                fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins
+            ]
+            fits.append(
+                fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood)
+            )
         return fits
 
-    def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
+    def _settled(
+        self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation
+    ) -> Verdict:
         """Return the verdict on all candidates, refined from coarse fits.
 
-        The best candidate is refined first. All others are fitted with its errors, and with their own errors if they
-        come close. This is repeated until the best one stays the best.
+        The best candidate is refined first. All others are fitted with its errors, and with their
+        own errors if they come close. This is repeated until the best one stays the best.
 
         Parameters
         ----------
@@ -264,9 +299,13 @@ class Detector:
             rivals = [fit for fit in fits if fit is not best]
             calm, best = self._sharpened(frame, best, explains, calm, scatter)
             best, whitening = self._own(calm, best)
-            # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by its own errors
+            # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by
+            # its own errors
             most = best.cost + MAX_LOG_RATIO
-            besides = [self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most) for fit in rivals]
+            besides = [
+                self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most)
+                for fit in rivals
+            ]
             fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]
             explains = best
             if min(fits, key=attrgetter("score")) is best:
@@ -287,10 +326,13 @@ class Detector:
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
 
-    def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> Fit:
-        """Return the coarse fit of several loads at once, each of the kind with which the fit is most probable.
+    def _together(
+        self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]
+    ) -> Fit:
+        """Return the coarse fit of several loads at once.
 
-        Kinds are exchanged greedily, load by load.
+        Each is of the kind with which the fit is most probable. Kinds are exchanged greedily, load
+        by load.
 
         Parameters
         ----------
@@ -305,7 +347,9 @@ class Detector:
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, starts = zip(*loads, strict=True)
             fitting = self.fitting(Several.of(parts), calm)
-            position, _ = fitting.descended(np.concatenate(starts), likelihood, SEARCH.evaluations // 2)
+            position, _ = fitting.descended(
+                np.concatenate(starts), likelihood, SEARCH.evaluations // 2
+            )
             return fitting.fit_at(position, likelihood)
 
         best = fitted([(kinds[0], kinds[0].start(disc)) for disc in discs])
@@ -327,23 +371,33 @@ class Detector:
     def _response(frame: Observation) -> float:
         return frame.baseline.model_errors.response
 
-    def _judged(self, frame: Observation, fits: Sequence[Fit], places: Sequence[Suction] = ()) -> Verdict:
+    def _judged(
+        self, frame: Observation, fits: Sequence[Fit], places: Sequence[Suction] = ()
+    ) -> Verdict:
         """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
         whitening = Whitening.about(frame)
-        uniform = [self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM]
+        uniform = [
+            self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM
+        ]
         return Verdict.of((*uniform, *fits), frame, places)
 
     def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether the best fit is poor, or leaves clearly changed cells beside its loads unexplained."""
+        """Return whether the best fit is poor, or leaves changes unexplained.
+
+        The latter are clearly changed cells beside its loads.
+        """
         if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
             return True
-        explained = [verdict.best.change != 0, *(under(frame.panel, disc) for disc in verdict.best.discs)]
+        explained = [
+            verdict.best.change != 0,
+            *(under(frame.panel, disc) for disc in verdict.best.discs),
+        ]
         # states 2 and 3 of the field outside the loads: changes of a few kPa and more
         left = np.where(np.any(explained, axis=0), 0.0, field.change)
         return bool(states(frame.panel, left).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
-        """Return the verdict in which a single best load has the full uncertainty of its diameter and suction."""
+        """Return the verdict with a single best load's full uncertainty of diameter and suction."""
         best = verdict.best
         if best.candidate not in self.loads:
             return verdict
@@ -357,10 +411,10 @@ class Detector:
         return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
 
     def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
-        """Return the fit of a load that sucks with a covariance that includes alternative curves of the film.
+        """Return the fit of a load that sucks, including alternative curves of the film.
 
-        C = C_1 + Σ q_a (φ_a − φ_1)(φ_a − φ_1)ᵀ over the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE. The circuit is
-        linearised at φ_1.
+        Its covariance includes the alternative curves. C = C_1 + Σ q_a (φ_a − φ_1)(φ_a − φ_1)ᵀ over
+        the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE. The circuit is linearised at φ_1.
         """
         baseline = calm.baseline
         film = calm.baseline.response
@@ -371,11 +425,16 @@ class Detector:
         evidence = []
         for exponent in (1.0, *self.exponents):
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
-            frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
+            frame = replace(
+                calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent))
+            )
             fitting = self.fitting(fit.candidate, frame)
             position, squares = fitting.descended(fit.parameters, likelihood)
             offsets.append(position - fit.parameters)
-            evidence.append(-squares.cost - inverse_beside_prior(squares.normal, fit.candidate.sd(frame.panel))[1])
+            evidence.append(
+                -squares.cost
+                - inverse_beside_prior(squares.normal, fit.candidate.sd(frame.panel))[1]
+            )
         shares = softmax(EVIDENCE_SHARE * np.array(evidence))
         # law of total covariance: the covariance within a curve, and that between the curves
         between = np.array(offsets)
@@ -383,6 +442,11 @@ class Detector:
 
 
 def coarse_errors(frame: Observation, change: Array) -> CellLikelihood:
-    """Return the likelihood about ln r/r0 (rows, columns), with independent deviations of all cells."""
-    whitening = Whitening.about(frame, change, frame.baseline.model_errors.coarse**2 * np.eye(change.size))
+    """Return the likelihood about ln r/r0 (rows, columns).
+
+    The deviations of all cells are independent.
+    """
+    whitening = Whitening.about(
+        frame, change, frame.baseline.model_errors.coarse**2 * np.eye(change.size)
+    )
     return CellLikelihood.about(frame, whitening, change)

@@ -1,9 +1,10 @@
-"""Fit of one candidate, or of a field of any form, to one frame, and the comparison of fits by their evidence.
+"""Fit of one candidate, or of a field of any form, to one frame.
 
-The evidence is Laplace's approximation. In a field each cell has one of four states, from quiet to strongly changed,
-with a Potts prior on neighbours. The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is
-equal for all kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is not
-decided by fits, but by its cells (`lampest.loads.recognition.suction`).
+Also the comparison of fits by their evidence. The evidence is Laplace's approximation. In a field
+each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
+The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all
+kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is
+not decided by fits, but by its cells (`lampest.loads.recognition.suction`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,23 +27,27 @@ from lampest.loads.shapes.shape import Candidate, Prior
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
 
-# Search with one linearised circuit; a change of ln P below `settled` changes nothing that is reported.
+# Search with one linearised circuit; a change of ln P below `settled` changes nothing that is
+# reported.
 SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
-MAX_ROUNDS = 4  # linearisations of the circuit in a fit; also fits with errors about the previous one
-# Profile along a parameter: the difference of ln P at its end, the evaluations and the largest number of points to each
-# side, and by how much a step is longer than the one before.
+# Linearisations of the circuit in a fit; also fits with errors about the previous one.
+MAX_ROUNDS = 4
+# Profile along a parameter: the difference of ln P at its end, the evaluations and the largest
+# number of points to each side, and by how much a step is longer than the one before.
 NEGLIGIBLE = 5.0
 PROFILE_STEPS = 5
 MAX_PROFILE = 6
 FARTHER = 1.5
-MAX_LOG_RATIO = 20.0  # difference of ln P to the best candidate beyond which candidates do not count
-# Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and a mouth that does
-# not breathe; and of the impossible, two loads in one place.
+# Difference of ln P to the best candidate beyond which candidates do not count.
+MAX_LOG_RATIO = 20.0
+# Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and
+# a mouth that does not breathe; and of the impossible, two loads in one place.
 RARE_LOG_ODDS = log(20)
 IMPOSSIBLE = 60.0
 OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
-# Exponent of evidence ratios, because films and loads deviate from their models in more ways than the errors include.
-# Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
+# Exponent of evidence ratios, because films and loads deviate from their models in more ways than
+# the errors include. Fitted by log-likelihood to scenes made without this package's simulation; see
+# docs/studies/mouths.md.
 EVIDENCE_SHARE = 0.5
 
 
@@ -66,7 +71,8 @@ class Fit:
     volume : float
         ½ ln det of the errors' covariance.
     evidence : float
-        ln of the frame's probability under the candidate, up to a constant common to all candidates.
+        ln of the frame's probability under the candidate, up to a constant common to all
+        candidates.
     scatter : float
         Relative deviation of the film.
     """
@@ -84,7 +90,10 @@ class Fit:
 
     @property
     def score(self) -> float:
-        """−ln posterior at its maximum, up to a constant; it compares candidates with different error covariances."""
+        """−ln posterior at its maximum, up to a constant.
+
+        It compares candidates with different error covariances.
+        """
         return self.cost + self.volume
 
     @property
@@ -95,7 +104,9 @@ class Fit:
     @property
     def discs(self) -> list[Disc]:
         """Discs of all round loads."""
-        return [disc for part, parameters in self.loads if (disc := part.disc(parameters)) is not None]
+        return [
+            disc for part, parameters in self.loads if (disc := part.disc(parameters)) is not None
+        ]
 
 
 class CellLikelihood(NamedTuple):
@@ -134,7 +145,10 @@ class Fitting:
     patch_mm: float
 
     def at(self, parameters: Array, likelihood: CellLikelihood) -> SumOfSquares:
-        """Return −ln P about φ, the squares of the readings' errors e − A x(φ) and of (φ − mean)/sd."""
+        """Return −ln P about φ.
+
+        It has the squares of the readings' errors e − A x(φ) and of (φ − mean)/sd.
+        """
         change, slopes = self.effect(parameters)
         mean, sd, _ = self._prior
         touched = np.flatnonzero(change)  # x is 0 outside the load
@@ -151,7 +165,9 @@ class Fitting:
 
     def about(self, parameters: Array, whitening: Whitening) -> CellLikelihood:
         """Return the likelihood with the circuit linearised at φ."""
-        return CellLikelihood.about(self.frame, whitening, self.frame.change(self.pressure(parameters)[0])[0])
+        return CellLikelihood.about(
+            self.frame, whitening, self.frame.change(self.pressure(parameters)[0])[0]
+        )
 
     def descended(
         self,
@@ -161,9 +177,9 @@ class Fitting:
         most: float = np.inf,
         held: int | None = None,
     ) -> tuple[Array, SumOfSquares]:
-        """Return the most probable φ that the Levenberg-Marquardt method reaches, and the squares there.
+        """Return the most probable φ that is reached, and the squares there.
 
-        The circuit is linearised once.
+        It is the one that the Levenberg-Marquardt method reaches. The circuit is linearised once.
 
         Parameters
         ----------
@@ -183,13 +199,17 @@ class Fitting:
             low[held] = high[held] = start[held]
         loop = replace(SEARCH, evaluations=steps, longest=longest)
         model = partial(self.at, likelihood=likelihood)
-        return loop.minimum(model, start, (low, high), lambda point, count: count > 4 and point.cost > most)
+        return loop.minimum(
+            model, start, (low, high), lambda point, count: count > 4 and point.cost > most
+        )
 
-    def best(self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None) -> Fit:
+    def best(
+        self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
+    ) -> Fit:
         """Return the fit at the most probable φ.
 
-        The circuit is linearised again at the end of each search, until the exact cost agrees with the linearised one.
-        `most` and `held` are those of `descended`.
+        The circuit is linearised again at the end of each search, until the exact cost agrees with
+        the linearised one. `most` and `held` are those of `descended`.
         """
         fits = list[Fit]()
         position = start
@@ -205,16 +225,25 @@ class Fitting:
         return min(fits, key=lambda fit: fit.cost)
 
     def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
-        """Return the fit at given φ with its evidence, by a likelihood that was linearised there or nearby."""
+        """Return the fit at given φ with its evidence.
+
+        It uses a likelihood that was linearised there or nearby.
+        """
         squares = self.at(parameters, likelihood)
         whitening = likelihood.whitening
         sd = self._prior[1]
         covariance, width = inverse_beside_prior(squares.normal, sd)
         covariance += np.diag(self.candidate.blind(parameters) ** 2)
         errors = whitening @ likelihood.residual
-        # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the Gauss-Newton matrix H
+        # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the
+        # Gauss-Newton matrix H
         known = parameters, covariance, self.effect(parameters)[0], likelihood.residual
-        likely = float(errors @ errors), squares.cost, whitening.volume, -width - squares.cost - whitening.volume
+        likely = (
+            float(errors @ errors),
+            squares.cost,
+            whitening.volume,
+            -width - squares.cost - whitening.volume,
+        )
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
     @cached_property
@@ -232,13 +261,17 @@ class Fitting:
         return np.array([prior[:3] for prior in self._priors.values()]).reshape(-1, 3).T
 
     def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
-        """Return the candidate's pressure on patches enlarged by a factor, with its derivatives by φ."""
+        """Return the candidate's pressure on patches enlarged by a factor.
+
+        It is returned with its derivatives by φ.
+        """
         return self.candidate.pressure(self.frame.panel, self.patch_mm * larger, parameters)
 
     def explained(self, fit: Fit) -> Array:
-        """Return the explained change with its sensitivities, (3, rows, columns), as `Baseline.film` takes them.
+        """Return the explained change with its sensitivities, (3, rows, columns).
 
-        Sensitivities are secants, because tangents jump at the response's corners.
+        They are as `Baseline.film` takes them. Sensitivities are secants, because tangents jump at
+        the response's corners.
         """
         if not self.centred.any():
             slope = np.hypot(*np.gradient(fit.change, self.frame.panel.pitch_mm))
@@ -247,17 +280,23 @@ class Fitting:
         # |∇p| (kPa/mm): the change of pressure by a shift of 1 mm across an edge
         shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
         sizes = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
-        upper, lower, small, large = (self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes))
+        upper, lower, small, large = (
+            self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes)
+        )
         return np.stack([fit.change, np.abs(upper - lower) / 2, (large - small) / (1.1 - 0.9)])
 
     def errors(self, fit: Fit, scatter: float) -> Whitening:
-        """Return the errors about the change that a fit explains, with a relative deviation `scatter` of the film."""
+        """Return the errors about the change that a fit explains.
+
+        They are those with a relative deviation `scatter` of the film.
+        """
         return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
 
     def film(self, fit: Fit, scatter: float) -> Array:
         """Return the covariance of ln r beside the change that a fit explains, (cells, cells).
 
-        These are the deviations of the film, and the loose cells of the frame that the fit's loads do not cover.
+        These are the deviations of the film, and the loose cells of the frame that the fit's loads
+        do not cover.
         """
         covered = np.any([under(self.frame.panel, disc) for disc in fit.discs], axis=0)
         loose = np.where(covered, 0.0, self.frame.loose).ravel()
@@ -265,9 +304,10 @@ class Fitting:
 
 
 def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
-    """Return H⁻¹ and ½ ln det (H sd sdᵀ) of a Gauss-Newton matrix H that contains the prior's precision 1/sd².
+    """Return H⁻¹ and ½ ln det (H sd sdᵀ) of a Gauss-Newton matrix H.
 
-    The eigenvalues of sd H sd are at least 1, also where the readings determine φ beyond double precision.
+    H contains the prior's precision 1/sd². The eigenvalues of sd H sd are at least 1, also where
+    the readings determine φ beyond double precision.
     """
     sizes, axes = np.linalg.eigh(normal * np.outer(sd, sd))
     sizes = np.maximum(sizes, 1.0)
@@ -277,8 +317,9 @@ def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
 def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fit:
     """Return the fit with the posterior covariance by a profile along ln d, where that is wider.
 
-    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the curvature at the
-    best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters are fitted for each δ:
+    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the
+    curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
+    are fitted for each δ:
 
         P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ).
 
@@ -298,8 +339,10 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     sd = fitting.candidate.sd(fitting.frame.panel)
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     points = [(fit.parameters, fitting.at(fit.parameters, likelihood))]
-    # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other parameters are fitted.
-    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
+    # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other
+    # parameters are fitted.
+    # As points of a patch are.
+    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
     for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5)):
         position, squares = points[0]
         number = 0
@@ -310,30 +353,42 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
             number += 1
     points.sort(key=lambda point: float(point[0][place]))
     steps = np.gradient([position[place] for position, _ in points])
-    # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other patches.
+    # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other
+    # patches.
     centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
     inverses, widths = zip(
-        *(inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place)) for _, squares in points),
+        *(
+            inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place))
+            for _, squares in points
+        ),
         strict=True,
     )
-    # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ − φ̂)(φ − φ̂)ᵀ)
-    share = softmax(np.log(steps) - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)])
+    # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ −
+    # φ̂)(φ − φ̂)ᵀ)
+    share = softmax(
+        np.log(steps)
+        - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)]
+    )
     offsets = np.array([position for position, _ in points]) - fit.parameters
-    covariance = (share[:, None] * offsets).T @ offsets + np.diag(fit.candidate.blind(fit.parameters) ** 2)
+    covariance = (share[:, None] * offsets).T @ offsets + np.diag(
+        fit.candidate.blind(fit.parameters) ** 2
+    )
     covariance[remaining] += np.tensordot(share, inverses, 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit
 
 
-# Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of kPa.
+# Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of
+# kPa.
 SD = np.array([0.005, 0.08, 0.4, 1.6])
 
 
 def field_fit(frame: Observation) -> tuple[Fit, Observation]:
     """Return the most probable field with its evidence, and the frame without outliers.
 
-    x = ln r/r0 is Gaussian with the σ of each cell's state, correlated between neighbours. The evidence integrates over
-    x about its maximum. The states are those of a map of the cells, or of a first field, and have a Potts prior.
+    x = ln r/r0 is Gaussian with the σ of each cell's state, correlated between neighbours. The
+    evidence integrates over x about its maximum. The states are those of a map of the cells, or of
+    a first field, and have a Potts prior.
     """
     fit, most_probable = _of_two_maps(frame)
     if fit.chi2 < MAX_MEAN_SQUARE * frame.measured.size:
@@ -348,7 +403,10 @@ def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
 
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
-    """Return the most probable field with the states of ln r/r0 = `start` (rows, columns), which is also the start."""
+    """Return the most probable field with the states of ln r/r0 = `start` (rows, columns).
+
+    `start` is also the start.
+    """
     of_cells = states(frame.panel, start)
     none = np.zeros(0)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
@@ -358,32 +416,50 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     left = frame.residual(change)
     misfit = Whitening.about(frame, change) @ left
     cost = float(errors @ errors) / 2
-    # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the Potts field
-    likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(frame.panel, of_cells)
+    # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the
+    # Potts field
+    likely = (
+        float(misfit @ misfit),
+        cost,
+        whitening.volume,
+        -cost - whitening.volume - paid(frame.panel, of_cells),
+    )
     return Fit(FIELD, none, none.reshape(0, 0), change, left, *likely), most_probable
 
 
 def prior(frame: Observation, sd: Array) -> Array:
-    """Return the prior covariance of ln r/r0 of cells with these standard deviations, correlated between neighbours."""
+    """Return the prior covariance of ln r/r0 of cells with these standard deviations.
+
+    It is correlated between neighbours.
+    """
     shared = frame.baseline.model_errors.common + frame.baseline.model_errors.near
-    return np.asarray(np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near))
+    return np.asarray(
+        np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near)
+    )
 
 
 def states(panel: Panel, change: Array) -> NDArray[np.intp]:
-    """Return the state of each cell, 0 to 3 for quiet to strongly changed, by its own and its neighbours' changes."""
+    """Return the state of each cell, 0 to 3 for quiet to strongly changed.
+
+    It is determined by its own and its neighbours' changes.
+    """
     square = change.ravel() ** 2
     first, second, _ = panel.neighbours
     cell = np.concatenate([first, second])
     neighbour = np.concatenate([second, first])
     near = np.bincount(cell, square[neighbour], square.size).astype(float)
     sides = np.bincount(cell, minlength=square.size)
-    near += np.maximum(4 - sides, 0) * square  # a cell at the border stands for its missing neighbours
+    # a cell at the border stands for its missing neighbours
+    near += np.maximum(4 - sides, 0) * square
     limits = np.sqrt(SD[1:] * SD[:-1])
     return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * near), limits)).reshape(change.shape)
 
 
 def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
-    """Return −ln P of the states: 1 for each pair of unlike neighbours (an assumption), and a normalising constant."""
+    """Return −ln P of the states.
+
+    It is 1 for each pair of unlike neighbours (an assumption), and a normalising constant.
+    """
     first, second, _ = panel.neighbours
     unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])
     return float(unlike + np.log1p(3 * np.exp(-4)) * panel.present.sum())
@@ -414,10 +490,13 @@ class Verdict:
     suctions: tuple[Suction, ...] = ()
 
     @classmethod
-    def of(cls, fits: Sequence[Fit], frame: Observation, suctions: Sequence[Suction] = ()) -> "Verdict":
+    def of(
+        cls, fits: Sequence[Fit], frame: Observation, suctions: Sequence[Suction] = ()
+    ) -> "Verdict":
         """Return the verdict on the fits of a frame.
 
-        Where no candidate explains the frame, differences of evidence are divided by χ² per reading of the best fit.
+        Where no candidate explains the frame, differences of evidence are divided by χ² per reading
+        of the best fit.
         """
         before = np.array([prior_cost(fit) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
@@ -435,12 +514,17 @@ class Verdict:
     def changed(self) -> Array:
         """ln r/r0 of the cells that have clearly changed, and 0 of the others, (rows, columns).
 
-        A shape that is of one mind with them says by how much, because the prior of free cells draws large ones in.
+        A shape that is of one mind with them says by how much, because the prior of free cells
+        draws large ones in.
         """
         cells = self.frame.free_map
         shaped = self.best.change
-        agreed = np.where(cells * shaped > 0, np.maximum(np.abs(cells), np.abs(shaped)), np.abs(cells))
-        return np.where(np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0)
+        agreed = np.where(
+            cells * shaped > 0, np.maximum(np.abs(cells), np.abs(shaped)), np.abs(cells)
+        )
+        return np.where(
+            np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0
+        )
 
     @property
     def loads(self) -> tuple[Fit, ...]:
@@ -472,13 +556,18 @@ class Verdict:
 
 
 def prior_cost(fit: Fit) -> float:
-    """Return −ln prior of a fit, up to a constant: further loads, and overlapping loads, are improbable."""
+    """Return −ln prior of a fit, up to a constant.
+
+    Further loads, and overlapping loads, are improbable.
+    """
     overlapping = sum(_overlapping(*pair) for pair in combinations(fit.discs, 2))
     return RARE_LOG_ODDS * (len(fit.loads) - 1) + IMPOSSIBLE * overlapping
 
 
 def _overlapping(first: Disc, second: Disc) -> float:
     """Return 1 if two discs are in one place, 0 if they do not overlap, smoothly between."""
-    common = (first.diameter_mm + second.diameter_mm) / 2 - hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
+    common = (first.diameter_mm + second.diameter_mm) / 2 - hypot(
+        first.x_mm - second.x_mm, first.y_mm - second.y_mm
+    )
     share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
     return 1 - exp(-((share / OVERLAP) ** 2))

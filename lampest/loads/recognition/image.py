@@ -1,9 +1,9 @@
 """Recognition of loads on a panel of modules, in windows about changes.
 
-Every module has a step test of its own. A step opens a window over the modules that the load may reach. The window is
-watched as one panel, and closes after CALM_S without a load. No current crosses a seam, so that the network of a window
-is block diagonal; loads may lie across seams. A load in several windows is taken from the window whose middle is
-nearest.
+Every module has a step test of its own. A step opens a window over the modules that the load may
+reach. The window is watched as one panel, and closes after CALM_S without a load. No current
+crosses a seam, so that the network of a window is block diagonal; loads may lie across seams. A
+load in several windows is taken from the window whose middle is nearest.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,18 +27,25 @@ CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
 
 
 class WindowNetwork(NamedTuple):
-    """The solved networks of a window's modules, with the interface that recognition needs of one network."""
+    """The solved networks of a window's modules.
+
+    They have the interface that recognition needs of one network.
+    """
 
     layout: Modules
     networks: tuple[Any, ...]
 
     def reading(self) -> Array:
         """Return the readings of the window, (rows, columns)."""
-        return np.asarray(self.layout.joined(np.stack([network.reading() for network in self.networks])))
+        return np.asarray(
+            self.layout.joined(np.stack([network.reading() for network in self.networks]))
+        )
 
     def sensitivity(self) -> Array:
         """Return the block diagonal Jacobian J, (readings, cells)."""
-        numbers = self.layout.split(np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape))
+        numbers = self.layout.split(
+            np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape)
+        )
         matrix = np.zeros((numbers.size, numbers.size))
         for network, index in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
             matrix[np.ix_(index, index)] = network.sensitivity()
@@ -81,7 +88,10 @@ class WindowScene:
     @property
     def broken(self) -> NDArray[np.bool_]:
         """Whether a crossing has no cell to be estimated, (rows, columns)."""
-        return self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape)) > 0
+        return (
+            self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
+            > 0
+        )
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of every module, as `Readout.uniform_start`."""
@@ -95,7 +105,10 @@ class WindowScene:
         """Return the network of all modules."""
         layout = layout_of(self.panel)
         parts = zip(self.scenes, layout.split(cells), strict=True)
-        solved = (module.circuit.network(part, module.circuit.ties(part), module.wiring) for module, part in parts)
+        solved = (
+            module.circuit.network(part, module.circuit.ties(part), module.wiring)
+            for module, part in parts
+        )
         return WindowNetwork(layout, tuple(solved))
 
     def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
@@ -148,7 +161,9 @@ class Window:
         part = replace(layout, rows=len(rows), columns=len(columns))
         response = scene.response
         scenes = tuple(scene.of_modules[number] for number in numbers)
-        window_scene = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
+        window_scene = WindowScene(
+            Panel(modules=part), response and response.of_cells(cells), scenes
+        )
         places = scene.panel.places_mm[:, *cells]
         x, y = places[:, 0, 0]
         return cls(window_scene, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
@@ -166,8 +181,8 @@ class ImageWatch:
     panelled : Panelled
         Constants of the whole image.
     modules : dict of int to Watch
-        Watch of each module with readings for step detection, by its number. Modules under a window keep the state in
-        which it opened.
+        Watch of each module with readings for step detection, by its number. Modules under a window
+        keep the state in which it opened.
     opened : tuple of (Window, Watch, float)
         The open windows, and the time of the last touch of each, s.
     attachments : tuple of Attachment
@@ -180,7 +195,9 @@ class ImageWatch:
     attachments: tuple[Attachment, ...] = ()
 
     @classmethod
-    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
+    def begin(
+        cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float
+    ) -> "ImageWatch":
         """Return the watch before the first frame, as `Watch.begin`."""
         modules = dict[int, Watch]()
         for number, module_scene in enumerate(panelled.scene.of_modules):
@@ -188,13 +205,16 @@ class ImageWatch:
             if (read := np.isfinite(sigma[cells]) & np.isfinite(measured[cells])).any():
                 part = replace(panelled, scene=module_scene, water=panelled.water[cells])
                 at_rest = np.where(read, measured[cells], np.median(measured[cells][read]))
-                modules[number] = Watch.begin(part, at_rest, sigma[cells], unloaded[(..., *cells)], time)
+                modules[number] = Watch.begin(
+                    part, at_rest, sigma[cells], unloaded[(..., *cells)], time
+                )
         return cls(panelled, modules)
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """Push a frame, as `Watch.push`."""
-        # Step detection in modules without a window; a step opens one, and freezes the modules under it.
+        # Step detection in modules without a window; a step opens one, and freezes the modules
+        # under it.
         followed = dict[int, Watch]()
         opened = list(self.opened)
         for number, module in self.modules.items():
@@ -209,13 +229,17 @@ class ImageWatch:
         for window, watch, touched_s in opened:
             watch = watch.push(measured[window.cells], sigma[window.cells], time)
             pushed.append((window, watch, time if watch.present else touched_s))
-        under = {number: self.modules[number] for number in under_windows(opened) & self.modules.keys()}
+        under = {
+            number: self.modules[number] for number in under_windows(opened) & self.modules.keys()
+        }
         image = replace(self, modules={**followed, **under}, opened=tuple(pushed))
         return replace(image, attachments=image._merged())._closed(time) if pushed else image
 
     def ended(self) -> "ImageWatch":
         """Return the watch once it has ended, as `Watch.ended`."""
-        ended = replace(self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened))
+        ended = replace(
+            self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened)
+        )
         return replace(ended, attachments=ended._merged())
 
     @property
@@ -240,12 +264,17 @@ class ImageWatch:
 
     @cached_property
     def change(self) -> Array | None:
-        """ln r/r0 (rows, columns) of the loads that the windows recognised last, 0 elsewhere; None without any."""
+        """ln r/r0 (rows, columns) of the loads that the windows recognised last.
+
+        0 elsewhere; None without any.
+        """
         image = np.zeros(self.panelled.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
                 known = image[window.cells]
-                image[window.cells] = np.where(np.abs(watch.change) > np.abs(known), watch.change, known)
+                image[window.cells] = np.where(
+                    np.abs(watch.change) > np.abs(known), watch.change, known
+                )
         return image if image.any() else None
 
     @property
@@ -270,12 +299,21 @@ class ImageWatch:
         """Return the watch of a new window, with the joined states of its modules."""
         layout = layout_of(window.scene.panel)
         known = [self.modules[n] for n in window.numbers if n in self.modules]
-        blank = np.full(known[0].rest.mean.shape, np.median([np.median(part.rest.mean) for part in known]))
-        levels = {number: (part.rest.mean, part.level.mean, *part.recent) for number, part in self.modules.items()}
+        blank = np.full(
+            known[0].rest.mean.shape, np.median([np.median(part.rest.mean) for part in known])
+        )
+        levels = {
+            number: (part.rest.mean, part.level.mean, *part.recent)
+            for number, part in self.modules.items()
+        }
         states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
-        images = layout.joined(np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns))
+        images = layout.joined(
+            np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns)
+        )
         _, mean, *recent = images.reshape(4, -1)
-        module = replace(self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells])
+        module = replace(
+            self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells]
+        )
         resting = np.exp(images[0]), sigma[window.cells], np.zeros((0, *layout.shape))
         start = Watch.begin(module, *resting, max(part.rest.until_s for part in known))
         loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
@@ -286,13 +324,20 @@ class ImageWatch:
         return replace(start, recent=tuple(recent), history="")
 
     def _closed(self, time: float) -> "ImageWatch":
-        """Return the watch without the windows that were calm for CALM_S; their modules take over the states."""
+        """Return the watch without the windows that were calm for CALM_S.
+
+        Their modules take over the states.
+        """
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
         modules = dict(self.modules)
         for window, watch, _ in (opening for opening in self.opened if time - opening[2] >= CALM_S):
             layout = layout_of(window.scene.panel)
-            images = np.reshape([watch.rest.mean, watch.level.mean, *watch.recent], (4, *layout.shape))
-            for number, levels in zip(window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True):
+            images = np.reshape(
+                [watch.rest.mean, watch.level.mean, *watch.recent], (4, *layout.shape)
+            )
+            for number, levels in zip(
+                window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True
+            ):
                 if number in modules and number not in under_windows(opened):
                     baseline, mean, *recent = levels.reshape(4, -1)
                     rest = replace(watch.rest, mean=baseline)
@@ -302,7 +347,10 @@ class ImageWatch:
         return replace(self, modules=modules, opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
-        """Return the attachments of all windows; a load in two windows is taken from the nearer middle."""
+        """Return the attachments of all windows.
+
+        A load in two windows is taken from the nearer middle.
+        """
         loads = [
             (window, replace(load, x_mm=(x + window.x_mm, x_sd), y_mm=(y + window.y_mm, y_sd)))
             for window, watch, _ in self.opened
@@ -311,8 +359,12 @@ class ImageWatch:
         ]
         # nearest to its window's middle first; equal loads of other windows are dropped
         merged = list[tuple[Window, Attachment]]()
-        for window, load in sorted(loads, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))):
-            if not any(window is not neighbour and _same_load(load, seen) for neighbour, seen in merged):
+        for window, load in sorted(
+            loads, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))
+        ):
+            if not any(
+                window is not neighbour and _same_load(load, seen) for neighbour, seen in merged
+            ):
                 merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
         past = [load for load in ended if not any(_same_load(load, seen) for _, seen in merged)]
@@ -331,7 +383,10 @@ def layout_of(panel: Panel) -> Modules:
 
 
 def _same_load(first: Attachment, second: Attachment) -> bool:
-    """Return whether two attachments are one load: their times overlap, and their distance is below their width."""
+    """Return whether two attachments are one load.
+
+    They are if their times overlap, and their distance is below their width.
+    """
     ends = (inf if load.until_s is None else load.until_s for load in (second, first))
     simultaneous = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
     return simultaneous and first.distance(second.place) < max(first.width, second.width)

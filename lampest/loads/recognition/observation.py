@@ -1,9 +1,11 @@
-"""Likelihood of a frame: the model of readings under a pressure on the cells, and the unloaded panel.
+"""Likelihood of a frame: the model of readings under a pressure on the cells.
+
+Also the unloaded panel.
 
     R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
 
-f is the circuit, F the film's response, κ the cells' gains, p_w the water's pressure, and δ the errors common to all
-frames with the effect E on the readings. All errors are Gaussian.
+f is the circuit, F the film's response, κ the cells' gains, p_w the water's pressure, and δ the
+errors common to all frames with the effect E on the readings. All errors are Gaussian.
 """
 
 from collections.abc import Callable
@@ -24,11 +26,15 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import systematic_of
 
-PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
+# Edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm.
+PATCH_SHARE = 0.6
 
 
 def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
-    """Return the edge of a cell's film in mm, by default PATCH_SHARE of the pitch, and at most the pitch."""
+    """Return the edge of a cell's film in mm.
+
+    It is by default PATCH_SHARE of the pitch, and at most the pitch.
+    """
     return min(PATCH_SHARE * panel.pitch_mm if patch_mm is None else patch_mm, panel.pitch_mm)
 
 
@@ -38,23 +44,32 @@ class ModelErrors:
 
     Parameters
     ----------
-    response : of ln(r/r0) at a pressure, as a fraction of ln f(p), because cells respond differently.
-    common, near : parts of that variance that all cells share, and that neighbours within `near_pitches` share.
-    bent : of the same, equal in all cells, because bent film responds less, by half where it is bent sharply.
-    edge_mm : of the place of a patch's edge, at a relative deviation of 1: patches are glued by hand, rims are soft.
-    patch : of the patches' edge, relative, equal in all cells: a round patch is like a square one of 0.89 its width.
-    cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data are too noisy.
-    drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike (temperature).
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p), because cells respond
+        differently.
+    common, near : parts of that variance that all cells share, and that neighbours within
+        `near_pitches` share.
+    bent : of the same, equal in all cells, because bent film responds less, by half where it is
+        bent sharply.
+    edge_mm : of the place of a patch's edge, at a relative deviation of 1: patches are glued by
+        hand, rims are soft.
+    patch : of the patches' edge, relative, equal in all cells: a round patch is like a square one
+        of 0.89 its width.
+    cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data
+        are too noisy.
+    drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike
+        (temperature).
     settled : of ln r at rest, apart from drift.
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
     reading_error : of the logarithm of a factor on each reading, the same in all frames.
-    swaying : of changes of ln r and of ln y that all cells and all readings share: temperature, waves, supply.
+    swaying : of changes of ln r and of ln y that all cells and all readings share: temperature,
+        waves, supply.
     residue : of the residue in the film after a load, relative to the load's ln r/r0.
-    mapped, coarse : of ln r/r0 of cells on the map in which loads are searched, and about the field in coarse fits.
+    mapped, coarse : of ln r/r0 of cells on the map in which loads are searched, and about the field
+        in coarse fits.
 
-    Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that creep by a few
-    percent for each decade of time; the others are assumptions.
+    Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
+    creep by a few percent for each decade of time; the others are assumptions.
     """
 
     response: float = RESPONSE_SD
@@ -77,28 +92,39 @@ class ModelErrors:
     coarse: float = 0.2
 
     def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
-        """Return the errors that a scene specifies, with each reading's own error as estimated from the frames."""
+        """Return the errors that a scene specifies, with each reading's own error.
+
+        The own error is as estimated from the frames.
+        """
         errors = replace(self, reading_error=reading_error)
         if scene.systematic is None:
             return errors
         sizes = systematic_of(scene) or Systematic()
-        reference = float(sizes.reference_tolerance) / np.sqrt(3)  # of a uniform distribution of that half width
+        # Of a uniform distribution of that half width.
+        reference = float(sizes.reference_tolerance) / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
-        """Return the standard deviation of each cell's own drift of ln r, `seconds` after the baseline."""
+        """Return the standard deviation of each cell's own drift of ln r.
+
+        It is that `seconds` after the baseline.
+        """
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
 
     def resting_covariance(self, seconds: float, cells: int) -> Array:
-        """Return the covariance of ln r of all cells at rest, (cells, cells): their own part and the common one."""
+        """Return the covariance of ln r of all cells at rest, (cells, cells).
+
+        It has their own part and the common one.
+        """
         common = self.common_drift * log10(1 + seconds / 60)
         return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
 
     def offsets(self, measured: Array, scene: Scene) -> Array:
-        """Return the effect of one standard deviation of every offset on the readings, E·sd (cells, offsets).
+        """Return the effect of every offset on the readings, E·sd (cells, offsets).
 
-        Offsets are those of the channels of rows and columns of every module (for two-point resistances), of the
-        reference, and of each reading if `reading_error` is nonzero.
+        It is that of one standard deviation of the offset. Offsets are those of the channels of
+        rows and columns of every module (for two-point resistances), of the reference, and of each
+        reading if `reading_error` is nonzero.
 
         Parameters
         ----------
@@ -111,29 +137,40 @@ class ModelErrors:
         row, column = np.indices(measured.shape)
         if layout is not None:
             # every module has channels of its own: number its lines separately
-            row, column = row + rows * (column // layout.each.columns), column + columns * (row // layout.each.rows)
+            row, column = (
+                row + rows * (column // layout.each.columns),
+                column + columns * (row // layout.each.rows),
+            )
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         lines = [line.reshape(-1, 1) == np.unique(line) for line in (row, column)] if in_ohm else []
         by_reading = [np.diag(self.reading_error * total[:, 0])] if self.reading_error else []
-        return np.hstack([*(self.channel_ohm * line for line in lines), self.reference * total, *by_reading])
+        return np.hstack(
+            [*(self.channel_ohm * line for line in lines), self.reference * total, *by_reading]
+        )
 
 
-# Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open or shorted to all
-# readings, and the network soon becomes singular.
+# Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open
+# or shorted to all readings, and the network soon becomes singular.
 MAX_STEP = 1.5
 MAX_LOG_CHANGE = 12.0
 OUTLIER_SHARE = 0.03  # largest share of outliers among the readings
-DROPPED_FACTOR = 1e3  # factor on σ, or on the reading, that gives the σ of a reading that does not count
+# Factor on σ, or on the reading, that gives the σ of a reading that does not count.
+DROPPED_FACTOR = 1e3
 
 
 def counting(sigma: Array, measured: Array) -> Array:
-    """Return σ of any shape, ohm, made so large where it is not finite and positive that the reading does not count."""
+    """Return σ of any shape, ohm, made large where the reading must not count.
+
+    Where σ is not finite and positive, it is made so large that the reading does not count.
+    """
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED_FACTOR * measured)
 
 
 class MostProbable(NamedTuple):
-    """The minimum x of (y − f(x))ᵀ C⁻¹ (y − f(x)) + (x − mean)ᵀ P⁻¹ (x − mean), with f linearised near it.
+    """The minimum x of (y − f(x))ᵀ C⁻¹ (y − f(x)) + (x − mean)ᵀ P⁻¹ (x − mean).
+
+    f is linearised near it.
 
     Attributes
     ----------
@@ -158,13 +195,21 @@ class MostProbable(NamedTuple):
     @property
     def covariance(self) -> Array:
         """Posterior covariance of x, P − P Aᵀ (A P Aᵀ + C)⁻¹ A P, (n, n)."""
-        return np.asarray(self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T))
+        return np.asarray(
+            self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T)
+        )
 
 
 def most_probable(
-    model: Callable[[Array], tuple[Array, Array, Array]], start: Array, mean: Array, prior: Array, settled: float
+    model: Callable[[Array], tuple[Array, Array, Array]],
+    start: Array,
+    mean: Array,
+    prior: Array,
+    settled: float,
 ) -> MostProbable:
-    """Return the most probable point, by at most twelve Gauss-Newton steps in the space of the readings.
+    """Return the most probable point, by at most twelve Gauss-Newton steps.
+
+    The steps are in the space of the readings.
 
     Parameters
     ----------
@@ -184,7 +229,9 @@ def most_probable(
         root = cholesky(slope @ across + noise, lower=True)
         innovation = residual + slope @ (state - mean)
         # x = mean + P Aᵀ (A P Aᵀ + C)⁻¹ (y − f(x₀) + A (x₀ − mean))
-        step = np.clip(mean + across @ cho_solve((root, True), innovation) - state, -MAX_STEP, MAX_STEP)
+        step = np.clip(
+            mean + across @ cho_solve((root, True), innovation) - state, -MAX_STEP, MAX_STEP
+        )
         state = state + step
         if np.abs(step).max() < settled:
             break
@@ -216,9 +263,16 @@ class Baseline:
 
     @classmethod
     def of(
-        cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors, common: Array | None = None
+        cls,
+        measured: Array,
+        sigma: Array,
+        scene: Scene,
+        model_errors: ModelErrors,
+        common: Array | None = None,
     ) -> "Baseline":
-        """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², without outliers.
+        """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
+
+        It is determined without outliers.
 
         Parameters
         ----------
@@ -235,7 +289,8 @@ class Baseline:
         mean = np.zeros(cells + offsets)
         prior = np.eye(cells + offsets)
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
-        prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
+        # Their mean is open: σ = 3.
+        prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)
         # crossings without a cell are fixed at a nearly infinite resistance
         absent = np.flatnonzero(~scene.panel.present)
         mean[absent] += MAX_LOG_CHANGE
@@ -270,29 +325,37 @@ class Baseline:
 
     @cached_property
     def near(self) -> Array:
-        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells); 0 for crossings without a cell."""
+        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells).
+
+        0 for crossings without a cell.
+        """
         places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
         square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)
         np.fill_diagonal(square, 0.0)
         return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
 
     def film(self, explained: Array, scatter: float) -> Array:
-        """Return the covariance of ln r by deviations of the film, s² (x K xᵀ + diag w²) + b bᵀ, (cells, cells).
+        """Return the covariance of ln r by deviations of the film, (cells, cells).
 
-        x is the explained change, K the correlation of cells (common, near and own parts), w the effect of misplaced
-        edges, and b the errors that all cells share, by bending and by the patches' sizes.
+        It is s² (x K xᵀ + diag w²) + b bᵀ. x is the explained change, K the correlation of cells
+        (common, near and own parts), w the effect of misplaced edges, and b the errors that all
+        cells share, by bending and by the patches' sizes.
 
         Parameters
         ----------
         explained : array, shape (3, rows, columns)
-            The change ln r/r0 that a load explains, and its derivatives by a shift of the load, 1/mm, and by ln of the
-            patches' edge.
+            The change ln r/r0 that a load explains, and its derivatives by a shift of the load,
+            1/mm, and by ln of the patches' edge.
         scatter : float
             s, the film's relative deviation.
         """
         errors = self.model_errors
         change, edges, patches = (part.ravel() for part in explained)
-        similar = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
+        similar = (
+            errors.common
+            + errors.near * self.near
+            + (1 - errors.common - errors.near) * np.eye(len(self.near))
+        )
         shared = np.stack([errors.bent * change, errors.patch * patches])
         uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
         return np.asarray(scatter**2 * uneven + shared.T @ shared)
@@ -312,9 +375,11 @@ class Observation:
     seconds : float
         Time since the baseline.
     common : array, shape (cells, n) or None
-        Root of the covariance of random errors that the frame's readings share: gain, ripple along scanned lines.
+        Root of the covariance of random errors that the frame's readings share: gain, ripple along
+        scanned lines.
     loose : array, shape (rows, columns), or 0
-        Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit does not cover them.
+        Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit
+        does not cover them.
     """
 
     measured: Array
@@ -339,21 +404,27 @@ class Observation:
         return self.baseline.network(change).sensitivity()
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa; |x| is at most MAX_LOG_CHANGE."""
+        """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa.
+
+        |x| is at most MAX_LOG_CHANGE.
+        """
         # kPa, for a central difference: F has corners
         response = self.baseline.response
         step = 1e-3
         # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
-        change, up, down = response.gains * (response.logarithm(near) - response.logarithm(self.water))
+        change, up, down = response.gains * (
+            response.logarithm(near) - response.logarithm(self.water)
+        )
         return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), (up - down) / (2 * step) * (
             np.abs(change) < MAX_LOG_CHANGE
         )
 
     def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
-        """Return the covariance of the readings, σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E), (cells, cells).
+        """Return the covariance of the readings, (cells, cells).
 
-        The parts are the noise, errors shared within the frame, the baseline's covariance C, and the drift T of cells.
+        It is σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E). The parts are the noise, errors shared
+        within the frame, the baseline's covariance C, and the drift T of cells.
 
         Parameters
         ----------
@@ -365,7 +436,9 @@ class Observation:
         # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
         both = np.hstack([slope, self.offsets])
         errors = self.baseline.covariance.copy()
-        errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
+        errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(
+            self.seconds, len(slope)
+        )
         errors[: len(slope), : len(slope)] += cells
         total = both @ errors @ both.T
         if self.common is not None:
@@ -373,7 +446,10 @@ class Observation:
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     def cells(self, start: Array, prior: Array) -> MostProbable:
-        """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`), from a start (rows, columns)."""
+        """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`).
+
+        It is reached from a start (rows, columns).
+        """
 
         def model(change: Array) -> tuple[Array, Array, Array]:
             network = self.baseline.network(change.reshape(self.measured.shape))
@@ -389,12 +465,18 @@ class Observation:
 
     @property
     def map(self) -> Array:
-        """Most probable ln r/r0 of every cell, (rows, columns), for independent cells with the prior `mapped`."""
+        """Most probable ln r/r0 of every cell, (rows, columns).
+
+        It is that for independent cells with the prior `mapped`.
+        """
         return self._mapped.state.reshape(self.measured.shape)
 
     @cached_property
     def free(self) -> MostProbable:
-        """Most probable ln r/r0 of independent cells with the prior N(0, 1), which any load may have changed."""
+        """Most probable ln r/r0 of independent cells with the prior N(0, 1).
+
+        Any load may have changed them.
+        """
         return self.cells(np.zeros(self.measured.shape), np.eye(self.measured.size))
 
     @property
@@ -418,7 +500,10 @@ class Observation:
         return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
 
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
-        """Return the observation with σ of the readings of these numbers so large that they do not count."""
+        """Return the observation without the readings of these numbers.
+
+        Their σ is so large that they do not count.
+        """
         sigma = self.sigma.copy()
         sigma.flat[dropped] *= DROPPED_FACTOR
         return replace(self, sigma=sigma)
@@ -441,9 +526,16 @@ class Whitening:
 
     @classmethod
     def about(
-        cls, frame: Observation, change: Array | float = 0.0, cells: Array | float = 0.0, scatter: float = 0.0
+        cls,
+        frame: Observation,
+        change: Array | float = 0.0,
+        cells: Array | float = 0.0,
+        scatter: float = 0.0,
     ) -> "Whitening":
-        """Return the errors about ln r/r0 = `change`, with a further covariance `cells` of ln r, (cells, cells)."""
+        """Return the errors about ln r/r0 = `change`, with a further covariance `cells`.
+
+        It is a covariance of ln r, (cells, cells).
+        """
         return cls(cholesky(frame.covariance(frame.slope(change), cells), lower=True), scatter)
 
     @cached_property
@@ -459,8 +551,9 @@ class Whitening:
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     """Return the numbers of the readings that deviate from their prediction by all other readings.
 
-    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the leave-one-out residual over its standard deviation. The largest one above
-    SIGNIFICANT is removed before the next is determined, OUTLIER_SHARE of the readings at most.
+    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the leave-one-out residual over its standard deviation. The largest
+    one above SIGNIFICANT is removed before the next is determined, OUTLIER_SHARE of the readings at
+    most.
 
     Parameters
     ----------

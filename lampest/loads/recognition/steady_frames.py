@@ -1,4 +1,7 @@
-"""Frames of a window between steps of the readings, and their changes without those by the water's pressure."""
+"""Frames of a window between steps of the readings, and their changes.
+
+The changes are without those by the water's pressure.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -36,7 +39,10 @@ class SteadyFrames(NamedTuple):
 
     @classmethod
     def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "SteadyFrames":
-        """Return the interval of all frames but the ones about steps, and but parts of less than MIN_PART frames."""
+        """Return the interval of all frames but the ones about steps.
+
+        It also lacks parts of less than MIN_PART frames.
+        """
         none = np.zeros(len(times), dtype=np.intp)
         return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
 
@@ -44,8 +50,12 @@ class SteadyFrames(NamedTuple):
         """Return the interval with further steps, and which of its frames are left, (frames,)."""
         at = np.array(sorted(steps))
         apart = np.searchsorted(at, self.times) + (len(at) + 1) * self.part
-        still = np.all(np.abs(self.times - at[:, None] - self.period / 2) > 1.6 * self.period, axis=0)
-        still &= np.array([np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool)
+        still = np.all(
+            np.abs(self.times - at[:, None] - self.period / 2) > 1.6 * self.period, axis=0
+        )
+        still &= np.array(
+            [np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool
+        )
         _, part = np.unique(apart[still], return_inverse=True)
         return SteadyFrames(self.times[still], self.logarithms[still], part, self.period), still
 
@@ -55,9 +65,10 @@ class SteadyFrames(NamedTuple):
         return SteadyFrames(self.times[frames], self.logarithms[frames], part, self.period)
 
     def pulled(self, series: Array, wave: float) -> tuple[float, ...]:
-        """Return the times between which a series, (frames,), is at another level; () where a wave explains it better.
+        """Return the times between which a series, (frames,), is at another level.
 
-        Both ends of the best level, or one, are compared by the squares that they explain, `wave` by the best wave.
+        () where a wave explains it better. Both ends of the best level, or one, are compared by the
+        squares that they explain, `wave` by the best wave.
         """
         trend = self.trend()
         count = len(series)
@@ -76,17 +87,22 @@ class SteadyFrames(NamedTuple):
         return tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count)
 
     def trend(self) -> Array:
-        """Return an orthonormal basis of 1, t, t², ln(1 + t), the last for creep, and of a step between the parts."""
+        """Return an orthonormal basis of 1, t, t², ln(1 + t), and of a step between the parts.
+
+        ln(1 + t), the last of the functions of t, is for creep.
+        """
         at = (self.times - self.times[0]) / max(float(np.ptp(self.times)), self.period)
         steps = [self.part > number for number in range(self.part.max(initial=0))]
-        return np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps]))[0]
+        return np.linalg.qr(
+            np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps])
+        )[0]
 
 
 def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) -> Array:
-    """Return the changes of ln y, (frames, readings), since the recognised frame, less those by the water's pressure.
+    """Return the changes of ln y, (frames, readings), since the recognised frame.
 
-    Outliers of each part between steps are drawn in. The water's effect is estimated from lines without a load; it is 0
-    if all lines are loaded.
+    They are less those by the water's pressure. Outliers of each part between steps are drawn in.
+    The water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
 
     Parameters
     ----------
@@ -103,9 +119,14 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
     loaded = fit.change != 0
     response = frame.baseline.response
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
-    pressure = response.pressure(fit.change / response.gains + response.logarithm(frame.water)) - frame.water
+    pressure = (
+        response.pressure(fit.change / response.gains + response.logarithm(frame.water))
+        - frame.water
+    )
     slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
-    return changes - np.outer(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope)
+    return changes - np.outer(
+        changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope
+    )
 
 
 def settled(series: Array) -> Array:

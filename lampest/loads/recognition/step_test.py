@@ -1,7 +1,8 @@
 """Detection of steps of the readings: loads that arrive, change or leave.
 
-A matched filter compares a change of the logarithms of the readings with the change that a disc at each place would
-cause. Errors of an unloaded panel are whitened first, so that drift and changes of all cells are no steps.
+A matched filter compares a change of the logarithms of the readings with the change that a disc at
+each place would cause. Errors of an unloaded panel are whitened first, so that drift and changes of
+all cells are no steps.
 """
 
 from dataclasses import dataclass
@@ -17,14 +18,16 @@ from lampest.loads.recognition.candidates import DiscSearch
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
 
-NEAR_PITCHES = 3.0  # reach of a load about its place in pitches: half of the widest mouth, and a cell
+# Reach of a load about its place in pitches: half of the widest mouth, and a cell.
+NEAR_PITCHES = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class StepTest:
     """Matched filter for steps, |t_kᵀ W δ| > OUTLIER_THRESHOLD·v_k of a change δ of ln y.
 
-    W whitens the errors of an unloaded panel; changes that all cells share have a large variance and do not count.
+    W whitens the errors of an unloaded panel; changes that all cells share have a large variance
+    and do not count.
 
     Attributes
     ----------
@@ -39,7 +42,8 @@ class StepTest:
     whitening : array, shape (cells, cells)
         W.
     loud : array, shape (discs,)
-        v_k², the mean square score in frames without a load, which includes unspecified ripple and noise.
+        v_k², the mean square score in frames without a load, which includes unspecified ripple and
+        noise.
     """
 
     templates: csc_array
@@ -65,12 +69,18 @@ class StepTest:
         cells = frame.measured.size
         slope = frame.slope() / value[:, None]
         errors = frame.baseline.model_errors
-        # C = noise + drift S Sᵀ + common changes of all cells and of all readings; W = L⁻¹ of C = L Lᵀ
+        # C = noise + drift S Sᵀ + common changes of all cells and of all readings; W = L⁻¹ of C = L
+        # Lᵀ
         settled = errors.settled**2 * slope @ slope.T
-        shared = [errors.swaying * slope.sum(axis=1, keepdims=True), errors.swaying * np.ones((cells, 1))]
+        shared = [
+            errors.swaying * slope.sum(axis=1, keepdims=True),
+            errors.swaying * np.ones((cells, 1)),
+        ]
         shared += [] if frame.common is None else [frame.common / value[:, None]]
         columns = np.hstack(shared)
-        root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)
+        root = cholesky(
+            np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True
+        )
         whitening = solve_triangular(root, np.eye(cells), lower=True)
         response = whitening @ slope
         templates = search.matched(response)
@@ -80,7 +90,8 @@ class StepTest:
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR_PITCHES
         scores = (templates.T @ (matched @ unloaded.T)).T
         spreads = [np.mean((first - second) ** 2) / 2 for first, second in combinations(scores, 2)]
-        usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # robust: an outlier frame is part of many pairs
+        # robust: an outlier frame is part of many pairs
+        usual = np.quantile(spreads or [1.0], 0.25, method="lower")
         loud = np.full(len(place), max(float(usual), 1.0))
         return cls(templates, matched, place, near, whitening, loud)
 
@@ -96,4 +107,6 @@ class StepTest:
 
     def least(self) -> Array:
         """Return the thresholds of the scores, OUTLIER_THRESHOLD·v_k, (discs,)."""
-        return np.asarray(OUTLIER_THRESHOLD * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
+        return np.asarray(
+            OUTLIER_THRESHOLD * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean()))))
+        )

@@ -1,7 +1,8 @@
 """Suction without a shape: cells that have risen, enclosed by cells that have fallen.
 
-Suction lifts the film from its electrodes, and resistance rises; only suction does that. It is borne by a rim that
-presses around it. Neither depends on the form of a mouth, on what lies beside it, or on the film's curve.
+Suction lifts the film from its electrodes, and resistance rises; only suction does that. It is
+borne by a rim that presses around it. Neither depends on the form of a mouth, on what lies beside
+it, or on the film's curve.
 """
 
 from dataclasses import dataclass
@@ -18,14 +19,15 @@ from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Panel
 
-# ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised a cell by more than
-# 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised one by more than 0.3, each by more than
-# seven standard deviations (docs/studies/mouths.md).
+# ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
+# a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
+# one by more than 0.3, each by more than seven standard deviations (docs/studies/mouths.md).
 MIN_RISE = 0.2
-MIN_ENCLOSED = 0.5  # share of the cells around risen ones that have fallen: 0.6 and more around those mouths and cups
+# Share of the cells around risen ones that have fallen: 0.6 and more around those mouths and cups.
+MIN_ENCLOSED = 0.5
 MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
-# Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of the shipped panels; a
-# foot that stands or walks on an insole has 1.2 and 2.4.
+# Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
+# the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.
 MAX_RANGE = 0.9
 RIM_MM = (6.0, -12.0)  # usual width of a rim, and suction, at which a fit begins
 APART_PITCHES = 2.2  # distance of two mouths: below, risen cells are of one
@@ -51,19 +53,32 @@ class Suction:
     y_mm: float
 
     def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
-        """Return the disc of the same area of suction with a usual rim, its diameter multiplied by a factor."""
+        """Return the disc of the same area of suction with a usual rim.
+
+        Its diameter is multiplied by a factor.
+        """
         inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm * larger
         width, suction = RIM_MM
         outer = inner + 2 * width
-        return Disc(self.x_mm, self.y_mm, outer, inner, suction, -suction * inner**2 / (outer**2 - inner**2), 0.0, 0.0)
+        return Disc(
+            self.x_mm,
+            self.y_mm,
+            outer,
+            inner,
+            suction,
+            -suction * inner**2 / (outer**2 - inner**2),
+            0.0,
+            0.0,
+        )
 
 
 def suctions(frame: Observation) -> list[Suction]:
     """Return the places under suction, the largest first.
 
-    A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and NOISE_REACH standard
-    deviations. It is under suction if MIN_ENCLOSED of the cells around it have fallen as clearly. Nothing is concluded
-    if the cells of the unloaded panel are as uneven as under loads: what rises may then have been relieved.
+    A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
+    NOISE_REACH standard deviations. It is under suction if MIN_ENCLOSED of the cells around it have
+    fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven as
+    under loads: what rises may then have been relieved.
     """
     panel = frame.panel
     change = frame.free_map
@@ -82,9 +97,10 @@ def suctions(frame: Observation) -> list[Suction]:
 
 
 def may_suck(frame: Observation) -> bool:
-    """Return whether cells may hide a suction, because cells around them have fallen so far that they do not show.
+    """Return whether cells may hide a suction.
 
-    Their standard deviation is above MIN_RISE, and within NOISE_REACH of them they have risen by it.
+    They may because cells around them have fallen so far that they do not show. Their standard
+    deviation is above MIN_RISE, and within NOISE_REACH of them they have risen by it.
     """
     change = frame.free_map
     sd = frame.free_sd
@@ -100,8 +116,13 @@ def _even(frame: Observation) -> bool:
     return bool(upper - lower < MAX_RANGE)
 
 
-def _enclosed(panel: Panel, which: NDArray[np.bool_], fallen: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Return the groups of some cells around which MIN_ENCLOSED of the cells have fallen, (rows, columns) each."""
+def _enclosed(
+    panel: Panel, which: NDArray[np.bool_], fallen: NDArray[np.bool_]
+) -> list[NDArray[np.bool_]]:
+    """Return the groups of some cells around which MIN_ENCLOSED of the cells have fallen.
+
+    Shape (rows, columns) each.
+    """
     groups = groups_of(panel, which)
     rims = [around(panel, cells) for cells in groups]
     return [
@@ -112,7 +133,10 @@ def _enclosed(panel: Panel, which: NDArray[np.bool_], fallen: NDArray[np.bool_])
 
 
 def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Return the groups of neighbouring cells among some, boolean (rows, columns) each, in the order of their cells."""
+    """Return the groups of neighbouring cells among some, in the order of their cells.
+
+    They are boolean, (rows, columns) each.
+    """
     first, second, _ = panel.neighbours
     linked = which.flat[first] & which.flat[second]
     pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (which.size,))
@@ -133,7 +157,9 @@ def _merged(panel: Panel, places: list[Suction]) -> list[Suction]:
     """Return the places without those that are nearer to a larger one than two mouths can be."""
     kept = list[Suction]()
     for place in places:
-        distances = [np.hypot(place.x_mm - one.x_mm, place.y_mm - one.y_mm) / panel.pitch_mm for one in kept]
+        distances = [
+            np.hypot(place.x_mm - one.x_mm, place.y_mm - one.y_mm) / panel.pitch_mm for one in kept
+        ]
         if min(distances, default=np.inf) > APART_PITCHES:
             kept.append(place)
     return kept

@@ -1,8 +1,9 @@
 """Swings of a load, and their effects on readings: of its suction, its rim, its place and its tilt.
 
-Changes of suction and rim are proportional to the slopes ∂x/∂ln p of the cells on the film's response. The slopes are
-uncertain, because gains differ from cell to cell and the curve under suction has one measured point. `Patterns` holds
-the effect of each cause as a root of its covariance at unit amplitude.
+Changes of suction and rim are proportional to the slopes ∂x/∂ln p of the cells on the film's
+response. The slopes are uncertain, because gains differ from cell to cell and the curve under
+suction has one measured point. `Patterns` holds the effect of each cause as a root of its
+covariance at unit amplitude.
 """
 
 from typing import NamedTuple
@@ -18,30 +19,36 @@ from lampest.loads.recognition.suction import MIN_FALL
 from lampest.panel.panel import Array
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
-# A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads that do not breathe
-# is an assumption: cups tremble and leak, but at no single rate.
+# A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads
+# that do not breathe is an assumption: cups tremble and leak, but at no single rate.
 BREATHING_SD = 0.045
 TREMBLE_SD = 0.002
-# Largest amplitude of each cause, in units of its pattern. Suction: above 15 % the unevenness of a film would explain
-# the swings of a shaken cup. The rim alone: all of its pressure. Movements: ten times their usual size.
+# Largest amplitude of each cause, in units of its pattern. Suction: above 15 % the unevenness of a
+# film would explain the swings of a shaken cup. The rim alone: all of its pressure. Movements: ten
+# times their usual size.
 MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
-# Assumed relative standard deviation of the whole rim's swing against that of suction, because the rim may press with
-# more than it bears; and of each cell's change by a movement, because the places of edges on its film are unknown.
+# Assumed relative standard deviation of the whole rim's swing against that of suction, because the
+# rim may press with more than it bears; and of each cell's change by a movement, because the places
+# of edges on its film are unknown.
 EDGE_SD = 0.5
-# Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the depth of breath, by
-# a curve under suction that was not measured.
+# Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the
+# depth of breath, by a curve under suction that was not measured.
 OWN_SD = 0.1
 CURVE_SD = 0.27
-THRESHOLD_KPA = -2.0  # suction from which an alternative curve through the published point may begin, instead of 0 kPa
+# Suction from which an alternative curve through the published point may begin, instead of 0 kPa.
+THRESHOLD_KPA = -2.0
 
 
 class Patterns(NamedTuple):
-    """Effects of swings on whitened readings, as roots of their covariance at unit amplitude, (readings, n) each.
+    """Effects of swings on whitened readings, (readings, n) each.
+
+    They are roots of their covariance at unit amplitude.
 
     Attributes
     ----------
     own : array
-        Suction with its rim: the first column is the mean effect, the others are possible deviations of the film.
+        Suction with its rim: the first column is the mean effect, the others are possible
+        deviations of the film.
     rim : array
         The rim alone.
     moves : array
@@ -94,14 +101,20 @@ class Patterns(NamedTuple):
         suction = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
         rigid = np.delete(suction, 1, axis=1) * rim[:, None]
         changes = np.linalg.norm(moves, axis=0)
-        moving = np.column_stack([moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))])
+        moving = np.column_stack(
+            [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
+        )
         return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
-        """Return the patterns and the changes (frames, readings), projected on the complement of `others`."""
+        """Return the patterns and the changes (frames, readings) beside `others`.
+
+        They are projected on the complement of `others`.
+        """
         span = np.linalg.qr(self.others)[0]
         suction, rim, moves, left = (
-            pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
+            pattern - span @ (span.T @ pattern)
+            for pattern in (self.own, self.rim, self.moves, changes.T)
         )
         return Patterns(suction, rim, moves, self.others, self.curve), left.T
 
@@ -111,7 +124,9 @@ class Patterns(NamedTuple):
         return Patterns(own, rim, moves, others, self.curve)
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
-        """Return the weights (readings,) with which readings sum to the amplitude of suction, with least variance.
+        """Return the weights (readings,) with which readings sum to the amplitude of suction.
+
+        The sum has the least variance.
 
         Parameters
         ----------
@@ -129,16 +144,19 @@ class Patterns(NamedTuple):
         return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
 
     def suction_weights(self, whitening: Array) -> Array:
-        """Return the weights (readings,) with which changes of ln y sum to the relative change of the load's suction.
+        """Return the weights (readings,) for the relative change of the load's suction.
 
-        Changes common to all readings and those of other loads are excluded; those of the load's place and of its rim
-        alone have little weight. `whitening` (readings, readings) whitens changes of ln y.
+        With them changes of ln y sum to it. Changes common to all readings and those of other loads
+        are excluded; those of the load's place and of its rim alone have little weight. `whitening`
+        (readings, readings) whitens changes of ln y.
         """
         suction, _ = self.beside_others(np.zeros((1, len(whitening))))
         return np.asarray(whitening.T @ suction.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
-def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detector) -> list[Patterns | None]:
+def patterns_of(
+    frame: Observation, fit: Fit, whitening: Array, detector: Detector
+) -> list[Patterns | None]:
     """Return the patterns of every load of a fit; None for loads that do not suck.
 
     Parameters
@@ -161,11 +179,14 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
     rise = fit.change + departure
     by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
     slopes = _slopes(frame, rise, fit.scatter)
-    spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
+    spread = np.sqrt(
+        (slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance))
+    )
     cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
     # cells of other loads, and of bodies beside, which move by themselves
     changed = (
-        np.any(cells, axis=0) | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
+        np.any(cells, axis=0)
+        | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
     )
     curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
     _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
@@ -181,19 +202,24 @@ def patterns_of(frame: Observation, fit: Fit, whitening: Array, detector: Detect
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
-    """Return ∂x/∂ln p of cells at x = `rise`, (7, cells): the mean, five deviations by the gain, and one by the curve.
+    """Return ∂x/∂ln p of cells at x = `rise`, (7, cells).
 
-    The gain differs by `scatter` and by bending; its distribution is sampled at Gauss-Hermite points. The published
-    curve has one point under suction: a straight line of r, and an exponential beyond a threshold, are each one
-    standard deviation from their geometric mean.
+    They are the mean, five deviations by the gain, and one by the curve. The gain differs by
+    `scatter` and by bending; its distribution is sampled at Gauss-Hermite points. The published
+    curve has one point under suction: a straight line of r, and an exponential beyond a threshold,
+    are each one standard deviation from their geometric mean.
     """
     response = frame.baseline.response
     water = frame.water
     points, weights = hermegauss(5)
-    gains = response.gains * np.exp(np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None])
+    gains = response.gains * np.exp(
+        np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None]
+    )
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
-    more, lower = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
+    more, lower = (
+        response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD)
+    )
     rise = np.maximum(logarithm, 0.1)
     delay = np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
     straight = np.log(-np.expm1(-rise) / rise)

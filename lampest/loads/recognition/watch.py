@@ -1,10 +1,11 @@
 """Recognition over time on one panel: attachments, their times, and whether they suck and breathe.
 
-Steps of the readings are detected by a matched filter on their logarithms (Page, Biometrika 41, 1954, for one series).
-Between two steps the load is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
-before the load. A load leaves only by a step back to that panel, up to the film's residue. A step whose readings return
-to the level before it, such as a deep breath or an outlier, is cancelled. Breath is judged through steps, because they
-are changes of a load and not its end. Without a load, the unloaded readings follow the frames.
+Steps of the readings are detected by a matched filter on their logarithms (Page, Biometrika 41,
+1954, for one series). Between two steps the load is recognised after 1, 2, 4 … seconds, from the
+median of the latest frames against the panel before the load. A load leaves only by a step back to
+that panel, up to the film's residue. A step whose readings return to the level before it, such as a
+deep breath or an outlier, is cancelled. Breath is judged through steps, because they are changes of
+a load and not its end. Without a load, the unloaded readings follow the frames.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,13 @@ from lampest.loads.recognition.attachment import Attachment, attachments_of, con
 from lampest.loads.recognition.breathing import WINDOW_S
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, patch_of
+from lampest.loads.recognition.observation import (
+    Baseline,
+    ModelErrors,
+    Observation,
+    counting,
+    patch_of,
+)
 from lampest.loads.recognition.step_test import StepTest
 from lampest.loads.recognition.suction import MIN_RISE
 from lampest.loads.recognition.swings import patterns_of
@@ -29,22 +36,30 @@ from lampest.panel.scene import Scene
 
 FOLLOWS_S = 20.0  # time constant with which the mean follows the frames
 SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frames
-MIN_CHANGE = 0.5  # of the present load's score: a larger change is another load, or the load has left
-MAX_CELLS = 1024  # patterns of loads take memory for each pair of cells: 134 MB, and 2 GB on 64 × 64
-SINGLE_FRAME = 2.0  # score of a single unloaded frame, which scatters more, over the threshold of a median of three
+# Of the present load's score: a larger change is another load, or the load has left.
+MIN_CHANGE = 0.5
+# Patterns of loads take memory for each pair of cells: 134 MB, and 2 GB on 64 × 64.
+MAX_CELLS = 1024
+# Score of a single unloaded frame, which scatters more, over the threshold of a median of three.
+SINGLE_FRAME = 2.0
 TOUCHED = "something touched the panel while its unloaded frames were taken"
-UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
-RELIEVED = "the panel changed, and no contact is clear: no cells conduct more by five standard deviations"
+UNEVENLY = (
+    "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
+)
+RELIEVED = (
+    "the panel changed, and no contact is clear: no cells conduct more by five standard deviations"
+)
 # time until the first recognition, and the longest one between two
 FIRST_S = 1.0
 LOOKS_S = 60.0
 MIN_FRAMES = 3  # that a recognition needs
-# Resistances of an open line over those at rest, and the share of its readings that have them: mouths raise up to five
-# cells of a row of ten.
+# Resistances of an open line over those at rest, and the share of its readings that have them:
+# mouths raise up to five cells of a row of ten.
 OPEN_RATIO = 2.0
 OPEN_SHARE = 0.8
 MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance
-UNCOVERED = 0.25  # of the unevenness of cells under a load, which is left where it has gone: films keep an eighth
+# Of the unevenness of cells under a load, which is left where it has gone: films keep an eighth.
+UNCOVERED = 0.25
 Frames = tuple[tuple[float, Array], ...]
 
 
@@ -65,8 +80,8 @@ class Panelled:
         Pressure of the water, kPa.
     errors : ModelErrors
     common : callable or None
-        Returns a root (cells, n) of the covariance of random errors that a frame's readings share, given the readings
-        (rows, columns); None where there are none.
+        Returns a root (cells, n) of the covariance of random errors that a frame's readings share,
+        given the readings (rows, columns); None where there are none.
     explained : bool
         Whether the circuit explains the readings.
     """
@@ -92,8 +107,13 @@ class Panelled:
         detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
         return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
 
-    def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0) -> Observation:
-        """Return the observation of a mean of frames, with the σ of one frame, because films err equally in all."""
+    def frame(
+        self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0
+    ) -> Observation:
+        """Return the observation of a mean of frames, with the σ of one frame.
+
+        The σ is that of one frame because films err equally in all.
+        """
         common = None if self.common is None else self.common(measured)
         return Observation(measured, sigma, baseline, self.water, seconds, common=common)
 
@@ -151,7 +171,9 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """State of the recognition after a sequence of frames. Readings are ln y, (cells,); times are in s.
+    """State of the recognition after a sequence of frames.
+
+    Readings are ln y, (cells,); times are in s.
 
     Attributes
     ----------
@@ -166,7 +188,8 @@ class Watch:
     recent : tuple of two arrays
         The last two frames.
     window : tuple of (float, array)
-        Times and readings of the last frames under a load: those within WINDOW_S, and at least MIN_FRAMES.
+        Times and readings of the last frames under a load: those within WINDOW_S, and at least
+        MIN_FRAMES.
     steps : tuple of float
         Times of the steps in the window.
     present : bool
@@ -210,7 +233,9 @@ class Watch:
     former: "Watch | None" = None
 
     @classmethod
-    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
+    def begin(
+        cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float
+    ) -> "Watch":
         """Return the state before the first frame, from unloaded readings.
 
         Parameters
@@ -229,13 +254,23 @@ class Watch:
         sigma = counting(sigma, measured)
         resting = np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames))
-        filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
+        filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
+            len(unloaded), resting.size
+        )
         search = panelled.detector.search(frame.panel)
         intact = np.where(panelled.scene.broken, np.nan, frame.baseline.logarithm)
         test = StepTest.of(frame, search, np.log(filled))
         uneven = search.lies_on(intact)
         rest = Level(resting, frames, time, time)
-        return cls(panelled, test, sigma, rest, rest, (resting, resting), history=UNEVENLY if uneven else "")
+        return cls(
+            panelled,
+            test,
+            sigma,
+            rest,
+            rest,
+            (resting, resting),
+            history=UNEVENLY if uneven else "",
+        )
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
@@ -251,8 +286,8 @@ class Watch:
         watch = self.followed(measured, sigma, time)
         if not watch.present:
             return watch
-        # In this order: the load may have gone, the last step may be cancelled, loads are recognised, breath and
-        # suction judged.
+        # In this order: the load may have gone, the last step may be cancelled, loads are
+        # recognised, breath and suction judged.
         if not watch.known:
             frame = watch._frame(watch.level.mean, time)
             if watch.panelled.detector.calm(frame) is not None and watch._left(frame):
@@ -267,7 +302,9 @@ class Watch:
         """Return the watch after a frame, as `push`, with step detection only."""
         sigma, faults = self._without_open_lines(measured, sigma, time)
         counts = np.isfinite(sigma).ravel()
-        logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean)
+        logarithm = np.where(
+            counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean
+        )
         # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
         sigma = counting(sigma, np.exp(self.rest.mean).reshape(sigma.shape))
@@ -277,9 +314,10 @@ class Watch:
     def _without_open_lines(
         self, measured: Array, sigma: Array, time: float
     ) -> tuple[Array, tuple[tuple[str, float], ...]]:
-        """Return σ, infinite for the readings of open lines, and the faults with the times of their first frames.
+        """Return σ, infinite for the readings of open lines, and the faults.
 
-        Suction raises the cells of a mouth; only an open line raises nearly all resistances of a row or a column.
+        The faults have the times of their first frames. Suction raises the cells of a mouth; only
+        an open line raises nearly all resistances of a row or a column.
         """
         if self.panelled.scene.circuit.unit != "ohm":
             return sigma, self.faults
@@ -295,29 +333,48 @@ class Watch:
         return np.where(known_faults, sigma, np.inf), tuple(faults.items())
 
     def ended(self) -> "Watch":
-        """Return the watch after the last frame, in which a load that has just arrived is recognised, too."""
+        """Return the watch after the last frame.
+
+        A load that has just arrived in it is recognised, too.
+        """
         return self._looked(self.window[-1][0]) if self.present and not self.known else self
 
     def touched(self, unloaded: Array) -> bool:
         """Return whether a load came or left during the unloaded frames, (frames, rows, columns).
 
-        Medians of three frames are tested, so that a single wrong reading is no load, and the first and the last frame,
-        which no median shows. The change with the largest score has to be more probable as a load than as none.
+        Medians of three frames are tested, so that a single wrong reading is no load, and the first
+        and the last frame, which no median shows. The change with the largest score has to be more
+        probable as a load than as none.
         """
         logarithm = np.log(unloaded).reshape(len(unloaded), -1)
-        medians = [np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)]
+        medians = [
+            np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)
+        ]
         changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.rest.mean)
-        excess = np.array([np.max(self.test.scores(change) / self.test.least()) for change in changes])
+        excess = np.array(
+            [np.max(self.test.scores(change) / self.test.least()) for change in changes]
+        )
         excess[-2:] /= SINGLE_FRAME
         if excess.max() < 1:
             return False
         shown = self.rest.mean + changes[np.argmax(excess)]
-        return self.panelled.detector.verdict(self._frame(shown, self.rest.until_s + SETTLES_S)).nothing < 0.5
+        return (
+            self.panelled.detector.verdict(
+                self._frame(shown, self.rest.until_s + SETTLES_S)
+            ).nothing
+            < 0.5
+        )
 
     @property
     def stands_out(self) -> float:
         """Largest score of the last frames against the panel at rest, in standard deviations."""
-        return float(np.max(self.test.scores(np.median([*self.recent, self.level.mean], axis=0) - self.rest.mean)))
+        return float(
+            np.max(
+                self.test.scores(
+                    np.median([*self.recent, self.level.mean], axis=0) - self.rest.mean
+                )
+            )
+        )
 
     @property
     def change(self) -> Array | None:
@@ -328,7 +385,10 @@ class Watch:
     def doubt(self) -> str:
         """The reason why the load on the panel is unknown, in words; '' where it is known."""
         if self.present and not self.known:
-            return f"something touched the panel at {self.level.since_s:.1f} s, and has not been still for long enough"
+            return (
+                f"something touched the panel at {self.level.since_s:.1f} s, and has not been "
+                "still for long enough"
+            )
         return self.history
 
     @property
@@ -342,7 +402,9 @@ class Watch:
         return tuple(frame for frame in self.window if frame[0] > self.level.since_s)
 
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
-        """Return the watch after a frame: a step begins a new interval, any other frame continues the present one.
+        """Return the watch after a frame.
+
+        A step begins a new interval, any other frame continues the present one.
 
         Parameters
         ----------
@@ -356,7 +418,8 @@ class Watch:
         before = self.level.until_s
         scores = self.test.scores(shown - self.level.mean)
         if np.any(scores >= self._least_step(time)):
-            # A step: either back to the level before the last step, or the beginning of a new interval.
+            # A step: either back to the level before the last step, or the beginning of a new
+            # interval.
             resumed = self._resumed(shown)
             if resumed is not self:
                 return resumed._stepped(shown, logarithm, time)
@@ -364,20 +427,39 @@ class Watch:
             window = latest((*self.window, (time, logarithm)))
             steps = (*(step for step in self.steps if step >= window[0][0]), before)
             level = Level(shown, 1.0, before, time)
-            watch = replace(self, level=level, window=window, steps=steps, present=True, known=False, former=former)
+            watch = replace(
+                self,
+                level=level,
+                window=window,
+                steps=steps,
+                present=True,
+                known=False,
+                former=former,
+            )
             return replace(watch, next_s=before + FIRST_S)
-        # No step: running mean with the time constant FOLLOWS_S; without a load the baseline and v_k² follow, too.
+        # No step: running mean with the time constant FOLLOWS_S; without a load the baseline and
+        # v_k² follow, too.
         share = min((time - before) / FOLLOWS_S, 1.0)
         follows = max(1 / (self.level.frames + 1), share)
         mean = self.level.mean + follows * (shown - self.level.mean)
-        level = Level(mean, min(self.level.frames + 1, max(1 / follows, 1.0)), self.level.since_s, time)
+        level = Level(
+            mean, min(self.level.frames + 1, max(1 / follows, 1.0)), self.level.since_s, time
+        )
         if self.present:
             return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
         test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
-        return replace(self, level=level, rest=replace(level, frames=max(level.frames, self.rest.frames)), test=test)
+        return replace(
+            self,
+            level=level,
+            rest=replace(level, frames=max(level.frames, self.rest.frames)),
+            test=test,
+        )
 
     def _resumed(self, logarithm: Array) -> "Watch":
-        """Return the state before the last step with the frames since, if readings have returned; else unchanged."""
+        """Return the state before the last step with the frames since.
+
+        It is returned if readings have returned; else the state is unchanged.
+        """
         former = self.former
         if former is None:
             return self
@@ -386,11 +468,19 @@ class Watch:
             return self
         level = replace(former.level, until_s=self.level.until_s)
         return replace(
-            former, recent=self.recent, sigma=self.sigma, window=self.window, level=level, faults=self.faults
+            former,
+            recent=self.recent,
+            sigma=self.sigma,
+            window=self.window,
+            level=level,
+            faults=self.faults,
         )
 
     def _least_step(self, time: float) -> Array:
-        """Return the thresholds of the scores, (discs,): a part of the load that is present, or of a fading residue."""
+        """Return the thresholds of the scores, (discs,).
+
+        They are a part of the load that is present, or of a fading residue.
+        """
         if not self.present:
             size: Array | float = 0.0 if self.look is None else self.look.fading(time)
         elif self.known and self.look is not None:
@@ -400,19 +490,27 @@ class Watch:
         return np.maximum(self.test.least(), MIN_CHANGE * size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
-        """Return readings ln y as an observation against the panel before the load, with the film's residue in C."""
+        """Return readings ln y as an observation against the panel before the load.
+
+        The film's residue is in C.
+        """
         panelled = self.panelled
         shape = self.panelled.scene.panel.shape
-        baseline = panelled.baseline(np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0))
-        frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s)
+        baseline = panelled.baseline(
+            np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
+        )
+        frame = panelled.frame(
+            np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s
+        )
         covariance = baseline.covariance.copy()
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
         return replace(frame, baseline=replace(baseline, covariance=covariance))
 
     def _left(self, frame: Observation) -> bool:
-        """Return whether a frame shows less of the recognised ln r/r0 than the film's residue; True without a load.
+        """Return whether a frame shows less of the recognised ln r/r0 than the film's residue.
 
-        The common change by temperature is the median over the cells that were free, and is subtracted.
+        True without a load. The common change by temperature is the median over the cells that were
+        free, and is subtracted.
         """
         if not self._recognised:
             return True
@@ -422,7 +520,10 @@ class Watch:
         return bool(np.sum((frame.map - common) * before) <= residue)
 
     def _keeps(self, frame: Observation) -> Array | float:
-        """Return `film_sd` after a step of the recognised load: the residue of each cell's decrease of |ln r/r0|."""
+        """Return `film_sd` after a step of the recognised load.
+
+        It is the residue of each cell's decrease of |ln r/r0|.
+        """
         if self.known or not self._recognised:
             return self.film_sd
         fall = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
@@ -441,18 +542,22 @@ class Watch:
         The present readings become the baseline, unless no load had been recognised.
         """
         closed = tuple(load.ended(time) if load.present else load for load in self.attachments)
-        watch = replace(self, present=False, known=False, former=None, attachments=closed, film_sd=0.0)
+        watch = replace(
+            self, present=False, known=False, former=None, attachments=closed, film_sd=0.0
+        )
         watch = replace(watch, next_s=np.inf, window=(), steps=())
         if self.look is None or self.look.over:
             return replace(watch, level=replace(self.rest, until_s=self.level.until_s))
         rest = replace(self.level, since_s=time)
-        return replace(watch, level=rest, rest=rest, look=replace(self.look, time_s=time, over=True))
+        return replace(
+            watch, level=rest, rest=rest, look=replace(self.look, time_s=time, over=True)
+        )
 
     def _with_brief_load(self) -> "Watch":
         """Return the watch with a load that has left before it was looked at.
 
-        On a mat its contacts are recognised, from the frames in which it stood. What sucks is not known so soon, so
-        elsewhere it is noted alone.
+        On a mat its contacts are recognised, from the frames in which it stood. What sucks is not
+        known so soon, so elsewhere it is noted alone.
         """
         if self._recognised:
             return self
@@ -474,10 +579,11 @@ class Watch:
         return replace(self, attachments=(*self.attachments, *loads))
 
     def _looked(self, time: float) -> "Watch":
-        """Return the watch after a look: loads are recognised from the median of the frames since the last step.
+        """Return the watch after a look.
 
-        The next look follows after twice the time since the step, at the latest after LOOKS_S. One that fails is left
-        out.
+        Loads are recognised from the median of the frames since the last step. The next look
+        follows after twice the time since the step, at the latest after LOOKS_S. One that fails is
+        left out.
         """
         again = time + min(max(time - self.level.since_s, FIRST_S), LOOKS_S)
         scores = self.test.scores(self.level.mean - self.rest.mean)
@@ -492,10 +598,11 @@ class Watch:
         change = verdict.changed
         before = self._before
         least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
-        # No load, or only the residue of the former one: the load has left, unless its cells still show it.
-        # the film's residue in the cells of the former load
+        # No load, or only the residue of the former one: the load has left, unless its cells still
+        # show it. the film's residue in the cells of the former load
         memory = self._recognised and not self.known and np.sum(change**2) <= least
-        if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # odds: some steps are noise
+        # odds: some steps are noise
+        if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):
             if self._left(frame) and not (self.known and np.any(scores >= self.test.least())):
                 return self._gone(time if self.known else self.level.since_s)
             return replace(self, known=True, next_s=again, former=None)
@@ -508,23 +615,27 @@ class Watch:
         loads = attachments_of(frame, verdict, self.level.since_s, patterns)
         if not loads:
             return replace(self, known=True, next_s=again, former=None, history=RELIEVED)
-        watch = replace(self, film_sd=self._keeps(frame), look=look, known=True, former=None, next_s=again)
+        watch = replace(
+            self, film_sd=self._keeps(frame), look=look, known=True, former=None, next_s=again
+        )
         continued = continued_by(self.attachments, loads, self.level.since_s, again=self.known)
         return replace(watch, attachments=continued)
 
     def _uncovered(self, verdict: Verdict) -> bool:
-        """Return whether the first change is a load that left, which was present before the first frame.
+        """Return whether the first change is a load that left.
 
-        Half of the cells that changed, and at least MIN_RELIEVED, have risen. They were as uneven before, about the
-        median of all, as loads make them, and are even now: their deviations have less than UNCOVERED of the former
-        sum of squares. Nothing is concluded of readings that
-        the circuit does not explain.
+        The load was present before the first frame. Half of the cells that changed, and at least
+        MIN_RELIEVED, have risen. They were as uneven before, about the median of all, as loads make
+        them, and are even now: their deviations have less than UNCOVERED of the former sum of
+        squares. Nothing is concluded of readings that the circuit does not explain.
         """
         if self.attachments or not self.panelled.explained:
             return False
         frame = verdict.frame
         intact = self.panelled.scene.panel.present & ~self.panelled.scene.broken
-        moved = intact & (np.abs(frame.free_map) > np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd))
+        moved = intact & (
+            np.abs(frame.free_map) > np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd)
+        )
         # what leaves relieves cells, and those rise
         if np.sum(moved & (frame.free_map > 0)) < max(MIN_RELIEVED, moved.sum() / 2):
             return False
@@ -533,9 +644,10 @@ class Watch:
         return bool(np.sum(now[moved] ** 2) < UNCOVERED * np.sum(resting[moved] ** 2))
 
     def _heard(self, time: float) -> "Watch":
-        """Return the watch after breath and suction of every load were judged, once each FIRST_S and BLOCK_S.
+        """Return the watch after breath and suction of every load were judged.
 
-        The last frame is left out of a breath, because it may be the first one of a release.
+        They are judged once each FIRST_S and BLOCK_S. The last frame is left out of a breath,
+        because it may be the first one of a release.
         """
         assert self.look is not None
         loads = list(self.attachments)
@@ -543,5 +655,7 @@ class Watch:
         for number, load in enumerate(loads):
             if load.present and load.patterns is not None:
                 load = load.sampled(self.window, self.test.whitening, verdict.frame)
-                loads[number] = load.listened(self.window[:-1], self.steps, self.test.whitening, verdict)
+                loads[number] = load.listened(
+                    self.window[:-1], self.steps, self.test.whitening, verdict
+                )
         return replace(self, attachments=tuple(loads))

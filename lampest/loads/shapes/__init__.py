@@ -17,5 +17,8 @@ else:
 
 
 def shape_types() -> tuple[type[Shape], ...]:
-    """Return the members of the union in its order, without shapes of installed packages, which are only simulated."""
+    """Return the members of the union in its order, without shapes of installed packages.
+
+    Shapes of installed packages are only simulated.
+    """
     return shipped(AnyShape)

@@ -1,6 +1,7 @@
-"""The disc, from which all round loads are made: its pressure at points, and its mean on patches with derivatives.
+"""The disc, from which all round loads are made.
 
-On patches the disc may be elongated and press unevenly along its rim. The mean is taken over points, with soft edges,
+It is given by its pressure at points, and its mean on patches with derivatives. On patches the disc
+may be elongated and press unevenly along its rim. The mean is taken over points, with soft edges,
 because an elongated circle on squares has no closed form.
 """
 
@@ -12,14 +13,17 @@ import numpy as np
 from lampest.loads.pressure import GRAVITY
 from lampest.panel.panel import Array
 
-# Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft over twice this
-# distance, as real ones are.
+# Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft
+# over twice this distance, as real ones are.
 POINTS = 5
 MIN_SQUARE = 1e-6  # mm², of the distance from the centre, where the angle is undefined
 
 
 class Disc(NamedTuple):
-    """Numbers of a disc, in mm and kPa; a tilt is the relative change of the rim's pressure from centre to edge."""
+    """Numbers of a disc, in mm and kPa.
+
+    A tilt is the relative change of the rim's pressure from centre to edge.
+    """
 
     x_mm: float
     y_mm: float
@@ -31,7 +35,10 @@ class Disc(NamedTuple):
     tilt_y: float
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the contact pressure without tilt, and the suction, kPa, at points x, y mm from the centre."""
+        """Return the contact pressure without tilt, and the suction, kPa, at points.
+
+        The points are x, y mm from the centre.
+        """
         radius = np.hypot(x, y)
         inside = radius < self.inner_mm / 2
         return ((radius < self.diameter_mm / 2) & ~inside) * self.rim_kpa, inside * self.suction_kpa
@@ -57,7 +64,9 @@ class Unevenness(NamedTuple):
 EVEN = Unevenness()
 
 
-def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
+def pressure_at_places(
+    places: Array, patch_mm: float, disc: Disc, form: Unevenness = EVEN
+) -> tuple[Array, Array]:
     """Return the mean pressure on patches, and its derivatives by the numbers of `disc` and `form`.
 
     Parameters
@@ -110,7 +119,8 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     square = np.maximum(u * u + v * v, MIN_SQUARE)
     radius = np.sqrt(square)
     edges = np.array([outer, disc.inner_mm / 2])
-    # p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole, with soft indicators of disc and hole
+    # p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole, with soft
+    # indicators of disc and hole
     (whole, hole), (whole_slope, hole_slope) = _inside(radius - edges[:, None, None], soft)
     if not disc.inner_mm:
         hole = hole_slope = np.zeros_like(radius)
@@ -118,17 +128,43 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     rim = whole - hole
     twice = (u * u - v * v) / square
     cross = 2 * u * v / square
-    level = 1 + (tilt_x / outer) * u + (tilt_y / outer) * v + lobe_along * twice + lobe_across * cross
+    level = (
+        1 + (tilt_x / outer) * u + (tilt_y / outer) * v + lobe_along * twice + lobe_across * cross
+    )
     # ∂p/∂u and ∂p/∂v by the chain rule: radially, by the tilt, and by the angle of the lobes
     outward = (press * level * (whole_slope - hole_slope) + disc.suction_kpa * hole_slope) / radius
     turned = (2 * press) * rim * (lobe_across * twice - lobe_along * cross) / square
     by_u = outward * u + (press * tilt_x / outer) * rim - turned * v
     by_v = outward * v + (press * tilt_y / outer) * rim + turned * u
     # Means over the points; the derivatives are linear combinations of them.
-    integrands = [rim * level, hole, by_u, by_v, level * whole_slope, level * hole_slope, hole_slope, rim * u, rim * v]
+    integrands = [
+        rim * level,
+        hole,
+        by_u,
+        by_v,
+        level * whole_slope,
+        level * hole_slope,
+        hole_slope,
+        rim * u,
+        rim * v,
+    ]
     integrands += [by_v * y - by_u * x, by_u * y + by_v * x, rim * twice, rim * cross]
     means = np.array(integrands) @ np.full(x.shape[1], 1 / x.shape[1])
-    level, hole, by_u, by_v, by_whole, by_hole, slope, rim_u, rim_v, lengthened, turned, rim_twice, rim_cross = means
+    (
+        level,
+        hole,
+        by_u,
+        by_v,
+        by_whole,
+        by_hole,
+        slope,
+        rim_u,
+        rim_v,
+        lengthened,
+        turned,
+        rim_twice,
+        rim_cross,
+    ) = means
     lean = (tilt_x * rim_u + tilt_y * rim_v) / outer
     return np.array(
         [
@@ -150,7 +186,10 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
 
 
 def _inside(beyond: Array, soft: float) -> tuple[Array, Array]:
-    """Return a soft indicator and its derivative: ½ − ¾t + ¼t³ with t = beyond/soft clipped to ±1."""
+    """Return a soft indicator and its derivative.
+
+    The indicator is ½ − ¾t + ¼t³ with t = beyond/soft clipped to ±1.
+    """
     t = np.minimum(np.maximum(beyond * (1 / soft), -1.0), 1.0)
     square = t * t
     return 0.5 + t * (0.25 * square - 0.75), (square - 1) * (0.75 / soft)
@@ -169,6 +208,9 @@ def contact_of_weight(mass_g: float, area_mm2: float) -> float:
 
 
 def bearing_kpa(suction_kpa: float, inner_mm: float, outer_mm: float) -> float:
-    """Return the pressure of the rim that bears the suction, −s·d_i²/(d² − d_i²). Raises ValueError without a rim."""
+    """Return the pressure of the rim that bears the suction, −s·d_i²/(d² − d_i²).
+
+    Raises ValueError without a rim.
+    """
     rim_mm2 = annulus_mm2(inner_mm, outer_mm)
     return -suction_kpa * annulus_mm2(0, inner_mm) / rim_mm2 if rim_mm2 else float("inf")

@@ -23,7 +23,8 @@ from lampest.loads.shapes.shape import Candidate, Prior, Shape, Template, centre
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import VACUUM_KPA
 
-DIAMETER = Prior(log(30), 0.35, step=0.2)  # ln mm: 95 % of diameters are between 15 and 60 mm (an assumption)
+# Ln mm: 95 % of diameters are between 15 and 60 mm (an assumption).
+DIAMETER = Prior(log(30), 0.35, step=0.2)
 TILT = Prior(0, 0.25, step=0.3, sway=0.1)
 COMPLEX_STEP = 2.0**-104  # of derivatives, which have full precision, because nothing is subtracted
 CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
@@ -36,14 +37,16 @@ class RoundCandidate(Candidate):
     Attributes
     ----------
     numbers : mapping of str to Prior
-        Priors of the numbers beside the centre, in the order of φ: `diameter`; `width` of the rim, absent for a full
-        disc; `suction` inside the rim, absent for none; and one of `rim`, the pressure under it, and `push`, its excess
-        over p_bear. Tilts along x and y follow; 95 % are below a half (an assumption).
+        Priors of the numbers beside the centre, in the order of φ: `diameter`; `width` of the rim,
+        absent for a full disc; `suction` inside the rim, absent for none; and one of `rim`, the
+        pressure under it, and `push`, its excess over p_bear. Tilts along x and y follow; 95 % are
+        below a half (an assumption).
     uneven : tuple of float
-        Standard deviations of the numbers of `Unevenness`, the last of φ. Assumption: manufactured objects are round
-        within 8 %, and press evenly within ±16 % along the rim.
+        Standard deviations of the numbers of `Unevenness`, the last of φ. Assumption: manufactured
+        objects are round within 8 %, and press evenly within ±16 % along the rim.
     edge_mm : float
-        Common error of the places of both edges. Assumption: films are cut to a millimetre, and rims are rounded.
+        Common error of the places of both edges. Assumption: films are cut to a millimetre, and
+        rims are rounded.
     """
 
     numbers: Mapping[str, Prior]
@@ -63,7 +66,9 @@ class RoundCandidate(Candidate):
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         disc, by_parameter = self.disc_with_slopes(parameters)
         form = slice(-len(EVEN), None)
-        pressure, by_number = pressure_at_places(panel.places_mm, patch_mm, disc, Unevenness(*parameters[form]))
+        pressure, by_number = pressure_at_places(
+            panel.places_mm, patch_mm, disc, Unevenness(*parameters[form])
+        )
         slopes = np.tensordot(by_parameter, by_number[: len(disc)], (0, 0))
         slopes[form] = by_number[len(disc) :]
         return pressure, slopes
@@ -72,7 +77,9 @@ class RoundCandidate(Candidate):
         return Disc(*self._numbers(parameters).tolist())
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
-        """Return the disc of φ, and its derivatives (8, parameters) by complex steps, Im f(φ + ih)/h.
+        """Return the disc of φ, and its derivatives (8, parameters).
+
+        The derivatives are by complex steps, Im f(φ + ih)/h.
 
         Source: Squire, Trapp, SIAM Review 40, 110 (1998).
         """
@@ -92,10 +99,15 @@ class RoundCandidate(Candidate):
         # p_bear = −s d_i²/(d² − d_i²)
         bearing = -suction * share**2 / (1 - share**2)
         rim = np.exp(at["rim"]) if "rim" in at else bearing + np.exp(at["push"])
-        return np.stack([at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"]])
+        return np.stack(
+            [at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"]]
+        )
 
     def start(self, disc: Disc) -> Array:
-        """Return φ of a disc; numbers that the disc lacks are small, and a full disc has the same force."""
+        """Return φ of a disc.
+
+        Numbers that the disc lacks are small, and a full disc has the same force.
+        """
         hollow = "width" in self.numbers
         width = exp(self.numbers["width"].mean) if hollow else 0.0
         bearing = 0.0
@@ -116,7 +128,10 @@ class RoundCandidate(Candidate):
         return np.array([disc.x_mm, disc.y_mm, *numbers, disc.tilt_x, disc.tilt_y, *EVEN])
 
     def blind(self, parameters: Array) -> Array:
-        """Return the standard deviation that readings cannot reduce: edge_mm/d of ln d, 0 of all others."""
+        """Return the standard deviation that readings cannot reduce.
+
+        It is edge_mm/d of ln d, 0 of all others.
+        """
         place = ("x", "y", *self._own).index("diameter")
         return np.asarray(np.eye(len(parameters))[place] * (self.edge_mm / exp(parameters[place])))
 
@@ -141,10 +156,17 @@ class RoundShape(Shape):
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
         return self.disc().pressure_at(x, y)
 
-    def pressing(self, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float | None = None) -> Disc:
-        """Return the disc with these numbers. Raises ValueError where a pressure is out of range."""
+    def pressing(
+        self, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float | None = None
+    ) -> Disc:
+        """Return the disc with these numbers.
+
+        Raises ValueError where a pressure is out of range.
+        """
         if suction_kpa is not None and not VACUUM_KPA < suction_kpa < 0:
-            raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
+            raise ValueError(
+                "pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space"
+            )
         if not 0 <= rim_kpa < inf:
             raise ValueError("the contact pressure must be zero or positive, and finite")
         direction = radians(self.tilt_direction_deg)
@@ -174,16 +196,20 @@ class Rod(RoundShape):
     mass_g: float
 
     def disc(self) -> Disc:
-        return self.pressing(0.0, self.diameter_mm, contact_of_weight(self.mass_g, annulus_mm2(0, self.diameter_mm)))
+        return self.pressing(
+            0.0, self.diameter_mm, contact_of_weight(self.mass_g, annulus_mm2(0, self.diameter_mm))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ring(RoundShape):
     """p = m·g/(π (d² − d_i²)/4) under a weighted ring.
 
-    Example: {kind: ring, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, mass_g: 850}
+    Example: {kind: ring, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, mass_g:
+    850}
 
-    >>> lampest.Ring(centre_mm=(45, 45), inner_diameter_mm=27, outer_diameter_mm=35, mass_g=850).mass_g
+    >>> diameters = {"inner_diameter_mm": 27, "outer_diameter_mm": 35}
+    >>> lampest.Ring(centre_mm=(45, 45), **diameters, mass_g=850).mass_g
     850.0
     """
 
@@ -201,18 +227,23 @@ class Ring(RoundShape):
 
     def disc(self) -> Disc:
         area = annulus_mm2(self.inner_diameter_mm, self.outer_diameter_mm)
-        return self.pressing(self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area))
+        return self.pressing(
+            self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuctionCup(RoundShape):
-    """p = pressure_kpa < 0 inside d_i, against the surroundings; p_rim = −p·d_i²/(d² − d_i²) under the rim bears it.
+    """p = pressure_kpa < 0 inside d_i, against the surroundings.
 
-    A single frame does not distinguish a cup from a mouth: recognition fits both as an oral disc.
+    p_rim = −p·d_i²/(d² − d_i²) under the rim bears it. A single frame does not distinguish a cup
+    from a mouth: recognition fits both as an oral disc.
 
-    Example: {kind: suction_cup, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, pressure_kpa: -10}
+    Example: {kind: suction_cup, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35,
+    pressure_kpa: -10}
 
-    >>> lampest.SuctionCup(centre_mm=(9, 9), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-10).tilt
+    >>> diameters = {"inner_diameter_mm": 27, "outer_diameter_mm": 35}
+    >>> lampest.SuctionCup(centre_mm=(9, 9), **diameters, pressure_kpa=-10).tilt
     0.0
     """
 
@@ -225,7 +256,9 @@ class SuctionCup(RoundShape):
     def disc(self) -> Disc:
         inner = self.inner_diameter_mm
         outer = self.outer_diameter_mm
-        return self.pressing(inner, outer, bearing_kpa(self.pressure_kpa, inner, outer), self.pressure_kpa)
+        return self.pressing(
+            inner, outer, bearing_kpa(self.pressure_kpa, inner, outer), self.pressure_kpa
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,15 +269,19 @@ class OralDisc(RoundShape):
 
     diameter_mm : outer diameter of the rim; for an elongated mouth the geometric mean of both axes.
     pressure_kpa : suction against the surroundings, negative.
-    rim_kpa : mean contact pressure under the rim; None: the pressure that bears the suction, p_rim·A_rim = −p·A_inside,
-        and `extra_rim_kpa`.
+    rim_kpa : mean contact pressure under the rim; None: the pressure that bears the suction,
+        p_rim·A_rim = −p·A_inside, and `extra_rim_kpa`.
     extra_rim_kpa : excess of the rim's pressure over that which bears the suction.
-    elongation : long axis over the short one. elongation_deg : direction of the long axis; 0 towards higher columns.
-    unevenness : relative amplitude of the rim's pressure along the rim, 0 to 1; the mean is unchanged. lobes : number
+    elongation : long axis over the short one. elongation_deg : direction of the long axis; 0
+        towards higher columns.
+    unevenness : relative amplitude of the rim's pressure along the rim, 0 to 1; the mean is
+        unchanged. lobes : number
         of maxima along the rim. unevenness_deg : direction of one maximum, before the elongation.
 
-    Source: suction is uniform over the mouth, -0.6 to -26 kPa at rest: Shi et al., PLoS ONE 16, e0247884, 2021.
-    Example: {kind: oral_disc, centre_mm: [45, 45], diameter_mm: 35, rim_width_mm: 6, pressure_kpa: -12, rim_kpa: 90}
+    Source: suction is uniform over the mouth, -0.6 to -26 kPa at rest: Shi et al., PLoS ONE 16,
+    e0247884, 2021.
+    Example: {kind: oral_disc, centre_mm: [45, 45], diameter_mm: 35, rim_width_mm: 6, pressure_kpa:
+    -12, rim_kpa: 90}
 
     >>> lampest.OralDisc(centre_mm=(44, 46), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12).kind
     'oral_disc'
@@ -255,10 +292,11 @@ class OralDisc(RoundShape):
         sucks=True,
         # Templates in which the suction changes cells as much as the rim does.
         templates=(Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0)),
-        # Assumptions: 95 % of rims are 3 to 10 mm wide (mouths have 4 to 7 mm, the paper's suction cup 4). They press
-        # with 0.02 to 110 kPa more than their suction requires: nearly nothing under a soft mouth, 80 kPa if bending
-        # under rim and teeth is included. 95 % of suctions are 1.8 to 35 kPa. 95 % of mouths have axes within a ratio
-        # of 1.22 and press evenly within ±34 % along the rim. A soft rim has more lobes than are fitted.
+        # Assumptions: 95 % of rims are 3 to 10 mm wide (mouths have 4 to 7 mm, the paper's suction
+        # cup 4). They press with 0.02 to 110 kPa more than their suction requires: nearly nothing
+        # under a soft mouth, 80 kPa if bending under rim and teeth is included. 95 % of suctions
+        # are 1.8 to 35 kPa. 95 % of mouths have axes within a ratio of 1.22 and press evenly within
+        # ±34 % along the rim. A soft rim has more lobes than are fitted.
         numbers={
             "diameter": DIAMETER,
             "width": Prior(log(5.5), 0.3),
@@ -288,7 +326,8 @@ class OralDisc(RoundShape):
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the contact pressure of the rim, and the suction inside, of the elongated mouth.
 
-        Points are mapped to the round mouth of equal area, and the rim's pressure is multiplied by its unevenness.
+        Points are mapped to the round mouth of equal area, and the rim's pressure is multiplied by
+        its unevenness.
         """
         round_one = self.disc()
         turn = radians(self.elongation_deg)
@@ -307,7 +346,9 @@ class OralDisc(RoundShape):
         check_range("unevenness", self.unevenness, 0, 1)
         check_range("lobes", self.lobes, 1, 100)
         if self.extra_rim_kpa < 0 or (self.extra_rim_kpa and self.rim_kpa is not None):
-            raise ValueError("extra_rim_kpa must be zero or positive, and stands where rim_kpa does not")
+            raise ValueError(
+                "extra_rim_kpa must be zero or positive, and stands where rim_kpa does not"
+            )
         inner = self.diameter_mm - 2 * self.rim_width_mm
         bearing = bearing_kpa(self.pressure_kpa, inner, self.diameter_mm) + self.extra_rim_kpa
         rim = bearing if self.rim_kpa is None else self.rim_kpa
@@ -318,9 +359,11 @@ class OralDisc(RoundShape):
 class Block(Shape):
     """p = m·g/(a·b) under a rectangular foot; simulated only.
 
-    angle_deg : direction of the length a; 0 along the rows, towards higher columns, 90 towards higher rows.
+    angle_deg : direction of the length a; 0 along the rows, towards higher columns, 90 towards
+        higher rows.
 
-    Example: {kind: block, centre_mm: [45, 45], length_mm: 50, width_mm: 20, mass_g: 500, angle_deg: 30}
+    Example: {kind: block, centre_mm: [45, 45], length_mm: 50, width_mm: 20, mass_g: 500, angle_deg:
+    30}
 
     >>> lampest.Block(centre_mm=(45, 45), length_mm=50, width_mm=20, mass_g=500).width_mm
     20.0
@@ -342,4 +385,6 @@ class Block(Shape):
         along = x * cos(angle) + y * sin(angle)
         across = y * cos(angle) - x * sin(angle)
         under = (np.abs(along) < self.length_mm / 2) & (np.abs(across) < self.width_mm / 2)
-        return under * contact_of_weight(self.mass_g, self.length_mm * self.width_mm), np.zeros_like(x)
+        return under * contact_of_weight(
+            self.mass_g, self.length_mm * self.width_mm
+        ), np.zeros_like(x)

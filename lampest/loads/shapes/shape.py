@@ -1,4 +1,7 @@
-"""Base classes of shapes: the pressure at a point for simulation, and parameters with priors for recognition."""
+"""Base classes of shapes for simulation and recognition.
+
+They have the pressure at a point for simulation, and parameters with priors for recognition.
+"""
 
 import dataclasses
 from abc import ABC, abstractmethod
@@ -12,7 +15,8 @@ from lampest.files.typed import Configuration, check_positive_fields, check_rang
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 
-POINTS = 8  # along either edge of a patch: the error of a footprint's edge is at most a sixteenth of the patch
+# Along either edge of a patch: the error of a footprint's edge is at most a sixteenth of the patch.
+POINTS = 8
 
 
 class Prior(NamedTuple):
@@ -55,7 +59,9 @@ class Template(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Candidate(ABC):
-    """Candidate shape of recognition: unbounded parameters φ, their priors, and the pressure as a function of φ.
+    """Candidate shape of recognition.
+
+    It has unbounded parameters φ, their priors, and the pressure as a function of φ.
 
     Attributes
     ----------
@@ -87,7 +93,10 @@ class Candidate(ABC):
         """Return the start of a fit from a disc: φ, (parameters,)."""
 
     def disc(self, parameters: Array) -> Disc | None:
-        """Return the most similar disc, from which fits of other kinds may start; None where there is none."""
+        """Return the most similar disc, from which fits of other kinds may start.
+
+        None where there is none.
+        """
         return None
 
     def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:
@@ -95,11 +104,17 @@ class Candidate(ABC):
         return [(self, parameters)]
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        """Return the values and derivatives by φ of reported quantities, such as `x_mm` and `diameter_mm`, by name."""
+        """Return the values and derivatives by φ of reported quantities, by name.
+
+        These are such as `x_mm` and `diameter_mm`.
+        """
         return {}
 
     def blind(self, parameters: Array) -> Array:
-        """Return the standard deviation of φ that readings cannot reduce, (parameters,): all patches may share it."""
+        """Return the standard deviation of φ that readings cannot reduce, (parameters,).
+
+        All patches may share it.
+        """
         return np.zeros(len(parameters))
 
     def mean(self, panel: Panel) -> Array:
@@ -114,7 +129,8 @@ class Candidate(ABC):
 def centre_priors(panel: Panel) -> dict[str, Prior]:
     """Return the priors of x and y of a centre, mm.
 
-    They have the mean and variance of a uniform distribution over the panel, steps of half a pitch, and a sway of 1 mm.
+    They have the mean and variance of a uniform distribution over the panel, steps of half a pitch,
+    and a sway of 1 mm.
     """
     pitch = panel.pitch_mm
     extents = zip("xy", panel.extents_mm, strict=True)
@@ -128,14 +144,15 @@ def centre_priors(panel: Panel) -> dict[str, Prior]:
 class Shape(Configuration):
     """A load somewhere on the panel, of any footprint.
 
-    A subclass adds its numbers and `kind`, and implements `reach_mm` and `pressure_at`, which suffice for simulation.
-    `candidate` is the model that recognition fits, None for shapes that are only simulated. `positive` names the
-    numbers that must be positive.
+    A subclass adds its numbers and `kind`, and implements `reach_mm` and `pressure_at`, which
+    suffice for simulation. `candidate` is the model that recognition fits, None for shapes that are
+    only simulated. `positive` names the numbers that must be positive.
 
-    centre_mm : (x, y) of the centre; cells lie at their places, of a full rectangle at x = k·pitch and y = j·pitch.
-    tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean is unchanged where the
-        contact is symmetric about the centre. tilt_direction_deg : direction of the highest pressure; 0 towards higher
-        columns, 90 towards higher rows.
+    centre_mm : (x, y) of the centre; cells lie at their places, of a full rectangle at x = k·pitch
+        and y = j·pitch.
+    tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean is
+        unchanged where the contact is symmetric about the centre. tilt_direction_deg : direction of
+        the highest pressure; 0 towards higher columns, 90 towards higher rows.
 
     >>> issubclass(lampest.Rod, lampest.Shape)
     True
@@ -165,10 +182,16 @@ class Shape(Configuration):
 
     @abstractmethod
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the contact pressure ≥ 0 without tilt, and the suction ≤ 0, kPa, at points x, y mm from the centre."""
+        """Return the contact pressure ≥ 0 without tilt, and the suction ≤ 0, kPa, at points.
+
+        The points are x, y mm from the centre.
+        """
 
     def mean_pressure(self, panel: Panel, patch_mm: float) -> tuple[Array, Array]:
-        """Return the mean contact pressure and suction over square patches of edge `patch_mm`, (rows, columns) kPa."""
+        """Return the mean contact pressure and suction over square patches.
+
+        The patches have the edge `patch_mm`; shape (rows, columns), kPa.
+        """
         offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
         across, down = np.where(panel.present, panel.places_mm, 0.0)[:, :, None, :, None]
         blocks = (panel.rows, POINTS, panel.columns, POINTS)
@@ -178,5 +201,7 @@ class Shape(Configuration):
         contact, suction = self.pressure_at(x, y)
         direction = np.radians(self.tilt_direction_deg)
         tilting = 1 + self.tilt * (x * np.cos(direction) + y * np.sin(direction)) / self.reach_mm
-        contact, suction = (panel.present * part.mean(axis=(1, 3)) for part in (contact * tilting, suction))
+        contact, suction = (
+            panel.present * part.mean(axis=(1, 3)) for part in (contact * tilting, suction)
+        )
         return contact, suction

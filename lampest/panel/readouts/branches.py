@@ -1,15 +1,17 @@
 """Panels that read alike: choice among the cells that give the same readings.
 
-Where a driven line has a resistance and other lines are held near ground, readings rise with the conductance of the
-cells and then fall, because the driven line is pulled to ground: two panels, one of small and one of large resistances,
-give the same readings. Each is searched for from the uniform panel of its branch. If log cells scatter by
-an unknown s, the probability of the readings is p(y) = ∫ N(x(y); μ, s²)/|det J| dμ ds/s with J = ∂ ln y/∂x, so that a
-panel of n cells has, up to a constant,
+Where a driven line has a resistance and other lines are held near ground, readings rise with the
+conductance of the cells and then fall, because the driven line is pulled to ground: two panels, one
+of small and one of large resistances, give the same readings. Each is searched for from the uniform
+panel of its branch. If log cells scatter by an unknown s, the probability of the readings is p(y) =
+∫ N(x(y); μ, s²)/|det J| dμ ds/s with J = ∂ ln y/∂x, so that a panel of n cells has, up to a
+constant,
 
     ln p = −n ln s − ln|det J|.
 
-Circuits are designed so that readings rise when cells conduct more. A panel where they fall has to be more
-probable by LOG_PRIOR than the regular one; on large panels, whose determinant costs too much, it is never taken.
+Circuits are designed so that readings rise when cells conduct more. A panel where they fall has to
+be more probable by LOG_PRIOR than the regular one; on large panels, whose determinant costs too
+much, it is never taken.
 """
 
 import math
@@ -22,7 +24,8 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.matching import matching_cells
 
-LEVELS = np.geomspace(10.0, 1e8, 24)  # ohm: uniform panels that are tried, each twice the one before
+# ohm: uniform panels that are tried, each twice the one before
+LEVELS = np.geomspace(10.0, 1e8, 24)
 RANGE = 1e3  # cells lie within this factor of the uniform panel's
 MIN_SCATTER = 1e-3  # of log r; cells at their largest resistance are alike
 MAX_MISFIT = 0.03  # of the median reading: panels that read alike to less than that are compared
@@ -32,9 +35,9 @@ SAME = 1e-2  # of log r: panels that differ by less are one
 
 
 def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[Array]:
-    """Return the uniform panels, (rows, columns) ohm each, whose median reading is the measured one.
+    """Return the uniform panels whose median reading is the measured one.
 
-    Where none is, the one that comes nearest.
+    Shape (rows, columns), ohm each. Where none is, the one that comes nearest.
 
     Parameters
     ----------
@@ -44,13 +47,19 @@ def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[A
         Positive readings.
     """
     aim = np.log(np.median(measured))
-    excess = np.array([np.log(np.median(reading(np.full(measured.shape, level)))) for level in LEVELS]) - aim
+    excess = (
+        np.array([np.log(np.median(reading(np.full(measured.shape, level)))) for level in LEVELS])
+        - aim
+    )
     crossings = np.flatnonzero(excess[:-1] * excess[1:] <= 0)
     if not crossings.size:
         return [np.full(measured.shape, LEVELS[np.argmin(np.abs(excess))])]
     # linear in the logarithms between two levels
     share = excess[crossings] / (excess[crossings] - excess[crossings + 1])
-    return [np.full(measured.shape, level) for level in LEVELS[crossings] * (LEVELS[1] / LEVELS[0]) ** share]
+    return [
+        np.full(measured.shape, level)
+        for level in LEVELS[crossings] * (LEVELS[1] / LEVELS[0]) ** share
+    ]
 
 
 def misfit(solved: Network, measured: Array) -> float:
@@ -61,9 +70,9 @@ def misfit(solved: Network, measured: Array) -> float:
 def panels_alike(
     network: Callable[[Array], Network], measured: Array, firsts: Sequence[Array], upper: Array
 ) -> list[tuple[float, Array]]:
-    """Return the panels that give the readings, the most probable one first: ln p and cells (rows, columns) ohm.
+    """Return the panels that give the readings, the most probable one first.
 
-    The order counts LOG_PRIOR, ln p does not.
+    They are ln p and cells (rows, columns) ohm. The order counts LOG_PRIOR, ln p does not.
 
     Parameters
     ----------
@@ -76,11 +85,15 @@ def panels_alike(
     upper : array, shape (rows, columns)
         Largest resistances, ohm.
     """
-    matched = (matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts)
+    matched = (
+        matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts
+    )
     panels = _distinct([np.minimum(cells, upper) for cells in matched])
     networks = [network(cells) for cells in panels]
     misfits = [misfit(solved, measured) for solved in networks]
-    alike = [number for number, missed in enumerate(misfits) if missed <= max(MAX_MISFIT, min(misfits))]
+    alike = [
+        number for number, missed in enumerate(misfits) if missed <= max(MAX_MISFIT, min(misfits))
+    ]
     if len(alike) == 1:
         return [(0.0, panels[alike[0]])]
     evidence = {number: _log_evidence(networks[number], panels[number]) for number in alike}

@@ -1,7 +1,7 @@
 """Analogue-to-digital converter of a readout: codes, their noise, and their range.
 
-Averages of codes retain a part of the quantisation error. The variance over repeated readings therefore is not the
-noise alone.
+Averages of codes retain a part of the quantisation error. The variance over repeated readings
+therefore is not the noise alone.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,8 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
-ENDLESS = 65535  # readings, so many that the remaining part of σ is the one that averaging cannot remove
+# readings, so many that the remaining part of σ is the one that averaging cannot remove
+ENDLESS = 65535
 # V: that of a thermocouple; the limit of low voltage in IEC 60038
 MIN_VOLT = 1e-3
 MAX_VOLT = 1e3
@@ -25,7 +26,9 @@ MAX_VOLT = 1e3
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Configuration):
-    """Converter with codes from 0 to 2^bits − 1 for voltages from 0 to full scale, by default the supply.
+    """Converter with codes from 0 to 2^bits − 1 for voltages from 0 to full scale.
+
+    Full scale is by default the supply.
 
     Attributes
     ----------
@@ -36,16 +39,17 @@ class Converter(Configuration):
     readings : int
         Conversions that are averaged for one cell.
     noise_lsb : PerLine or {'estimated'}, or None
-        Standard deviation of one reading before quantisation, in least significant bits; a number or one for each
-        driven line (`noisy_side`). 'estimated': from the unloaded frames. None: from five or more unloaded frames,
-        otherwise `usual_noise_lsb`.
+        Standard deviation of one reading before quantisation, in least significant bits; a number
+        or one for each driven line (`noisy_side`). 'estimated': from the unloaded frames. None:
+        from five or more unloaded frames, otherwise `usual_noise_lsb`.
     usual_noise_lsb : float
         Noise of the shipped boards, which is sufficient dither for averaging.
     floor_code : int, or None
-        Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a bound.
+        Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a
+        bound.
     passes_volt : tuple[float, float] or {'estimated'}, or None
-        Smallest and largest voltage that a stage before the converter passes; a reading within its noise of either is
-        a bound. 'estimated': from the frames. None: all.
+        Smallest and largest voltage that a stage before the converter passes; a reading within its
+        noise of either is a bound. 'estimated': from the frames. None: all.
     """
 
     usual_noise_lsb: ClassVar[float] = 0.7
@@ -62,12 +66,20 @@ class Converter(Configuration):
         check_ranges(self, 1, 65535, "readings")
         check_lines("noise_lsb", self.assumed_noise)
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
-            raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
+            raise ValueError(
+                f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB"
+            )
         check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
-        passes = (0.0, self.full_scale_volt) if isinstance(self.passes_volt, str | None) else self.passes_volt
+        passes = (
+            (0.0, self.full_scale_volt)
+            if isinstance(self.passes_volt, str | None)
+            else self.passes_volt
+        )
         if not 0 <= passes[0] < passes[1] <= self.full_scale_volt:
             most = f"{self.full_scale_volt:g}"
-            raise ValueError(f"passes_volt must be two voltages from 0 to {most}, the lower one first")
+            raise ValueError(
+                f"passes_volt must be two voltages from 0 to {most}, the lower one first"
+            )
 
     @property
     def full_scale_volt(self) -> float:
@@ -81,8 +93,15 @@ class Converter(Configuration):
 
     @property
     def assumed_noise(self) -> PerLine:
-        """`noise_lsb` if it is specified, otherwise `usual_noise_lsb`, the assumption until frames determine it."""
-        return self.usual_noise_lsb if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
+        """`noise_lsb` if it is specified, otherwise `usual_noise_lsb`.
+
+        The latter is the assumption until frames determine it.
+        """
+        return (
+            self.usual_noise_lsb
+            if self.noise_lsb is None or self.noise_lsb == "estimated"
+            else self.noise_lsb
+        )
 
     @property
     def noisy_side(self) -> Side:
@@ -91,7 +110,11 @@ class Converter(Configuration):
 
     def converter_description(self) -> str:
         """Return the converter's numbers in words."""
-        noise = lines_text(self.assumed_noise, "LSB") if self.noise_specified else "as the unloaded frames show it"
+        noise = (
+            lines_text(self.assumed_noise, "LSB")
+            if self.noise_specified
+            else "as the unloaded frames show it"
+        )
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
         return f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}"
 
@@ -114,44 +137,69 @@ class Converter(Configuration):
         return np.asarray(code, dtype=np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
-        """Return V = (code + ½)·(full scale)/2^bits, the middle of a code's interval; also of mean codes."""
+        """Return V = (code + ½)·(full scale)/2^bits, the middle of a code's interval.
+
+        Also of mean codes.
+        """
         return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
 
     def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
-        """Return recorded values of sums of `readings` codes; a code at a rail gives the middle of its interval."""
+        """Return recorded values of sums of `readings` codes.
+
+        A code at a rail gives the middle of its interval.
+        """
         return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
     def noise_volt(self, codes: Array | None = None) -> Array:
-        """Return the noise of one reading in volt, or that of `codes` in LSB, to be broadcast to (rows, columns)."""
+        """Return the noise of one reading in volt, or that of `codes` in LSB.
+
+        It is to be broadcast to (rows, columns).
+        """
         codes = np.array(self.assumed_noise) if codes is None else codes
         return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
 
     def sigma_code(self, noise_lsb: PerLine | None = None, readings: int | None = None) -> Array:
-        """Return σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
+        """Return σ of the mean of `readings` codes, in LSB.
 
-        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part of the quantisation error that averaging cannot remove, because
-        without noise all readings agree. It is 1/12 without noise, and negligible above half an LSB. None: the
-        converter's own noise, or number of readings. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        σ² = (noise² + 1/12 − b²)/readings + b².
+
+        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part of the quantisation error that averaging
+        cannot remove, because without noise all readings agree. It is 1/12 without noise, and
+        negligible above half an LSB. None: the converter's own noise, or number of readings.
+        Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
         noise = np.array(self.assumed_noise if noise_lsb is None else noise_lsb)
-        # The tail beyond 2000 harmonics is 1/(2π²·2000); it matters only without noise, where b² is 1/12.
+        # The tail beyond 2000 harmonics is 1/(2π²·2000); it matters only without noise, where b² is
+        # 1/12.
         harmonic = np.arange(1, 2001, dtype=float)
-        # Terms of b², one for each harmonic h of the quantisation error (noise (…, 1), harmonic (2000,))
-        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
+        # Terms of b², one for each harmonic h of the quantisation error (noise (…, 1), harmonic
+        # (2000,))
+        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (
+            2 * np.pi**2 * harmonic**2
+        )
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
 
     def averaged_variance(self, noise_lsb: PerLine) -> Array:
         """Return the variance that averaging removes, σ²(readings) − σ²(ENDLESS readings), LSB²."""
-        return np.asarray(self.sigma_code(noise_lsb) ** 2 - self.sigma_code(noise_lsb, ENDLESS) ** 2)
+        return np.asarray(
+            self.sigma_code(noise_lsb) ** 2 - self.sigma_code(noise_lsb, ENDLESS) ** 2
+        )
 
     def noise_of_variance(self, variance: float) -> float:
-        """Return the noise in LSB whose `averaged_variance` is a given one in LSB², by bisection."""
+        """Return the noise in LSB whose `averaged_variance` is a given one in LSB².
+
+        It is found by bisection.
+        """
         low = 0.0
         high = 2.0**self.adc_bits
         while high - low > 1e-6:
             middle = (low + high) / 2
-            low, high = (middle, high) if float(self.averaged_variance(middle)) < variance else (low, middle)
+            low, high = (
+                (middle, high)
+                if float(self.averaged_variance(middle)) < variance
+                else (low, middle)
+            )
         return low
 
     def sigma(self, recorded: Array) -> Array:
@@ -165,13 +213,18 @@ class Converter(Configuration):
     def rails(self) -> tuple[float, float]:
         """Return the least and the largest recorded value that is not a bound.
 
-        A reading beyond them is one-sided: a code at a rail, or at the floor, only bounds the voltage by its edge.
+        A reading beyond them is one-sided: a code at a rail, or at the floor, only bounds the
+        voltage by its edge.
         """
         top = 2.0**self.adc_bits - 1
-        # Lower edge of the first valid code, and of the last code; stages before the converter may narrow the range.
+        # Lower edge of the first valid code, and of the last code; stages before the converter may
+        # narrow the range.
         edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
         if not isinstance(self.passes_volt, str | None):
-            within = np.add(self.passes_volt, np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())))
+            within = np.add(
+                self.passes_volt,
+                np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())),
+            )
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())

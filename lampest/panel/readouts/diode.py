@@ -13,7 +13,9 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True)
 class Diode(Configuration):
-    """Diode by Shockley's law, V_d = s·ln(1 + I/I_s), with I_s such that V_d is drop_volt at at_ampere.
+    """Diode by Shockley's law, V_d = s·ln(1 + I/I_s).
+
+    I_s is such that V_d is drop_volt at at_ampere.
 
     Attributes
     ----------
@@ -33,7 +35,8 @@ class Diode(Configuration):
     slope_volt: float = 0.05
 
     def __post_init__(self) -> None:
-        # n·kT/q is 0.02 V in the cold with n = 1, and 0.2 V for an LED; a Schottky diode drops 0.1 V, an LED 4 V.
+        # n·kT/q is 0.02 V in the cold with n = 1, and 0.2 V for an LED; a Schottky diode drops 0.1
+        # V, an LED 4 V.
         check_ranges(self, 0.01, 10, "drop_volt")
         check_ranges(self, 1e-7, 10, "at_ampere")
         check_ranges(self, 0.015, 0.5, "slope_volt")
@@ -41,7 +44,9 @@ class Diode(Configuration):
     def description(self) -> str:
         """Return the drop and its slope in words."""
         decade = 1e3 * np.log(10) * self.slope_volt
-        return f"diode {self.drop_volt:g} V at {1e3 * self.at_ampere:g} mA, {decade:.3g} mV a decade"
+        return (
+            f"diode {self.drop_volt:g} V at {1e3 * self.at_ampere:g} mA, {decade:.3g} mV a decade"
+        )
 
     @cached_property
     def _saturation(self) -> float:
@@ -53,17 +58,19 @@ class Diode(Configuration):
         return np.asarray(self.slope_volt * np.log1p(current / self._saturation))
 
     def left(self, supply_volt: float, resistance: Any) -> Any:
-        """Return the voltage I·R across a resistance in series with the diode, Vcc = I·R + V_d(I); NumPy and CasADi.
+        """Return the voltage I·R across a resistance in series with the diode.
 
-        With A = I_s R/s and w = A e^{V_d/s} the equation is w + ln w = Vcc/s + A + ln A, and I·R = s (w − A). Newton's
-        method begins above the root. As the equation is concave, all further iterates are below it and increase.
+        Vcc = I·R + V_d(I); NumPy and CasADi. With A = I_s R/s and w = A e^{V_d/s} the equation is w
+        + ln w = Vcc/s + A + ln A, and I·R = s (w − A). Newton's method begins above the root. As
+        the equation is concave, all further iterates are below it and increase.
         """
         # A = I_s R/s, right-hand side Vcc/s + A + ln A, and the start w = right + ln(1 + e^−right)
         part = resistance * (self._saturation / self.slope_volt)
         right = part + _logarithm(part) + supply_volt / self.slope_volt
         omega = right + _logarithm(1 + e**-right)
         # Newton: w ← w (1 + right − ln w)/(1 + w) for w + ln w = right
-        for _ in range(7):  # five suffice for the value at any resistance, second derivatives need two more
+        # Five suffice for the value at any resistance, second derivatives need two more.
+        for _ in range(7):
             omega = omega * (1 + right - _logarithm(omega)) / (1 + omega)
         return self.slope_volt * (omega - part)
 

@@ -1,4 +1,7 @@
-"""Readings of a divider with a reference resistor, as resistances: what all circuits share that record them."""
+"""Readings of a divider with a reference resistor, as resistances.
+
+This is what all circuits share that record them.
+"""
 
 from dataclasses import replace
 from math import inf
@@ -12,12 +15,14 @@ from lampest.panel.readouts.readout import SHORT_SHARE, Readout, Surroundings
 
 
 class Divider(Readout):
-    """Base of readouts whose recorded value is that of the divider equation, as if the converter took no current.
+    """Base of readouts whose recorded value is that of the divider equation.
 
-    Kinds are dataclasses that declare its keys in the files' order.
+    The value is as if the converter took no current. Kinds are dataclasses that declare its keys in
+    the files' order.
 
-    It includes the scene's series resistance. The keys are those of `TwoPointReadout`. Raises ValueError if a number is
-    out of range. Source: paper, equation (1) (across the sensor) and section V.B (across the reference).
+    It includes the scene's series resistance. The keys are those of `TwoPointReadout`. Raises
+    ValueError if a number is out of range. Source: paper, equation (1) (across the sensor) and
+    section V.B (across the reference).
     """
 
     unit: ClassVar[str] = "ohm"
@@ -45,7 +50,10 @@ class Divider(Readout):
         return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """Return R + R_series, distorted by the converter's input resistance, (…, rows, columns) ohm."""
+        """Return R + R_series, distorted by the converter, (…, rows, columns) ohm.
+
+        It is distorted by the converter's input resistance.
+        """
         total = np.asarray(reading + scene.series_ohm)
         if self.input_ohm is None:
             return total
@@ -62,7 +70,9 @@ class Divider(Readout):
         if self.input_ohm is None:
             return recorded
         if self.measured_across == "sensor":
-            return np.asarray(1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm))
+            return np.asarray(
+                1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm)
+            )
         return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
@@ -77,7 +87,9 @@ class Divider(Readout):
         return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)
+        return (
+            LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),
+        )
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """Return R of voltages V at the converter: 0 or infinite at the rails.
@@ -91,12 +103,21 @@ class Divider(Readout):
             return np.asarray(upper / lower * self.reference_ohm)
 
     def volt_from_recorded(self, recorded: Array) -> Array:
-        """Return V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor; any shape."""
+        """Return V across the reference, or across the sensor; any shape.
+
+        V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor.
+        """
         with np.errstate(divide="ignore"):
             ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
-            return np.asarray(self.supply_volt / (1 + (ratio if self.measured_across == "reference" else 1 / ratio)))
+            return np.asarray(
+                self.supply_volt
+                / (1 + (ratio if self.measured_across == "reference" else 1 / ratio))
+            )
 
     def sigma(self, recorded: Array) -> Array:
-        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method), R including the series resistance; any shape, ohm."""
+        """Return σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method); any shape, ohm.
+
+        R includes the series resistance.
+        """
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
         return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))

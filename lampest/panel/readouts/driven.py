@@ -1,18 +1,21 @@
-"""Circuits that drive the lines of one side, one after the other, and sense the other side: one equation for all.
+"""Circuits that drive the lines of one side, one after the other, and sense the other side.
 
-Driven line i is at the source U through Rd, idle driven lines are at ground through Rp (infinite: they float; 0: they
-are held). Sensed line j is at ground through Rs while it is read, and through Rq while it is idle. With
-a = 1/Rd − 1/Rp, b = 1/Rs − 1/Rq and Z of the panel with all lines idle,
+They have one equation for all. Driven line i is at the source U through Rd, idle driven lines are
+at ground through Rp (infinite: they float; 0: they are held). Sensed line j is at ground through Rs
+while it is read, and through Rq while it is idle. With a = 1/Rd − 1/Rp, b = 1/Rs − 1/Rq and Z of
+the panel with all lines idle,
 
     V_ij = (U/Rd) Z_ij / ((1 + a Z_ii)(1 + b Z_jj) − a b Z_ij²)
 
-at sensed line j; c_j is the share of it at the converter. Multiplied by Rd, it has no division by zero:
+at sensed line j; c_j is the share of it at the converter. Multiplied by Rd, it has no division by
+zero:
 
-    V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²),  A = Rd, A' = 1 − Rd/Rp, B = 1, B' = b
+    V_ij = U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²),
+    A = Rd, A' = 1 − Rd/Rp, B = 1, B' = b
 
-A side whose idle lines are held at ground by 0 ohm has A = 1, A' = −Rd, or B = 1/Rs, B' = −1, with the entries of
-`DifferenceNetwork` instead of Z. Where several sensed lines are read at one address, their Rs is a part of Z, and
-b = 0: Z has one version an address.
+A side whose idle lines are held at ground by 0 ohm has A = 1, A' = −Rd, or B = 1/Rs, B' = −1, with
+the entries of `DifferenceNetwork` instead of Z. Where several sensed lines are read at one address,
+their Rs is a part of Z, and b = 0: Z has one version an address.
 """
 
 from abc import abstractmethod
@@ -48,12 +51,19 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, Address, FreeTest, Readout, Surroundings
+from lampest.panel.readouts.readout import (
+    MIN_LOAD_SHARE,
+    SHORT_SHARE,
+    Address,
+    FreeTest,
+    Readout,
+    Surroundings,
+)
 from lampest.panel.readouts.wiring import Wiring
 
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
-# Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
-# beyond which a reading no longer depends on its cell (tests/oracles).
+# Alternating start: rounds, change of log g at convergence, and range of conductances about those
+# of the closed form, beyond which a reading no longer depends on its cell (tests/oracles).
 MAX_ROUNDS = 40
 CONVERGED = 1e-3
 MIN_RATIO = 0.02
@@ -61,7 +71,9 @@ MAX_RATIO = 1e3
 
 
 class DrivenCircuit(Readout):
-    """Base of circuits with driven and sensed lines; kinds are dataclasses that declare their keys in the files' order.
+    """Base of circuits with driven and sensed lines.
+
+    Kinds are dataclasses that declare their keys in the files' order.
 
     Attributes
     ----------
@@ -78,7 +90,8 @@ class DrivenCircuit(Readout):
     input_ohm : float, or None
         Input resistance of the converter in ohm.
     groups : tuple of tuple of int, or None
-        Sensed lines behind one multiplexer each, in the order of its addresses. The groups are read in parallel.
+        Sensed lines behind one multiplexer each, in the order of its addresses. The groups are read
+        in parallel.
     of_sensed : tuple of str
         Keys of resistances of sensed lines; the first one is the reference resistor of a reading.
     may_be_zero : tuple of str
@@ -113,7 +126,9 @@ class DrivenCircuit(Readout):
         super().__post_init__()
         for name in (*self.of_driven, *self.of_sensed):
             value = getattr(self, name)
-            limited = tuple(ohm for ohm in as_tuple(value) if not (ohm == inf and name in self.may_be_infinite))
+            limited = tuple(
+                ohm for ohm in as_tuple(value) if not (ohm == inf and name in self.may_be_infinite)
+            )
             if value is not None and (limited or not as_tuple(value)):
                 check_resistors(name, limited, open_end=name not in self.may_be_zero)
         if self.input_ohm is not None:
@@ -122,7 +137,10 @@ class DrivenCircuit(Readout):
             check_apart(self.groups)
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError as `Readout.check`, or if lists of resistances or groups do not fit the panel's lines."""
+        """Raise ValueError as `Readout.check`, or if lists do not fit the panel's lines.
+
+        These are lists of resistances or groups.
+        """
         super().check(scene)
         driven, sensed = of_side(self.driven, *scene.panel.shape)
         for name in (*self.of_driven, *self.of_sensed):
@@ -131,12 +149,18 @@ class DrivenCircuit(Readout):
         check_groups(self.groups, opposite(self.driven), sensed)
         equation = equation_of(self, *scene.panel.shape)
         if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
-            raise ValueError("faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground")
+            raise ValueError(
+                "faults: lines that touch cannot be joined to idle ones that 0 ohm hold at ground"
+            )
 
     @property
     def _end_text(self) -> str:
         """Description of the groups and of the converter, with its input resistance."""
-        grouped = "" if self.groups is None else f", {len(self.groups)} {opposite(self.driven)} read in parallel"
+        grouped = (
+            ""
+            if self.groups is None
+            else f", {len(self.groups)} {opposite(self.driven)} read in parallel"
+        )
         taken = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         return f"{grouped}{taken}, {self.converter_description()}"
 
@@ -166,10 +190,11 @@ class DrivenCircuit(Readout):
         return tuple(Address(ties, read > 0) for ties, read in pairs)
 
     def ties(self, measured: Array) -> Array:
-        """Return the ties, (lines,) siemens; (addresses, lines) of a circuit with several addresses.
+        """Return the ties, (lines,) siemens.
 
-        They are 1/Rp of driven lines and 1/Rq of sensed lines, or 1/Rs of those that an address reads; infinite for
-        lines that 0 ohm hold at ground.
+        They are (addresses, lines) of a circuit with several addresses. They are 1/Rp of driven
+        lines and 1/Rq of sensed lines, or 1/Rs of those that an address reads; infinite for lines
+        that 0 ohm hold at ground.
         """
         return self.ties_of_parts(measured, None)
 
@@ -178,9 +203,10 @@ class DrivenCircuit(Readout):
         return ties[0] if len(ties) == 1 else ties
 
     def _ties(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """Return the ties (addresses, lines). In a part of the panel that has none, a single line gets one.
+        """Return the ties (addresses, lines).
 
-        Such a tie carries no current, and its size has no effect.
+        In a part of the panel that has none, a single line gets one. Such a tie carries no current,
+        and its size has no effect.
         """
         ties = self._equation(measured.shape).ties
         parts = np.zeros(ties.shape[1], dtype=np.intp) if parts is None else parts
@@ -191,20 +217,30 @@ class DrivenCircuit(Readout):
             return ties
         ties = ties.copy()
         for address, part in zip(*np.nonzero(~tied), strict=True):
-            ties[address, np.argmax(member[part])] = 1 / np.median(self.apparent_resistance(measured))
+            ties[address, np.argmax(member[part])] = 1 / np.median(
+                self.apparent_resistance(measured)
+            )
         return ties
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network for ties (lines,), or (addresses, lines) of a circuit with several addresses."""
+        """Return the solved network for ties (lines,).
+
+        The ties are (addresses, lines) of a circuit with several addresses.
+        """
         if ties.ndim > 1:
-            networks = tuple(self.network(cell_resistance, of_address, wiring) for of_address in ties)
+            networks = tuple(
+                self.network(cell_resistance, of_address, wiring) for of_address in ties
+            )
             return AddressedNetwork.of(networks, self._equation(cell_resistance.shape).read_at)
         if wiring is None and np.isinf(ties).any():
             return HeldNetwork.solve(cell_resistance, ties, self)
         return super().network(cell_resistance, ties, wiring)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return the readings of cells of any contrast, also if open cells divide the panel into parts."""
+        """Return the readings of cells of any contrast.
+
+        It does so also if open cells divide the panel into parts.
+        """
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         volt = np.full(cell_resistance.shape, self.driving_volt / 2)
@@ -226,38 +262,54 @@ class DrivenCircuit(Readout):
         determinant = (own * by_drive + drive) * over - mutual * mutual * (by_drive * by_load)
         if self.diode is None:
             return mutual * (equation.gain * self.driving_volt) / determinant
-        # Resistance U/I of the driven path, from the excitation x and the potential u of the driven line:
-        # x = U over/determinant, u = U (own over − by_load mutual²)/determinant
+        # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
+        # line: x = U over/determinant, u = U (own over − by_load mutual²)/determinant
         by_excitation, by_potential = equation.current_terms
         current = over * by_excitation + (own * over - mutual * mutual * by_load) * by_potential
         return mutual * equation.gain * self._supply(determinant / current) / determinant
 
     def _supply(self, resistance: Any) -> Any:
         """Return U for a resistance of the driven path, volt; NumPy and CasADi."""
-        return self.driving_volt if self.diode is None else self.diode.left(self.driving_volt, resistance)
+        return (
+            self.driving_volt
+            if self.diode is None
+            else self.diode.left(self.driving_volt, resistance)
+        )
 
     def _lost(self, current: Array) -> Array:
         """Return Vcc − U for a current through the driven line, volt."""
         return np.zeros(1) if self.diode is None else self.diode.drop(current)
 
     def _sum_together(self, values: Array) -> Array:
-        """Return the sum of values (…, rows, columns) over the sensed lines that have their loads at the same time."""
+        """Return the sum of values (…, rows, columns) over sensed lines.
+
+        It is over the sensed lines that have their loads at the same time.
+        """
         together = self._equation(values.shape).together
         if together is None:
-            return np.asarray(np.broadcast_to(values.sum(axis=self._along_sensed, keepdims=True), values.shape))
+            return np.asarray(
+                np.broadcast_to(values.sum(axis=self._along_sensed, keepdims=True), values.shape)
+            )
         return np.asarray(values @ together if self.driven == "rows" else together @ values)
 
     def _reference(self, equation: Equation) -> Array:
-        """Return the resistor that scales a reading, (rows, columns) ohm: Rs, or Rp or Rd where Rs is infinite."""
+        """Return the resistor that scales a reading, (rows, columns) ohm.
+
+        It is Rs, or Rp or Rd where Rs is infinite.
+        """
         states = equation.states
         finite = [
-            ohm[(ohm > 0) & np.isfinite(ohm)] for ohm in (states.load, states.idle, states.drive, states.idle_load)
+            ohm[(ohm > 0) & np.isfinite(ohm)]
+            for ohm in (states.load, states.idle, states.drive, states.idle_load)
         ]
         further = next(float(np.mean(ohm)) for ohm in finite if ohm.size)
         return np.where(np.isfinite(equation.load), equation.load, further)
 
     def apparent_resistance(self, measured: Array) -> Array:
-        """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the resistance of a single divider with this reading."""
+        """Return the resistance of a single divider with this reading.
+
+        It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
+        """
         equation = self._equation(measured.shape)
         load = self._reference(equation)
         drive = equation.drive
@@ -269,12 +321,15 @@ class DrivenCircuit(Readout):
     def uniform_start(self, measured: Array) -> Array:
         """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
 
-        This is exact for Rd = Rp = 0, where no sensed line depends on another one or on its load. Where idle lines
-        float, or are at ground through more than a cell has, it is the apparent resistance.
+        This is exact for Rd = Rp = 0, where no sensed line depends on another one or on its load.
+        Where idle lines float, or are at ground through more than a cell has, it is the apparent
+        resistance.
         """
         equation = self._equation(measured.shape)
         if equation.floating:
-            return np.asarray(self.apparent_resistance(measured) / uniform_factor(*measured.shape[-2:]))
+            return np.asarray(
+                self.apparent_resistance(measured) / uniform_factor(*measured.shape[-2:])
+            )
         if not equation.grounded:
             apparent = self.apparent_resistance(measured)
             if np.mean(equation.states.idle) > np.median(apparent):
@@ -285,15 +340,21 @@ class DrivenCircuit(Readout):
         share = measured / (self.driving_volt * equation.gain)
         share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
         remainder = 1 - share.sum(axis=driven, keepdims=True)
-        # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one more cell.
-        return np.asarray(load * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
+        # A negative remainder is noise, or the substitute of a dead line. Then the load counts as
+        # one more cell.
+        return np.asarray(
+            load
+            * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven]))
+            / share
+        )
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce the readings, (rows, columns) ohm.
 
-        They are found by alternation of potentials and cells, or, where it moves away or several panels give the same
-        readings, by Newton's method from uniform panels. Without loads the equations of floating lines determine ratios
-        of cells alone, and the start is the uniform one.
+        They are found by alternation of potentials and cells, or, where it moves away or several
+        panels give the same readings, by Newton's method from uniform panels. Without loads the
+        equations of floating lines determine ratios of cells alone, and the start is the uniform
+        one.
         """
         equation = self._equation(measured.shape)
         if equation.floating:
@@ -312,20 +373,29 @@ class DrivenCircuit(Readout):
             return []
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
         firsts = uniform_panels(self.exact_reading, positive)
-        return self._panels_from(positive, firsts, np.full(measured.shape, np.inf)) if len(firsts) > 1 else []
+        return (
+            self._panels_from(positive, firsts, np.full(measured.shape, np.inf))
+            if len(firsts) > 1
+            else []
+        )
 
-    def _panels_from(self, measured: Array, firsts: Sequence[Array], upper: Array) -> list[tuple[float, Array]]:
+    def _panels_from(
+        self, measured: Array, firsts: Sequence[Array], upper: Array
+    ) -> list[tuple[float, Array]]:
         """Return the panels that give the readings, as `panels_alike`, from the first ones."""
-        return panels_alike(lambda cells: self.network(cells, self.ties(measured)), measured, firsts, upper)
+        return panels_alike(
+            lambda cells: self.network(cells, self.ties(measured)), measured, firsts, upper
+        )
 
     def _alternated(self, measured: Array, near: Array | None) -> Array:
         """Return cells (rows, columns) ohm by alternating potentials and cells.
 
-        The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given these
-        potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The alternation
-        converges in about six rounds, and in up to 40 for large Rd. Where idle lines have potentials of their own, it
-        moves away from the cells, and ends as soon as a round changes more than the one before. Conductances stay
-        within MIN_RATIO and MAX_RATIO of those of the uniform start.
+        The cells determine the potentials u_p of all driven lines p while i is driven and j is
+        read. Given these potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of
+        one sensed line. The alternation converges in about six rounds, and in up to 40 for large
+        Rd. Where idle lines have potentials of their own, it moves away from the cells, and ends as
+        soon as a round changes more than the one before. Conductances stay within MIN_RATIO and
+        MAX_RATIO of those of the uniform start.
         """
         equation = self._equation(measured.shape)
         load = equation.states.load
@@ -339,8 +409,11 @@ class DrivenCircuit(Readout):
         for _ in range(MAX_ROUNDS):
             potentials = self._driven_potentials(conductance, volt, equation, ties)
             before = conductance
-            # One linear system for each sensed line j: rows i (driven while j is read), unknowns g_pj.
-            solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
+            # One linear system for each sensed line j: rows i (driven while j is read), unknowns
+            # g_pj.
+            solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[
+                :, :, 0
+            ].T
             conductance = np.clip(solved, least, most)
             change_before = change
             change = float(np.abs(np.log(conductance / before)).max())
@@ -352,8 +425,12 @@ class DrivenCircuit(Readout):
         """Return values (rows, columns) as (driven, sensed), or the reverse."""
         return values if self.driven == "rows" else values.T
 
-    def _driven_potentials(self, conductance: Array, volt: Array, equation: Equation, ties: Array) -> Array:
-        """Return the potentials of driven lines p while j is read and i is driven, (sensed j, driven i, driven p) volt.
+    def _driven_potentials(
+        self, conductance: Array, volt: Array, equation: Equation, ties: Array
+    ) -> Array:
+        """Return the potentials of driven lines p while j is read and i is driven.
+
+        Shape (sensed j, driven i, driven p), volt.
 
         Parameters
         ----------
@@ -366,7 +443,8 @@ class DrivenCircuit(Readout):
         states = equation.states
         count = len(conductance)
         if equation.together is None and np.isinf(states.idle).all():
-            # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through the driven one
+            # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through
+            # the driven one
             potentials = (volt @ conductance.T) / conductance.sum(axis=1)
             # The driven line is above every sensed one: a lower limit against noise.
             driven = self._driven_volt((volt / states.load).sum(axis=1), states.drive)
@@ -384,7 +462,8 @@ class DrivenCircuit(Readout):
             mutual = entries[:count, count:]
             over = other * by_load + load
             determinant = (own * by_drive + drive) * over - mutual**2 * by_drive * by_load
-            # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines that follow from them
+            # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines
+            # that follow from them
             of_driven = self.driving_volt * over / determinant
             of_load = -self.driving_volt * by_load * mutual / determinant
             lines = of_driven.T[:, :, None] * excited[None, :count, :count]
@@ -394,11 +473,12 @@ class DrivenCircuit(Readout):
         return result
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, (…, rows, columns) ohm, where idle lines float.
+        """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.
 
-        I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased by its noise, and u_i = Vcc − Rd_i I_i − V_d
-        its potential. The bound holds because I_i is at least the current through each cell and its load alone. Where
-        other lines conduct to ground, cells can increase and decrease a reading, and r > 0 alone holds.
+        Shape (…, rows, columns), ohm. I_i = Σ_j V_ij/Rs_j is the current of the driven line,
+        increased by its noise, and u_i = Vcc − Rd_i I_i − V_d its potential. The bound holds
+        because I_i is at least the current through each cell and its load alone. Where other lines
+        conduct to ground, cells can increase and decrease a reading, and r > 0 alone holds.
         """
         equation = self._equation(measured.shape)
         least = super().least_cells(measured, sigma)
@@ -406,7 +486,11 @@ class DrivenCircuit(Readout):
         quiet = equation.together is None or np.isinf(states.idle_load).all()
         if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):
             return least
-        noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
+        noise = (
+            np.zeros_like(measured)
+            if sigma is None
+            else np.where(np.isfinite(sigma), sigma, measured)
+        )
         by_volt = 1 / (equation.gain * equation.load)
         # Upper bound of the current, and with it a lower bound of the potential
         current = self._sum_together(measured * by_volt)
@@ -415,28 +499,37 @@ class DrivenCircuit(Readout):
         return np.asarray(np.maximum(bound, least))
 
     def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells that count as shorts, also bounded by a share of the uniform start, (…, rows, columns) ohm.
+        """Return cells that count as shorts, (…, rows, columns) ohm.
 
-        With idle lines at ground the apparent resistance is many times too large.
+        They are also bounded by a share of the uniform start. With idle lines at ground the
+        apparent resistance is many times too large.
         """
-        return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured)))
+        return np.asarray(
+            np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured))
+        )
 
     def _driven_volt(self, current: Array, drive: Array | float) -> Array:
-        """Return the potential Vcc − Rd I − V_d(I) of a driven line with the current I, volt, any shape."""
+        """Return the potential Vcc − Rd I − V_d(I) of a driven line with the current I.
+
+        It is in volt, of any shape.
+        """
         return np.asarray(self.driving_volt - drive * current - self._lost(current))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k over simultaneous loads k, and Σ_i v_ij ≤ Vcc.
+        """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ Vcc.
 
-        The first one: no sensed line has a higher potential than the driven one, which is below the supply by the
-        loads' current through its Rd. The second one, for idle lines at ground through no more than Rd: if all driven
-        lines were at the supply, no sensed line would be above it (superposition, Z·t ≤ 1).
+        The sum over k is over simultaneous loads. The first one: no sensed line has a higher
+        potential than the driven one, which is below the supply by the loads' current through its
+        Rd. The second one, for idle lines at ground through no more than Rd: if all driven lines
+        were at the supply, no sensed line would be above it (superposition, Z·t ≤ 1).
         """
         equation = self._equation(measured.shape)
         load = equation.load
         volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
         # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
-        drop = (equation.drive if equation.together is None or len(equation.ties) > 1 else 0.0) / load
+        drop = (
+            equation.drive if equation.together is None or len(equation.ties) > 1 else 0.0
+        ) / load
         driven = -3 - self._along_sensed
         lost = self._lost(self._sum_together(volt / load))
         below = volt + self._sum_together(volt * drop) + lost
@@ -448,7 +541,9 @@ class DrivenCircuit(Readout):
             tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
         results = []
         for law, value, spread in tests:
-            excess = np.where(spread > 0, (value - self.driving_volt) / np.where(spread > 0, spread, 1.0), -np.inf)
+            excess = np.where(
+                spread > 0, (value - self.driving_volt) / np.where(spread > 0, spread, 1.0), -np.inf
+            )
             results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
         return tuple(results)
 
@@ -464,10 +559,17 @@ class DrivenCircuit(Readout):
             volt = volt.max(axis=self._along_sensed, keepdims=True)
         # Voltage across Rd and the current through it: Rd ≤ (Vcc − V_d − v)/I
         drop = self._driven_volt(current, 0.0) - volt
-        return float(np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf)))
+        return float(
+            np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf))
+        )
 
-    def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return recorded values with the channels added to drive_ohm, and to sense_ohm unless it is zero."""
+    def simulated(
+        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    ) -> Array:
+        """Return recorded values with the channels added to the resistances.
+
+        They are added to drive_ohm, and to sense_ohm unless it is zero.
+        """
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
@@ -488,9 +590,16 @@ class DrivenCircuit(Readout):
         return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """Return the numbers to calibrate: drive resistances, which include channels, and reference resistors."""
+        """Return the numbers to calibrate.
+
+        They are drive resistances, which include channels, and reference resistors.
+        """
         drive = LineNumber("drive_ohm", (self.driven,), channel=True)
         reference = getattr(self, self.of_sensed[0])
-        resistors = (LineNumber(self.of_sensed[0], (opposite(self.driven),)),) if max(as_tuple(reference)) < inf else ()
+        resistors = (
+            (LineNumber(self.of_sensed[0], (opposite(self.driven),)),)
+            if max(as_tuple(reference)) < inf
+            else ()
+        )
         diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
         return drive, *resistors, *diode

@@ -11,38 +11,49 @@ from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.equation import LineStates
-from lampest.panel.readouts.lines import Groups, PerLine, Side, as_tuple, lines_text, opposite, parallel, per_line
+from lampest.panel.readouts.lines import (
+    Groups,
+    PerLine,
+    Side,
+    as_tuple,
+    lines_text,
+    opposite,
+    parallel,
+    per_line,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenReadout(DrivenCircuit):
-    """Circuit with driven and sensed lines, named by the resistances of its lines while they are used and while idle.
+    """Circuit with driven and sensed lines, named by the resistances of its lines.
 
-    Loaded columns, grounded lines and virtual grounds are presets of it. The equation stands in
-    `lampest.panel.readouts.driven`.
+    They are the resistances while the lines are used and while idle. Loaded columns, grounded lines
+    and virtual grounds are presets of it. The equation stands in `lampest.panel.readouts.driven`.
 
     Attributes
     ----------
     driven : Side
         Side whose lines are driven, one after the other.
     polarity : {'up', 'down'}
-        'up': the driven line is at the source, idle ones and loads lead to ground; 'down': the driven line is at
-        ground, idle ones and loads lead to the supply, and the voltage at the converter is Vcc − V.
+        'up': the driven line is at the source, idle ones and loads lead to ground; 'down': the
+        driven line is at ground, idle ones and loads lead to the supply, and the voltage at the
+        converter is Vcc − V.
     drive_ohm : PerLine
         Rd in ohm, between the source and the driven line.
     idle_ohm : PerLine
-        Rp in ohm, between an idle driven line and ground: a resistor, an output at LOW, 0 if it is held without any
-        resistance, infinite if it floats.
+        Rp in ohm, between an idle driven line and ground: a resistor, an output at LOW, 0 if it is
+        held without any resistance, infinite if it floats.
     load_ohm : PerLine
-        Rs in ohm, between a sensed line and ground while it is read, behind its channel; infinite: none.
+        Rs in ohm, between a sensed line and ground while it is read, behind its channel; infinite:
+        none.
     sense_ohm : PerLine
         Rc in ohm, the channel between a sensed line and its load.
     idle_load_ohm : PerLine or None
-        Rq in ohm, between an idle sensed line and ground: 0, a resistor, or infinite. None: the load stays; with
-        `groups`, whose multiplexers take it along, infinite.
+        Rq in ohm, between an idle sensed line and ground: 0, a resistor, or infinite. None: the
+        load stays; with `groups`, whose multiplexers take it along, infinite.
     groups : tuple of tuple of int, or None
-        Sensed lines behind one multiplexer each, in the order of its addresses. At every address one line of each group
-        is read. None: at every address one line is read.
+        Sensed lines behind one multiplexer each, in the order of its addresses. At every address
+        one line of each group is read. None: at every address one line is read.
     diode : Diode, or None
         Diode in series with Rd.
     drive_volt, converter_volt : float, or None
@@ -52,8 +63,8 @@ class DrivenReadout(DrivenCircuit):
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    A resistance is a number, or one for each line. Raises ValueError if a number is out of range, or if readings do not
-    depend on the cells or on their common scale. Source: node analysis.
+    A resistance is a number, or one for each line. Raises ValueError if a number is out of range,
+    or if readings do not depend on the cells or on their common scale. Source: node analysis.
 
     >>> lampest.DrivenReadout(load_ohm=1000.0, idle_ohm=3300.0, idle_load_ohm=float("inf")).unit
     'volt'
@@ -80,9 +91,12 @@ class DrivenReadout(DrivenCircuit):
     def __post_init__(self) -> None:
         check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
         super().__post_init__()
-        if self.polarity == "down" and (self.drive_volt is not None or self.converter_volt is not None):
+        if self.polarity == "down" and (
+            self.drive_volt is not None or self.converter_volt is not None
+        ):
             raise ValueError(
-                "drive_volt and converter_volt have no place with polarity: down, where the driven line is at ground"
+                "drive_volt and converter_volt have no place with polarity: down, where the driven "
+                "line is at ground"
             )
         to_ground = [
             *as_tuple(self.idle_ohm),
@@ -94,12 +108,14 @@ class DrivenReadout(DrivenCircuit):
             to_ground += as_tuple(self.idle_load_ohm)
         if min(to_ground) == inf:
             raise ValueError(
-                "load_ohm, idle_ohm and idle_load_ohm are all infinite: no current flows through any cell; name the "
+                "load_ohm, idle_ohm and idle_load_ohm are all infinite: no current flows through "
+                "any cell; name the "
                 "resistors that lead to ground"
             )
         if not any(0 < ohm < inf for ohm in (*to_ground, *as_tuple(self.drive_ohm))):
             raise ValueError(
-                "drive_ohm, idle_ohm, load_ohm and idle_load_ohm name no resistor: readings then depend on ratios of "
+                "drive_ohm, idle_ohm, load_ohm and idle_load_ohm name no resistor: readings then "
+                "depend on ratios of "
                 "cells alone"
             )
 
@@ -116,13 +132,17 @@ class DrivenReadout(DrivenCircuit):
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
         source = "" if self.drive_volt is None else f" from {self.drive_volt:g} V"
         load = (
-            "loads stay" if self.idle_load_ohm is None else f"idle {opposite(self.driven)} {_state(self.idle_load_ohm)}"
+            "loads stay"
+            if self.idle_load_ohm is None
+            else f"idle {opposite(self.driven)} {_state(self.idle_load_ohm)}"
         )
         if self.idle_load_ohm is None and self.groups is not None:
             load = f"idle {opposite(self.driven)} float"
         return (
-            f"{self.driven} driven {self.polarity}{source} one after the other through {lines_text(self.drive_ohm)}, "
-            f"idle ones {_state(self.idle_ohm)}, load {lines_text(self.load_ohm)}{channel}, {load}, "
+            f"{self.driven} driven {self.polarity}{source} one after the other through "
+            f"{lines_text(self.drive_ohm)}, "
+            f"idle ones {_state(self.idle_ohm)}, load {lines_text(self.load_ohm)}{channel}, "
+            f"{load}, "
             f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
 
@@ -140,6 +160,6 @@ class DrivenReadout(DrivenCircuit):
 
 
 def _state(ohm: PerLine) -> str:
-    """Return 'float', 'are held at ground', or the resistance through which idle lines are at ground."""
+    """Return 'float', 'are held at ground', or the resistance from idle lines to ground."""
     states = {inf: "float", 0.0: "are held at ground"}
     return states.get(max(as_tuple(ohm)), f"at ground through {lines_text(ohm)}")

@@ -2,8 +2,8 @@
 
     c·V_ij = c U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²)
 
-The equation and its states stand in `lampest.panel.readouts.driven`. Its numbers depend on the circuit and on the size
-of the panel alone, and are kept.
+The equation and its states stand in `lampest.panel.readouts.driven`. Its numbers depend on the
+circuit and on the size of the panel alone, and are kept.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,9 @@ class LineStates:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """Numbers of the equation of the readings on a panel; arrays without another shape are (rows, columns).
+    """Numbers of the equation of the readings on a panel.
+
+    Arrays without another shape are (rows, columns).
 
     Attributes
     ----------
@@ -53,9 +55,11 @@ class Equation:
     load_terms : tuple of two arrays
         B and B'; B' is 0 where the loads of an address are a part of Z.
     current_terms : tuple of two arrays
-        The current through Rd is the excitation of line i times the first one plus its potential times the second one.
+        The current through Rd is the excitation of line i times the first one plus its potential
+        times the second one.
     floating : bool
-        Whether no line is tied while all are idle. Then readings follow from R = Z_ii + Z_jj − 2 Z_ij.
+        Whether no line is tied while all are idle. Then readings follow from R = Z_ii + Z_jj − 2
+        Z_ij.
     grounded : bool
         Whether idle driven lines are at ground through no more than Rd.
     ties : array, shape (addresses, lines)
@@ -113,13 +117,17 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
         idle_load_ties = 1 / idle_load
         # Lines that 0 ohm hold at ground while they are idle have an equation of their own.
         held = idle == 0
-        drive_terms = np.where(held, (np.ones(driven), -drive), (drive, np.where(drive == idle, 0.0, 1 - drive / idle)))
+        drive_terms = np.where(
+            held, (np.ones(driven), -drive), (drive, np.where(drive == idle, 0.0, 1 - drive / idle))
+        )
         current_terms = np.where(held, [[0.0], [-1.0]], (np.ones(driven), -idle_ties))
         if unchanged or several:
             load_terms = np.stack([np.ones(sensed), np.zeros(sensed)])
         else:
             held = idle_load == 0
-            load_terms = np.where(held, (load_ties, -np.ones(sensed)), (np.ones(sensed), load_ties - idle_load_ties))
+            load_terms = np.where(
+                held, (load_ties, -np.ones(sensed)), (np.ones(sensed), load_ties - idle_load_ties)
+            )
     # Ties at every address: of idle lines, and of the loads of the lines that are read together.
     ties = []
     read = []
@@ -128,7 +136,9 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
         of_sensed = np.where(chosen, load_ties, idle_load_ties) if several else idle_load_ties
         ties.append(np.concatenate(of_side(circuit.driven, idle_ties, of_sensed)))
         read.append(chosen.astype(float))
-    together = None if unchanged else np.transpose(read) @ np.array(read) if several else np.eye(sensed)
+    together = (
+        None if unchanged else np.transpose(read) @ np.array(read) if several else np.eye(sensed)
+    )
 
     def of_driven(values: Array) -> Array:
         return np.broadcast_to(along(circuit.driven, values), (rows, columns)).copy()
@@ -155,4 +165,7 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
 def _addresses(groups: Groups) -> list[NDArray[np.intp]]:
     """Return the sensed lines of each address: the k-th one of every group that has so many."""
     count = max(map(len, groups))
-    return [np.array([group[k] for group in groups if k < len(group)], dtype=np.intp) for k in range(count)]
+    return [
+        np.array([group[k] for group in groups if k < len(group)], dtype=np.intp)
+        for k in range(count)
+    ]

@@ -1,7 +1,7 @@
-"""Network of floating lines with two-point readings R = Z_jj + Z_kk − 2 Z_jk, and the convex start of a solve.
+"""Network of floating lines with two-point readings, and the convex start of a solve.
 
-∂R_i/∂u_c = g_c D_ic² with the transfer resistances D = BᵀZB. As D is symmetric, one operator serves as forward and as
-adjoint product.
+The readings are R = Z_jj + Z_kk − 2 Z_jk. ∂R_i/∂u_c = g_c D_ic² with the transfer resistances D =
+BᵀZB. As D is symmetric, one operator serves as forward and as adjoint product.
 """
 
 from collections.abc import Callable
@@ -28,21 +28,26 @@ from lampest.panel.network import (
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
-# Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their lines alone.
+# Smallest diagonal of the stencil, relative to R², for cells whose own response is due to their
+# lines alone.
 MIN_DIAGONAL_SHARE = 0.05
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
-STEP_LENGTHS = tuple(0.5**power for power in range(20))  # shares of a step; smaller ones change the cost by rounding
-MAX_RESIDUAL = 0.05  # of a step's equation; near the minimum the relative misfit, for quadratic convergence
+# Shares of a step; smaller ones change the cost by rounding.
+STEP_LENGTHS = tuple(0.5**power for power in range(20))
+# Of a step's equation; near the minimum the relative misfit, for quadratic convergence.
+MAX_RESIDUAL = 0.05
 MIN_DECREASE_SHARE = 1e-12  # of ⟨R_m, g⟩: a smaller decrease is rounding
-MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading at convergence; Newton's steps double the correct digits
+# Relative misfit of any reading at convergence; Newton's steps double the correct digits.
+MAX_RELATIVE_MISFIT = 1e-9
 
 
 def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Array:
-    """Return ties to ground, (…, rows + columns) siemens, for two-point resistances (…, rows, columns) ohm.
+    """Return ties to ground, (…, rows + columns) siemens, for two-point resistances.
 
-    The line with the largest Σ 1/R gets a conductance of that size, all others none. A tie at a single line carries no
-    current, so that potential differences are those of the paper's equation (5). `parts`, (lines,), contains the number
-    of each line's part of a single panel; every part has its own ground. None: one part.
+    The resistances are (…, rows, columns) ohm. The line with the largest Σ 1/R gets a conductance
+    of that size, all others none. A tie at a single line carries no current, so that potential
+    differences are those of the paper's equation (5). `parts`, (lines,), contains the number of
+    each line's part of a single panel; every part has its own ground. None: one part.
     """
     total = line_sums(1 / two_point_resistance)
     tie = np.zeros_like(total)
@@ -62,11 +67,16 @@ def uniform_factor(rows: int, columns: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FloatingNetwork(Network):
-    """Network whose readings are two-point resistances in ohm; many networks at once have leading axes."""
+    """Network whose readings are two-point resistances in ohm.
+
+    Many networks at once have leading axes.
+    """
 
     @classmethod
     def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
-        """Return the solved network of conductances (…, rows, columns) siemens with ties (…, lines) siemens.
+        """Return the solved network of conductances with ties.
+
+        The conductances are (…, rows, columns) siemens, the ties (…, lines) siemens.
 
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
@@ -111,24 +121,29 @@ class FloatingNetwork(Network):
 class Stencil:
     """Preconditioner of D∘D, inverted through one matrix over the lines (Woodbury).
 
-    (D∘D)_il ≈ 1/A_j² for cells i, l of one row j, 1/B_k² for cells of one column k, and R_l² for i = l. A and B are the
-    total conductances of the lines.
+    (D∘D)_il ≈ 1/A_j² for cells i, l of one row j, 1/B_k² for cells of one column k, and R_l² for i
+    = l. A and B are the total conductances of the lines.
 
     Attributes
     ----------
     diagonal : array, shape (rows, columns)
         1/d; zero for excluded cells.
     inner : callable
-        Product with (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ over the lines, U the incidence of cells and lines, S the diagonal matrix
-        of 1/A² and 1/B².
+        Product with (S⁻¹ + Uᵀ diag(1/d) U)⁻¹ over the lines, U the incidence of cells and lines, S
+        the diagonal matrix of 1/A² and 1/B².
     """
 
     diagonal: Array
     inner: Callable[[Array], Array]
 
     @classmethod
-    def of(cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]) -> "Stencil":
-        """Return the stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
+    def of(
+        cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]
+    ) -> "Stencil":
+        """Return the stencil over the free cells of a network.
+
+        All are (rows, columns), siemens and ohm.
+        """
         cells, lines = _parts(conductance, two_point_resistance)
         diagonal = np.where(free, 1 / cells, 0.0)
         of_lines = LineBlocks((1 / lines + line_sums(diagonal))[None, None], diagonal[None, None])
@@ -144,10 +159,13 @@ class Stencil:
         return solved
 
 
-def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
-    """Return JᵀWJ of two-point readings with the stencil in place of D∘D, J = (diag(d) + U K Uᵀ)·diag(g).
+def square_by_lines(
+    conductance: Array, two_point_resistance: Array, weight: Array
+) -> NormalByLines:
+    """Return JᵀWJ of two-point readings with the stencil in place of D∘D.
 
-    JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K], [K, K UᵀwU K]], M⁻¹ = [[−UᵀwU, K⁻¹], [K⁻¹, 0]].
+    J = (diag(d) + U K Uᵀ)·diag(g). JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K],
+    [K, K UᵀwU K]], M⁻¹ = [[−UᵀwU, K⁻¹], [K⁻¹, 0]].
 
     Parameters
     ----------
@@ -165,15 +183,23 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
     zero = np.zeros_like(weight)
     of_rows, of_columns = np.split(lines, [len(weight)])
     squared = lines * of_lines * lines, of_rows[:, None] * weight * of_columns
-    mixed = LineBlocks(np.array([[none, lines], [lines, squared[0]]]), np.array([[zero, zero], [zero, squared[1]]]))
-    inverse = LineBlocks(
-        np.array([[-of_lines, 1 / lines], [1 / lines, none]]), np.array([[-weight, zero], [zero, zero]])
+    mixed = LineBlocks(
+        np.array([[none, lines], [lines, squared[0]]]), np.array([[zero, zero], [zero, squared[1]]])
     )
-    return NormalByLines(heavy * conductance * cells, np.stack([heavy, conductance]), mixed, inverse)
+    inverse = LineBlocks(
+        np.array([[-of_lines, 1 / lines], [1 / lines, none]]),
+        np.array([[-weight, zero], [zero, zero]]),
+    )
+    return NormalByLines(
+        heavy * conductance * cells, np.stack([heavy, conductance]), mixed, inverse
+    )
 
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
-    """Return the diagonal d of the stencil, (rows, columns), and K, 1/A² and 1/B² of the lines, (lines,)."""
+    """Return the diagonal d of the stencil, (rows, columns), and K, 1/A² and 1/B² of the lines.
+
+    The latter are (lines,).
+    """
     of_rows = conductance.sum(axis=1) ** -2.0
     of_columns = conductance.sum(axis=0) ** -2.0
     square = two_point_resistance**2
@@ -183,11 +209,12 @@ def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Arra
 
 
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
-    """Return the minimiser of a convex function whose gradient is the misfit, as cells (rows, columns) ohm.
+    """Return the minimiser of a convex function, as cells (rows, columns) ohm.
 
-    g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper, by damped, projected Newton steps. As R = ∇ log det C,
-    attainable readings are reproduced, and the result is the solution of plain least squares. For other readings it is
-    a start, not an estimate. Source: Foster's theorem and the concavity of log det (Boyd & Vandenberghe, Convex
+    The function's gradient is the misfit. g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper,
+    by damped, projected Newton steps. As R = ∇ log det C, attainable readings are reproduced, and
+    the result is the solution of plain least squares. For other readings it is a start, not an
+    estimate. Source: Foster's theorem and the concavity of log det (Boyd & Vandenberghe, Convex
     Optimization, 2004, section 3.1.5).
 
     Parameters
@@ -207,7 +234,10 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
         return float(np.sum(measured * conductance)) - log_determinant(conductance, tie), network
 
     def freely(network: FloatingNetwork) -> tuple[Array, NDArray[np.bool_], float]:
-        """Return ∇ = R_m − R, the cells that are free to follow it, and its largest entry relative to R_m."""
+        """Return ∇ = R_m − R, the cells that are free to follow it, and its largest entry.
+
+        The largest entry is relative to R_m.
+        """
         gradient = measured - network.reading()
         free = (network.conductance > least * (1 + 1e-12)) | (gradient < 0)
         return gradient, free, float(np.max(np.abs(gradient[free] / measured[free]), initial=0))
@@ -221,12 +251,14 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
             break
         step = _step(network, gradient, free, min(MAX_RESIDUAL, misfit))
         rounding = MIN_DECREASE_SHARE * float(np.sum(measured * conductance))
-        # Backtracking line search, in which no conductance falls by more than a factor of ten: Armijo's condition;
-        # where the change is within rounding, the gradient must halve.
+        # Backtracking line search, in which no conductance falls by more than a factor of ten:
+        # Armijo's condition; where the change is within rounding, the gradient must halve.
         for length in STEP_LENGTHS:
             trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = at(trial)
-            if trial_value <= value + SUFFICIENT_DECREASE * float(np.sum(gradient * (trial - conductance))):
+            if trial_value <= value + SUFFICIENT_DECREASE * float(
+                np.sum(gradient * (trial - conductance))
+            ):
                 break
             if trial_value <= value + rounding and freely(trial_network)[2] <= misfit / 2:
                 break
@@ -238,10 +270,12 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     return np.asarray(1 / conductance)
 
 
-def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], accuracy: float) -> Array:
-    """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens; (D∘D)·p = −(∂R/∂g)·p.
+def _step(
+    network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], accuracy: float
+) -> Array:
+    """Return the Newton step −(D∘D)⁻¹ ∇ over the free cells, (rows, columns) siemens.
 
-    `accuracy` is that of the step of a large panel, relative to the gradient.
+    (D∘D)·p = −(∂R/∂g)·p. `accuracy` is that of the step of a large panel, relative to the gradient.
     """
     step = np.zeros(gradient.shape)
     if gradient.size <= DENSE_CELLS:
@@ -249,7 +283,9 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], ac
         transfer = network.transfer
         transfer = transfer if len(chosen) == free.size else transfer[np.ix_(chosen, chosen)]
         curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
-        step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
+        step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[
+            1
+        ]
         return step
     # Large panels: conjugate gradients on (D∘D)·p with the stencil as preconditioner.
     stencil = Stencil.of(network.conductance, network.reading(), free)
@@ -260,7 +296,9 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], ac
         return linear(full)[free]
 
     step[free] = steihaug(
-        lambda search: over_panel(lambda full: network.forward(full * network.cell_resistance), search),
+        lambda search: over_panel(
+            lambda full: network.forward(full * network.cell_resistance), search
+        ),
         lambda residual: over_panel(stencil.solve, residual),
         gradient[free],
         accuracy,
@@ -269,17 +307,19 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_], ac
 
 
 Index = NDArray[np.intp]
-SAFE_CONDITION = 1e4  # amplification of rounding that leaves 11 digits; usual panels have about 3·(rows + columns)
+# Amplification of rounding that leaves 11 digits; usual panels have about 3·(rows + columns).
+SAFE_CONDITION = 1e4
 
 
 @typed
 def two_point_resistance(cell_resistance: Array) -> Array:
-    """Return the two-point resistances R = f(r) of a panel, (rows, columns) or (frames, rows, columns) ohm.
+    """Return the two-point resistances R = f(r) of a panel in ohm.
 
-    Input and result have the same shape.
+    Shape (rows, columns) or (frames, rows, columns). Input and result have the same shape.
 
     At least ten digits of every entry are correct. Open cells and shorts are allowed; see
-    `exact_two_point_resistance`. Raises ValueError if a cell is negative or NaN. Source: paper, equations (5)-(10).
+    `exact_two_point_resistance`. Raises ValueError if a cell is negative or NaN. Source: paper,
+    equations (5)-(10).
 
     >>> lampest.two_point_resistance(np.full((2, 2), 1000.0)).round(6)
     array([[750., 750.],
@@ -297,16 +337,18 @@ def two_point_resistance(cell_resistance: Array) -> Array:
 
 
 def exact_two_point_resistance(cell_resistance: Array) -> Array:
-    """Return R = f(r) with all but the last one or two digits correct in every entry, for any contrast of the cells.
+    """Return R = f(r) with all but the last one or two digits correct in every entry.
 
-    Input and result are (rows, columns) or (frames, rows, columns) ohm. A cell of infinite resistance is open, one of
-    zero resistance is a short. Lines without a connection have R = inf, lines that shorts connect have R = 0.
+    This holds for any contrast of the cells. Input and result are (rows, columns) or (frames, rows,
+    columns) ohm. A cell of infinite resistance is open, one of zero resistance is a short. Lines
+    without a connection have R = inf, lines that shorts connect have R = 0.
 
-    Star–mesh elimination of a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others, without a subtraction. The
-    conductance between the last two lines is 1/R. All pairs are obtained by recursion: one half of the lines of a side
-    is eliminated, and in a copy the other half. The cost is a small multiple of (rows + columns)³. Raises ValueError if
-    a cell is negative or NaN. Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar,
-    Heyman (1985).
+    Star–mesh elimination of a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others, without a
+    subtraction. The conductance between the last two lines is 1/R. All pairs are obtained by
+    recursion: one half of the lines of a side is eliminated, and in a copy the other half. The cost
+    is a small multiple of (rows + columns)³. Raises ValueError if a cell is negative or NaN.
+    Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar, Heyman
+    (1985).
     """
     if not np.all(cell_resistance >= 0):
         raise ValueError("cell resistances must be zero or positive, and numbers")
@@ -324,7 +366,9 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
 
 
 def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
-    """Return the conductances between every row and every column after elimination of all other lines.
+    """Return the conductances between every row and every column.
+
+    They are those after elimination of all other lines.
 
     Parameters
     ----------
@@ -353,14 +397,19 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
         for stay, go in ((places[:half], places[half:]), (places[-half:], places[:-half])):
             order = np.concatenate([stay, opposite, go] if first == 0 else [opposite, stay, go])
             parts.append((weights[:, order[:, None], order], lines[:, order]))
-        weights = _without_last(np.concatenate([part for part, _ in parts]), size // 2, shorted=shorted)
+        weights = _without_last(
+            np.concatenate([part for part, _ in parts]), size // 2, shorted=shorted
+        )
         lines = np.concatenate([part for _, part in parts])[:, : weights.shape[1]]
         rows = half if first == 0 else rows
     return weights[:, 0, 1], lines[:, 0], lines[:, 1] - first_column
 
 
 def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
-    """Return the networks after star–mesh elimination of their last `count` lines; `weights` is overwritten."""
+    """Return the networks after star–mesh elimination of their last `count` lines.
+
+    `weights` is overwritten.
+    """
     for last in range(weights.shape[1] - 1, weights.shape[1] - 1 - count, -1):
         spokes = weights[:, last, :last]
         mesh = weights[:, :last, :last]
@@ -370,7 +419,8 @@ def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
         if not shorted:
             mesh += spokes[:, :, None] * share[:, None, :]
             continue
-        # Shorts are the limit of one large conductance: all current of the line divides equally among them.
+        # Shorts are the limit of one large conductance: all current of the line divides equally
+        # among them.
         endless = np.isinf(spokes)
         among = endless / np.maximum(endless.sum(axis=1, keepdims=True), 1)
         share = np.where(np.isinf(total), among, share)

@@ -1,4 +1,7 @@
-"""Numbers of lines: one for all lines of a side of the panel, or one for each; resistance in series with every line."""
+"""Numbers of lines: one for all lines of a side of the panel, or one for each.
+
+Also resistance in series with every line.
+"""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,9 +12,11 @@ from lampest.files.typed import Configuration
 from lampest.panel.panel import Array, Panel
 
 PerLine = float | tuple[float, ...]
-Groups = tuple[tuple[int, ...], ...]  # lines behind one multiplexer each, in the order of its addresses
+# Lines behind one multiplexer each, in the order of its addresses.
+Groups = tuple[tuple[int, ...], ...]
 Side = Literal["rows", "columns"]
-# Limits of resistances next to cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
+# Limits of resistances next to cells of kilo-ohms: a wire, and an insulator that leaves ten of
+# sixteen digits.
 MIN_OHM = 1e-6
 MAX_OHM = 1e9
 
@@ -25,7 +30,8 @@ class LineNumber:
     name : str
         Key in a scene, dotted if it belongs to a part.
     sides : tuple of Side
-        Sides whose lines have one number each; with both, a reading depends on their sum. (): one number for all.
+        Sides whose lines have one number each; with both, a reading depends on their sum. (): one
+        number for all.
     channel : bool
         Whether the number is, or includes, the resistance of a multiplexer's channel.
     in_scene : bool
@@ -45,7 +51,10 @@ def opposite(side: Side) -> Side:
 
 
 def of_side(side: Side, rows: Any, columns: Any) -> tuple[Any, Any]:
-    """Return the values of rows and columns as (value of the side, value of the opposite side), and the reverse."""
+    """Return the values of rows and columns as those of a side and of its opposite side.
+
+    The result is (value of the side, value of the opposite side), and the reverse.
+    """
     return (rows, columns) if side == "rows" else (columns, rows)
 
 
@@ -67,15 +76,25 @@ def lines_text(value: PerLine, unit: str = "ohm") -> str:
 
 
 def check_lines(name: str, value: PerLine, *, open_end: bool = False) -> None:
-    """Raise ValueError unless every number is finite and not negative, and positive with an open end."""
+    """Raise ValueError unless every number is finite and not negative.
+
+    With an open end, every number must also be positive.
+    """
     if not as_tuple(value):
         raise ValueError(f"{name} lists no number")
     if not all(0 < number < np.inf or (number == 0 and not open_end) for number in as_tuple(value)):
-        raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'} and finite")
+        raise ValueError(
+            f"{name} must be {'positive' if open_end else 'zero or positive'} and finite"
+        )
 
 
-def check_resistors(name: str, value: PerLine, *, open_end: bool = True, most: float = MAX_OHM) -> None:
-    """Raise ValueError as `check_lines`, or if a nonzero resistance is outside MIN_OHM to `most`."""
+def check_resistors(
+    name: str, value: PerLine, *, open_end: bool = True, most: float = MAX_OHM
+) -> None:
+    """Raise ValueError as `check_lines`, or if a nonzero resistance is out of range.
+
+    The range is MIN_OHM to `most`; resistances outside it raise.
+    """
     check_lines(name, value, open_end=open_end)
     if not all(MIN_OHM <= number <= most for number in as_tuple(value) if number):
         raise ValueError(f"{name} must lie between {MIN_OHM:g} and {most:g} ohm")
@@ -89,10 +108,15 @@ def per_line(name: str, value: PerLine, lines: int) -> Array:
 
 
 def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ...]:
-    """Return the numbers of all lines plus their additional channels, ohm. Raises ValueError if a sum is negative."""
+    """Return the numbers of all lines plus their additional channels, ohm.
+
+    Raises ValueError if a sum is negative.
+    """
     total = per_line(name, value, len(channels)) + channels
     if np.any(total < 0):
-        raise ValueError(f"the spread of the channels makes a resistance negative; give a larger {name}")
+        raise ValueError(
+            f"the spread of the channels makes a resistance negative; give a larger {name}"
+        )
     return tuple(float(ohm) for ohm in total)
 
 
@@ -108,7 +132,9 @@ def check_apart(groups: Groups) -> None:
     lines = [line for group in groups for line in group]
     twice = next((line for line in lines if lines.count(line) > 1), None)
     if twice is not None:
-        raise ValueError(f"groups overlap: line {twice} is listed twice, but it is behind one multiplexer")
+        raise ValueError(
+            f"groups overlap: line {twice} is listed twice, but it is behind one multiplexer"
+        )
 
 
 def check_groups(groups: Groups | None, side: Side, count: int) -> None:
@@ -118,14 +144,21 @@ def check_groups(groups: Groups | None, side: Side, count: int) -> None:
     lines = {line for group in groups for line in group}
     name = side.removesuffix("s")
     if beyond := sorted(lines - set(range(count))):
-        raise ValueError(f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to {count - 1}")
+        raise ValueError(
+            f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to "
+            f"{count - 1}"
+        )
     if missing := sorted(set(range(count)) - lines):
-        raise ValueError(f"readout.groups: {name} {missing[0]} is left out; every one is behind a multiplexer")
+        raise ValueError(
+            f"readout.groups: {name} {missing[0]} is left out; every one is behind a multiplexer"
+        )
 
 
 @dataclass(frozen=True)
 class SeriesPerLine(Configuration):
-    """Resistance in series with every line: rows[j] + columns[k] for the reading of row j and column k.
+    """Resistance in series with every line.
+
+    It is rows[j] + columns[k] for the reading of row j and column k.
 
     Attributes
     ----------
@@ -152,4 +185,6 @@ class SeriesPerLine(Configuration):
         Raises ValueError if a list has another length.
         """
         row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
-        return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))
+        return np.asarray(
+            row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns)
+        )

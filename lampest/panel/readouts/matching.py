@@ -1,8 +1,9 @@
 """Cells whose exact readings are the measured ones, on the logarithms of both.
 
-The Levenberg–Marquardt method minimises ½ |log(y(u)/y)|² over u = log r on panels of up to MAX_DENSE cells. Near a fold
-of the readings J is nearly singular, where undamped steps lead nowhere. On larger panels a step of Newton's method
-solves J·p = log(y/y(u)) by GMRES with products of J. It is shortened until the misfit falls.
+The Levenberg–Marquardt method minimises ½ |log(y(u)/y)|² over u = log r on panels of up to
+MAX_DENSE cells. Near a fold of the readings J is nearly singular, where undamped steps lead
+nowhere. On larger panels a step of Newton's method solves J·p = log(y/y(u)) by GMRES with products
+of J. It is shortened until the misfit falls.
 """
 
 from collections.abc import Callable
@@ -27,7 +28,9 @@ SOLVED = 1e-2  # relative residual of a step's linear system
 def matching_cells(
     network: Callable[[Array], Network], measured: Array, first: Array, least: Array, most: Array
 ) -> Array:
-    """Return cells between two limits that reproduce the readings as well as possible, (rows, columns) ohm.
+    """Return cells between two limits that reproduce the readings as well as possible.
+
+    Shape (rows, columns), in ohm.
 
     Parameters
     ----------
@@ -45,13 +48,17 @@ def matching_cells(
     return np.asarray(np.exp(by(network, measured, start, lower, upper)))
 
 
-def _by_matrix(network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array) -> Array:
+def _by_matrix(
+    network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array
+) -> Array:
     """Return log cells by the Levenberg–Marquardt method."""
 
     def model(position: Array) -> SumOfSquares:
         solved = network(np.exp(position.reshape(measured.shape)))
         reading = np.maximum(solved.reading(), np.finfo(float).tiny)
-        return SumOfSquares(np.log(reading / measured).ravel(), solved.sensitivity() / reading.reshape(-1, 1))
+        return SumOfSquares(
+            np.log(reading / measured).ravel(), solved.sensitivity() / reading.reshape(-1, 1)
+        )
 
     position, _ = DAMPED.minimum(model, start.ravel(), (lower.ravel(), upper.ravel()))
     return position.reshape(measured.shape)
@@ -77,7 +84,9 @@ def _by_products(
             ).ravel(),
             dtype=float,
         )
-        step, _ = scipy.sparse.linalg.gmres(response, misfit.ravel(), rtol=SOLVED, restart=MAX_PRODUCTS, maxiter=1)
+        step, _ = scipy.sparse.linalg.gmres(
+            response, misfit.ravel(), rtol=SOLVED, restart=MAX_PRODUCTS, maxiter=1
+        )
         step = np.clip(step.reshape(measured.shape), -MAX_STEP, MAX_STEP)
         for length in STEP_LENGTHS:
             trial = np.clip(current + length * step, lower, upper)

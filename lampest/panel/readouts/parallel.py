@@ -1,4 +1,7 @@
-"""Dividers in parallel: several multiplexers of columns, each with its own reference resistor, share the driven row."""
+"""Dividers in parallel: several multiplexers of columns share the driven row.
+
+Each multiplexer has its own reference resistor.
+"""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -22,9 +25,10 @@ from lampest.panel.readouts.wiring import Wiring
 class ParallelDividers(Divider):
     """Circuit of a two-point readout with several groups of columns in its scene.
 
-    A reading is the resistance R = (Vcc/V − 1)·Rref that the divider equation gives, less the channels. It is the
-    equation of `DrivenReadout` with floating lines, in ohm. As the columns of an address share the driven row's channel
-    and its neighbours' cells, R may be larger or smaller than the cell.
+    A reading is the resistance R = (Vcc/V − 1)·Rref that the divider equation gives, less the
+    channels. It is the equation of `DrivenReadout` with floating lines, in ohm. As the columns of
+    an address share the driven row's channel and its neighbours' cells, R may be larger or smaller
+    than the cell.
 
     Attributes
     ----------
@@ -43,26 +47,40 @@ class ParallelDividers(Divider):
     column_ohm: PerLine = 0.0
 
     def description(self) -> str:
-        return f"two-point, {len(self.columns)} columns read in parallel, {self.converter_description()}"
+        return (
+            f"two-point, {len(self.columns)} columns read in parallel, "
+            f"{self.converter_description()}"
+        )
 
     def _total(self, volt: Any) -> Any:
-        """Return the resistance (Vcc/V − 1)·Rref of the whole loop for a voltage at the converter, ohm."""
-        return (self.supply_volt / volt - 1) * float(parallel(np.array(self.reference_ohm), self.input_ohm))
+        """Return the resistance (Vcc/V − 1)·Rref of the whole loop, ohm.
+
+        It is that for a voltage at the converter.
+        """
+        return (self.supply_volt / volt - 1) * float(
+            parallel(np.array(self.reference_ohm), self.input_ohm)
+        )
 
     def _volt(self, reading: Array) -> Array:
         """Return the voltage of a reading R (…, rows, columns) ohm."""
         reference = float(parallel(np.array(self.reference_ohm), self.input_ohm))
-        return np.asarray(self.supply_volt * reference / (reading + self._channels(reading.shape) + reference))
+        return np.asarray(
+            self.supply_volt * reference / (reading + self._channels(reading.shape) + reference)
+        )
 
     def _channels(self, shape: tuple[int, ...]) -> Array:
         """Return the channels of every reading, (rows, columns) ohm."""
         row = per_line("series_resistance_ohm.rows", self.row_ohm, shape[-2])
-        return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.column_ohm, shape[-1]))
+        return np.asarray(
+            row[:, None] + per_line("series_resistance_ohm.columns", self.column_ohm, shape[-1])
+        )
 
     def _of_reading(self, reading: Array, sigma: Array) -> tuple[Array, Array]:
         """Return voltages and their σ of readings and their σ, (…, rows, columns) each."""
         volt = self._volt(reading)
-        slope = volt**2 / (self.supply_volt * float(parallel(np.array(self.reference_ohm), self.input_ohm)))
+        slope = volt**2 / (
+            self.supply_volt * float(parallel(np.array(self.reference_ohm), self.input_ohm))
+        )
         return volt, np.where(np.isfinite(sigma), sigma * slope, np.inf)
 
     def addresses(self, measured: Array) -> tuple[Address, ...]:
@@ -76,14 +94,19 @@ class ParallelDividers(Divider):
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """Return R = (Vcc/V − 1)·Rref less the channels, V of `DrivenCircuit.reading`."""
-        return self._total(driven_of(self).reading(row, column, mutual)) - self._channels(mutual.shape)
+        return self._total(driven_of(self).reading(row, column, mutual)) - self._channels(
+            mutual.shape
+        )
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network for ties (addresses, lines)."""
         networks = tuple(
-            super(ParallelDividers, self).network(cell_resistance, part, wiring) for part in np.atleast_2d(ties)
+            super(ParallelDividers, self).network(cell_resistance, part, wiring)
+            for part in np.atleast_2d(ties)
         )
-        return AddressedNetwork.of(networks, np.array([at.read for at in self.addresses(cell_resistance)], dtype=float))
+        return AddressedNetwork.of(
+            networks, np.array([at.read for at in self.addresses(cell_resistance)], dtype=float)
+        )
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return R of cells (rows, columns) or (frames, rows, columns) ohm."""
@@ -107,20 +130,30 @@ class ParallelDividers(Divider):
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         return driven_of(self).free_tests(*self._of_reading(measured, sigma))
 
-    def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return R + R_series with additional resistance of the channels, (frames, rows, columns) ohm."""
+    def simulated(
+        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    ) -> Array:
+        """Return R + R_series with additional resistance of the channels.
+
+        Shape (frames, rows, columns), in ohm.
+        """
         actual = replace(
             self,
             row_ohm=with_channels("series_resistance_ohm.rows", self.row_ohm, row_ohm),
             column_ohm=with_channels("series_resistance_ohm.columns", self.column_ohm, column_ohm),
         )
-        total = actual.exact_reading(cell_resistance, scene.wiring) + actual._channels(cell_resistance.shape)
+        total = actual.exact_reading(cell_resistance, scene.wiring) + actual._channels(
+            cell_resistance.shape
+        )
         return self.to_recorded(total - scene.series_ohm, scene)
 
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
-        """Return −(R + R_series)·reference, then secants of each channel; see `Readout.shared_errors`."""
+        """Return −(R + R_series)·reference, then secants of each channel.
+
+        See `Readout.shared_errors`.
+        """
         errors = super().shared_errors(cells, measured, scene, 0.0, channel)
         errors[0] = -(measured + scene.series_ohm) * reference
         return errors

@@ -1,4 +1,7 @@
-"""Circuits that many people build, as presets of the equation of driven circuits: a choice of idle states each."""
+"""Circuits that many people build, as presets of the equation of driven circuits.
+
+Each preset is a choice of idle states.
+"""
 
 from dataclasses import dataclass
 from math import inf
@@ -11,39 +14,52 @@ from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.equation import LineStates
-from lampest.panel.readouts.lines import MIN_OHM, Groups, PerLine, Side, lines_text, opposite, parallel, per_line
+from lampest.panel.readouts.lines import (
+    MIN_OHM,
+    Groups,
+    PerLine,
+    Side,
+    lines_text,
+    opposite,
+    parallel,
+    per_line,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedColumnsReadout(DrivenCircuit):
-    """Loaded columns: one line is driven, all sensed lines are loaded, all other driven lines float.
+    """Loaded columns: one line is driven, all sensed lines are loaded.
 
-    V = Vcc·Z_ij/(Rd_i + Z_ii) for driven line i and sensed line j with its load Rs_j. With a diode it is
-    V = U·Z_ij/(Rd_i + Z_ii), U the remaining voltage; see `Diode.left`.
+    All other driven lines float. V = Vcc·Z_ij/(Rd_i + Z_ii) for driven line i and sensed line j
+    with its load Rs_j. With a diode it is V = U·Z_ij/(Rd_i + Z_ii), U the remaining voltage; see
+    `Diode.left`.
 
     Attributes
     ----------
     driven : Side
         Side whose lines are driven, one after the other.
     polarity : {'up', 'down'}
-        'up': the driven line is at the supply and loads lead to ground; 'down': the driven line is at ground
-        and loads lead to the supply (internal pull-ups), so that the voltage at the converter is Vcc − V.
+        'up': the driven line is at the supply and loads lead to ground; 'down': the driven line is
+        at ground and loads lead to the supply (internal pull-ups), so that the voltage at the
+        converter is Vcc − V.
     load_ohm : PerLine
         Rs in ohm, a number or one for each sensed line.
     drive_ohm : PerLine
-        Rd in ohm, between the supply and the driven line, including the channel; a number or one for each driven line.
+        Rd in ohm, between the supply and the driven line, including the channel; a number or one
+        for each driven line.
     diode : Diode, or None
         Diode in series with Rd.
     input_ohm : float, or None
         Input resistance of the converter in ohm, parallel to every load; None: negligible.
     groups : tuple of tuple of int, or None
-        Sensed lines behind one multiplexer each, with their load behind it; one line of each group is read at every
-        address, and idle ones float. None: the loads stay.
+        Sensed lines behind one multiplexer each, with their load behind it; one line of each group
+        is read at every address, and idle ones float. None: the loads stay.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    The network's reading is the voltage across the load, for either polarity. Raises ValueError if a number is out
-    of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the sensed lines.
+    The network's reading is the voltage across the load, for either polarity. Raises ValueError if
+    a number is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the
+    sensed lines.
 
     >>> lampest.LoadedColumnsReadout(load_ohm=10000.0).unit
     'volt'
@@ -62,13 +78,18 @@ class LoadedColumnsReadout(DrivenCircuit):
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"
         return (
-            f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the other, "
-            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}"
+            f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the "
+            "other, "
+            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive "
+            f"{lines_text(self.drive_ohm)}"
             f"{diode}{self._end_text}"
         )
 
     def states(self, driven: int, sensed: int) -> LineStates:
-        """Return the states: idle driven lines float, loads stay; with groups they are behind the multiplexers."""
+        """Return the states: idle driven lines float, loads stay.
+
+        With groups they are behind the multiplexers.
+        """
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         idle_load = load if self.groups is None else np.full(sensed, inf)
         drive = per_line("drive_ohm", self.drive_ohm, driven)
@@ -77,12 +98,13 @@ class LoadedColumnsReadout(DrivenCircuit):
 
 @dataclass(frozen=True, kw_only=True)
 class GroundedReadout(DrivenCircuit):
-    """Grounded readout: driven line i is at the supply, idle driven lines at ground, each through its Rd.
+    """Grounded readout: driven line i is at the supply, idle driven lines at ground.
 
-    V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j. With sense: all, every sensed line j has its load Rs_j, behind its channel
-    Rc_j, all the time: ties 1/Rd_i and 1/(Rc_j + Rs_j), k_j = 1. With sense: one, a multiplexer connects the load to
-    one sensed line after the other, and idle sensed lines float: ties 1/Rd_i only, and k_j = 1 + Z_jj/(Rc_j + Rs_j) is
-    the effect of the load on the line that is read.
+    Each is connected through its Rd. V = Vcc·Z_ij/Rd_i·Rs_j/(Rc_j + Rs_j)/k_j. With sense: all,
+    every sensed line j has its load Rs_j, behind its channel Rc_j, all the time: ties 1/Rd_i and
+    1/(Rc_j + Rs_j), k_j = 1. With sense: one, a multiplexer connects the load to one sensed line
+    after the other, and idle sensed lines float: ties 1/Rd_i only, and k_j = 1 + Z_jj/(Rc_j + Rs_j)
+    is the effect of the load on the line that is read.
 
     Attributes
     ----------
@@ -91,26 +113,28 @@ class GroundedReadout(DrivenCircuit):
     sense : {'all', 'one'}
         Loads that are connected at the same time, see above.
     polarity : {'up', 'down'}
-        'up': the driven line is at the supply, idle ones and loads lead to ground; 'down': the driven line is at
-        ground, idle ones and loads (internal pull-ups) lead to the supply, and the voltage at the converter is Vcc − V.
+        'up': the driven line is at the supply, idle ones and loads lead to ground; 'down': the
+        driven line is at ground, idle ones and loads (internal pull-ups) lead to the supply, and
+        the voltage at the converter is Vcc − V.
     load_ohm : PerLine
         Rs in ohm, a number or one for each sensed line.
     drive_ohm : PerLine
-        Rd in ohm, output and channel of every driven line; a number or one for each driven line. Zero counts as a
-        micro-ohm.
+        Rd in ohm, output and channel of every driven line; a number or one for each driven line.
+        Zero counts as a micro-ohm.
     sense_ohm : PerLine
-        Rc in ohm, the channel between every sensed line and its load; a number or one for each sensed line.
+        Rc in ohm, the channel between every sensed line and its load; a number or one for each
+        sensed line.
     input_ohm : float, or None
         Input resistance of the converter in ohm, parallel to the load; None: negligible.
     groups : tuple of tuple of int, or None
-        Sensed lines behind one multiplexer each, with their load behind it; one line of each group is read at every
-        address, and idle ones float, as with sense: one. None: as `sense` says.
+        Sensed lines behind one multiplexer each, with their load behind it; one line of each group
+        is read at every address, and idle ones float, as with sense: one. None: as `sense` says.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    The network's reading is the voltage across the load, for either polarity. No bound except r > 0 holds, because
-    other cells can increase and decrease a reading. Raises ValueError if a number is out of range. Source: node
-    analysis with Z = (L(g) + diag(t))⁻¹.
+    The network's reading is the voltage across the load, for either polarity. No bound except r > 0
+    holds, because other cells can increase and decrease a reading. Raises ValueError if a number is
+    out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹.
 
     >>> lampest.GroundedReadout(load_ohm=1000.0).unit
     'volt'
@@ -129,11 +153,16 @@ class GroundedReadout(DrivenCircuit):
 
     def description(self) -> str:
         sensed = opposite(self.driven)
-        loads = f"all {sensed} loaded" if self.all_loaded else f"one of the {sensed} loaded, the others floating"
+        loads = (
+            f"all {sensed} loaded"
+            if self.all_loaded
+            else f"one of the {sensed} loaded, the others floating"
+        )
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
         return (
             f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
-            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}"
+            f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive "
+            f"{lines_text(self.drive_ohm)}"
             f"{channel}{self._end_text}"
         )
 
@@ -143,21 +172,27 @@ class GroundedReadout(DrivenCircuit):
         return self.sense == "all" and self.groups is None
 
     def states(self, driven: int, sensed: int) -> LineStates:
-        """Return the states: idle driven lines are at ground through their Rd, idle sensed lines loaded or floating."""
+        """Return the states: idle driven lines are at ground through their Rd.
+
+        Idle sensed lines are loaded or floating.
+        """
         drive = np.maximum(per_line("drive_ohm", self.drive_ohm, driven), MIN_OHM)
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         total = load + per_line("sense_ohm", self.sense_ohm, sensed)
-        return LineStates(drive, drive, total, total if self.all_loaded else np.full(sensed, inf), load / total)
+        return LineStates(
+            drive, drive, total, total if self.all_loaded else np.full(sensed, inf), load / total
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualGroundReadout(DrivenCircuit):
-    """Virtual-ground readout: driven line i is at the voltage U, all other lines are held at ground.
+    """Virtual-ground readout: driven line i is at the voltage U.
 
-    V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j). Idle driven lines are grounded through their Rd. Every sensed line is at the
-    virtual ground of an amplifier, through its channel Rc, or at ground while another one is read. The amplifier
-    inverts: its output is Rf·i_j below its reference. The recorded value is this difference, a positive number from 0
-    to the end of the converter's range. Both ends are rails.
+    All other lines are held at ground. V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j). Idle driven lines
+    are grounded through their Rd. Every sensed line is at the virtual ground of an amplifier,
+    through its channel Rc, or at ground while another one is read. The amplifier inverts: its
+    output is Rf·i_j below its reference. The recorded value is this difference, a positive number
+    from 0 to the end of the converter's range. Both ends are rails.
 
     Attributes
     ----------
@@ -168,7 +203,8 @@ class VirtualGroundReadout(DrivenCircuit):
     sense_ohm : PerLine
         Rc in ohm, between every sensed line and the amplifier.
     feedback_ohm : PerLine
-        Rf in ohm. Each resistance is a number or one for each line; Rd and Rc of zero count as a micro-ohm.
+        Rf in ohm. Each resistance is a number or one for each line; Rd and Rc of zero count as a
+        micro-ohm.
     drive_volt : float, or None
         U in volt; None: supply_volt.
     converter_volt : float, or None
@@ -176,9 +212,9 @@ class VirtualGroundReadout(DrivenCircuit):
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
-    No bound except r > 0 holds, because other cells can increase and decrease a reading. Raises ValueError if a number
-    is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed
-    lines.
+    No bound except r > 0 holds, because other cells can increase and decrease a reading. Raises
+    ValueError if a number is out of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t =
+    1/Rd at the driven and 1/Rc at the sensed lines.
 
     >>> lampest.VirtualGroundReadout(feedback_ohm=1000.0).unit
     'volt'
@@ -208,14 +244,18 @@ class VirtualGroundReadout(DrivenCircuit):
 
     def description(self) -> str:
         return (
-            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V while all other lines are grounded, "
+            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V while all other "
+            "lines are grounded, "
             f"converter to {self.full_scale_volt:g} V, "
             f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "
             f"feedback {lines_text(self.feedback_ohm)}{self._end_text}"
         )
 
     def states(self, driven: int, sensed: int) -> LineStates:
-        """Return the states: all lines at ground through their channels, all the time; c is Rf/Rc."""
+        """Return the states: all lines at ground through their channels, all the time.
+
+        c is Rf/Rc.
+        """
         drive, channel = (
             np.maximum(per_line(name, getattr(self, name), count), MIN_OHM)
             for name, count in (("drive_ohm", driven), ("sense_ohm", sensed))

@@ -1,7 +1,7 @@
 """Base of the readouts: ties of the lines to ground, the equation of a reading, and the converter.
 
-A kind of readout is one file that defines its ties and its reading. All other methods have defaults that follow from
-these two.
+A kind of readout is one file that defines its ties and its reading. All other methods have defaults
+that follow from these two.
 """
 
 from abc import ABC, abstractmethod
@@ -18,7 +18,8 @@ from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
-SHORT_SHARE = 1e-6  # of the apparent resistance: readings of such a cell differ by a millionth from those of a short
+# Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
+SHORT_SHARE = 1e-6
 
 
 class Surroundings(Protocol):
@@ -70,8 +71,9 @@ class Address:
     Attributes
     ----------
     ties : array, shape (lines,)
-        Ties of the lines to ground, siemens: of idle lines, and of the loads that are a part of Z. Infinite where a
-        line is held at ground; see `lampest.panel.network.DifferenceNetwork` for its entries.
+        Ties of the lines to ground, siemens: of idle lines, and of the loads that are a part of Z.
+        Infinite where a line is held at ground; see `lampest.panel.network.DifferenceNetwork` for
+        its entries.
     read : boolean array, shape (rows, columns)
         Which readings are taken.
     """
@@ -84,7 +86,8 @@ class Address:
 class Readout(Converter, ABC):
     """Base of readouts: the circuit of a kind, with the fields of its converter from `Converter`.
 
-    At the converter, recorded readings are voltages between 0 and the supply; `rails` are the limits of valid readings.
+    At the converter, recorded readings are voltages between 0 and the supply; `rails` are the
+    limits of valid readings.
 
     Attributes
     ----------
@@ -95,7 +98,8 @@ class Readout(Converter, ABC):
     homogeneous : bool
         Whether a common factor on all cells multiplies all readings.
     unique : bool
-        Whether plain least squares without noise has one minimum; otherwise solvers begin at several starts.
+        Whether plain least squares without noise has one minimum; otherwise solvers begin at
+        several starts.
     in_series : bool
         Whether the scene's series resistance adds to every reading.
     series_name : str
@@ -124,11 +128,15 @@ class Readout(Converter, ABC):
         return False
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError if the scene has keys that the readout cannot model, or does not fit the panel."""
+        """Raise ValueError if the scene does not fit the readout or the panel.
+
+        It does not fit the readout if it has keys that the readout cannot model.
+        """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         if np.any(scene.series_ohm) and not self.in_series:
             raise ValueError(
-                "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's resistance is part "
+                "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's "
+                "resistance is part "
                 "of the readout's drive_ohm or sense_ohm"
             )
 
@@ -144,34 +152,47 @@ class Readout(Converter, ABC):
 
     @abstractmethod
     def ties(self, measured: Array) -> Array:
-        """Return the ties t of the lines to ground, (rows + columns,) siemens, for readings (rows, columns)."""
+        """Return the ties t of the lines to ground, (rows + columns,) siemens.
+
+        They are those for readings (rows, columns).
+        """
 
     @abstractmethod
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return y = h(Z_jj, Z_kk, Z_jk) > 0 of impedances (rows, columns) ohm, elementwise; NumPy and CasADi."""
+        """Return y = h(Z_jj, Z_kk, Z_jk) > 0 of impedances (rows, columns) ohm, elementwise.
+
+        For NumPy and CasADi.
+        """
 
     @abstractmethod
     def apparent_resistance(self, measured: Array) -> Array:
-        """Return the cells (…, rows, columns) ohm that would give each reading if they were alone on the panel."""
+        """Return the cells that would give each reading if they were alone on the panel.
+
+        Shape (…, rows, columns), in ohm.
+        """
 
     # Consequences of the circuit.
 
     def addresses(self, measured: Array) -> tuple[Address, ...]:
         """Return the addresses of a scan, for readings (rows, columns).
 
-        `reading` takes the entries of Z = (L(g) + diag(t))⁻¹ with the ties t of the address at which a reading is
-        taken. Most circuits have one.
+        `reading` takes the entries of Z = (L(g) + diag(t))⁻¹ with the ties t of the address at
+        which a reading is taken. Most circuits have one.
         """
         return (Address(self.ties(measured), np.ones(measured.shape, dtype=bool)),)
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """Return the ties t; `parts`, (lines,), is the number of each line's part, None for a connected panel."""
+        """Return the ties t.
+
+        `parts`, (lines,), is the number of each line's part, None for a connected panel.
+        """
         return self.ties(measured)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
         """Return the solved network of cells (rows, columns) ohm.
 
-        `ties` are the conductances of the lines to ground, siemens, and `wiring` lies between cells and terminals.
+        `ties` are the conductances of the lines to ground, siemens, and `wiring` lies between cells
+        and terminals.
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         if wiring is not None:
@@ -179,7 +200,11 @@ class Readout(Converter, ABC):
         return TiedNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties), self)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """Return the readings y of cells (rows, columns) or (frames, rows, columns) ohm of any contrast; same shape."""
+        """Return the readings y of cells of any contrast.
+
+        The cells are (rows, columns) or (frames, rows, columns) ohm; the readings have the same
+        shape.
+        """
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         with np.errstate(divide="ignore"):
@@ -200,20 +225,26 @@ class Readout(Converter, ABC):
         return self.uniform_start(measured) if near is None else near
 
     def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
-        """Return the panels that give readings, the most probable one first: ln p and cells (rows, columns) ohm.
+        """Return the panels that give readings, the most probable one first.
 
-        Empty where uniform panels give the median reading with one resistance alone; see
-        `lampest.panel.readouts.branches`.
+        Each is ln p and cells (rows, columns) ohm. Empty where uniform panels give the median
+        reading with one resistance alone; see `lampest.panel.readouts.branches`.
         """
         del measured
         return []
 
     def uniform_start(self, measured: Array) -> Array:
-        """Return cells (…, rows, columns) ohm as if all were equal; by default the apparent resistance."""
+        """Return cells (…, rows, columns) ohm as if all were equal.
+
+        By default they are the apparent resistance.
+        """
         return self.apparent_resistance(measured)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ (None: unknown)."""
+        """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ.
+
+        σ is None if it is unknown.
+        """
         return self.nearly_shorted(measured)
 
     def nearly_shorted(self, measured: Array) -> Array:
@@ -221,9 +252,10 @@ class Readout(Converter, ABC):
         return SHORT_SHARE * self.apparent_resistance(measured)
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
-        """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start, (…, rows, columns) ohm.
+        """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start.
 
-        An open cell in place of a cell of r_max changes its reading by the noise σ. r_max is at least twice the start.
+        Shape (…, rows, columns), in ohm. An open cell in place of a cell of r_max changes its
+        reading by the noise σ. r_max is at least twice the start.
         """
         if measured.ndim > 2:
             return np.stack([self.resolution(*both) for both in zip(measured, sigma, strict=True)])
@@ -233,7 +265,9 @@ class Readout(Converter, ABC):
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """Return the common factor of all cells relative to a prediction; 1 if the kind cannot determine it.
+        """Return the common factor of all cells relative to a prediction.
+
+        1 if the kind cannot determine it.
 
         Parameters
         ----------
@@ -249,14 +283,16 @@ class Readout(Converter, ABC):
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return tests of inequalities that the circuit's readings satisfy for any cells.
 
-        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are no values.
+        `measured` and `sigma` are (frames, rows, columns); sigma is infinite for readings that are
+        no values.
         """
         return ()
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """Return the largest possible resistance in series with the panel, ohm; 0 if the kind has none.
+        """Return the largest possible resistance in series with the panel, ohm.
 
-        `measured` and `sigma` are those of `free_tests`, computed for a circuit without resistance in series.
+        0 if the kind has none. `measured` and `sigma` are those of `free_tests`, computed for a
+        circuit without resistance in series.
         """
         return 0.0
 
@@ -281,21 +317,36 @@ class Readout(Converter, ABC):
         beyond = ((least, recorded < least), (largest, recorded > largest))
         reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
         plural = "s" * (len(reached) - 1)
-        return f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}" if reached else ""
+        return (
+            f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}"
+            if reached
+            else ""
+        )
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ·|∂y/∂(recorded)|, the σ of the network's readings y from that of recorded ones; the same shape."""
+        """Return σ·|∂y/∂(recorded)|, the σ of the network's readings y.
+
+        It follows from the σ of recorded ones, and has the same shape.
+        """
         return sigma
 
-    def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
+    def simulated(
+        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    ) -> Array:
         """Return recorded values (frames, rows, columns) of cells, without noise and quantisation.
 
-        `row_ohm` and `column_ohm` are additional series resistances of every line's channel, (lines of a side,) ohm.
+        `row_ohm` and `column_ohm` are additional series resistances of every line's channel, (lines
+        of a side,) ohm.
         """
         return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
 
-    def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return the change of a network's readings (rows, columns) by additional channel resistance."""
+    def beyond(
+        self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    ) -> Array:
+        """Return the change of a network's readings by additional channel resistance.
+
+        Shape (rows, columns).
+        """
         recorded = self.simulated(network.cell_resistance, scene, row_ohm, column_ohm)
         return np.asarray(self.from_recorded(recorded, scene) - network.reading())
 
@@ -304,7 +355,10 @@ class Readout(Converter, ABC):
         return self
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """Return the numbers of the circuit that known resistors in place of the cells determine."""
+        """Return the numbers of the circuit that known resistors determine.
+
+        The known resistors are in place of the cells.
+        """
         return ()
 
     def shared_errors(
@@ -346,8 +400,8 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
 
         V_n = (1 − m)·U_n + m·V_(n−1)
 
-    U are the true voltages. n counts the channels in scan order; the first channel of a frame follows the last one of
-    the same frame.
+    U are the true voltages. n counts the channels in scan order; the first channel of a frame
+    follows the last one of the same frame.
 
     Parameters
     ----------
@@ -358,18 +412,22 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
         U in the panel's order.
     """
     channels = in_scan_order(readout, volt)
-    # Periodic frame: the recursion is a product in the discrete Fourier transform, V(ω) = (1 − m)/(1 − m e^−iω) U(ω).
+    # Periodic frame: the recursion is a product in the discrete Fourier transform, V(ω) = (1 −
+    # m)/(1 − m e^−iω) U(ω).
     turns = np.fft.rfftfreq(channels.shape[-1])
     response = (1 - fraction) / (1 - fraction * np.exp(-2j * np.pi * turns))
     held = np.fft.irfft(response * np.fft.rfft(channels), channels.shape[-1])
     return in_panel_order(readout, held, volt.shape)
 
 
-def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Array) -> tuple[Array, Array]:
+def without_memory(
+    readout: Readout, fraction: float, recorded: Array, sigma: Array
+) -> tuple[Array, Array]:
     """Return recorded readings without memory, and their σ: U_n = (V_n − m·V_(n−1))/(1 − m).
 
-    U_n contains the noise of both voltages, √(1 + m²)/(1 − m) times that of one if they are equal. After a channel
-    without a value (NaN), the remembered voltage is unknown: uniformly distributed over the converter's range.
+    U_n contains the noise of both voltages, √(1 + m²)/(1 − m) times that of one if they are equal.
+    After a channel without a value (NaN), the remembered voltage is unknown: uniformly distributed
+    over the converter's range.
 
     Parameters
     ----------
@@ -382,10 +440,15 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
 
     def before_it(values: Array) -> Array:
         """Return for every channel the value of the previous one in scan order."""
-        return in_panel_order(readout, np.roll(in_scan_order(readout, values), 1, axis=-1), values.shape)
+        return in_panel_order(
+            readout, np.roll(in_scan_order(readout, values), 1, axis=-1), values.shape
+        )
 
     def slope(volt: Array) -> Array:
-        """Return |∂recorded/∂V| by central differences, at least half an LSB away from the ends of the range."""
+        """Return |∂recorded/∂V| by central differences.
+
+        They are taken at least half an LSB away from the ends of the range.
+        """
         step = 1e-3 * readout.lsb_volt
         inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
@@ -400,7 +463,9 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
     before = np.where(unknown, volt, before)
     noise_before = np.where(unknown, readout.full_scale_volt / np.sqrt(12), noise_before)
     freed = np.clip((volt - fraction * before) / (1 - fraction), 0.0, readout.full_scale_volt)
-    return readout.recorded_from_volt(freed), np.hypot(noise, fraction * noise_before) / (1 - fraction) * slope(freed)
+    return readout.recorded_from_volt(freed), np.hypot(noise, fraction * noise_before) / (
+        1 - fraction
+    ) * slope(freed)
 
 
 def in_scan_order(readout: Readout, values: Array) -> Array:

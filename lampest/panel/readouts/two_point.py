@@ -1,4 +1,7 @@
-"""Two-point readout: one row and one column are selected, all other lines float, a divider measures the resistance."""
+"""Two-point readout: one row and one column are selected, all other lines float.
+
+A divider measures the resistance.
+"""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -22,17 +25,19 @@ from lampest.panel.readouts.parallel import ParallelDividers
 from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
-OWN = ("kind", "groups", "measured_across")  # keys of two_point that dividers in parallel do not share
+# Keys of two_point that dividers in parallel do not share.
+OWN = ("kind", "groups", "measured_across")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwoPointReadout(Divider):
-    """Two-point readout R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating, by a divider with a reference resistor.
+    """Two-point readout R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating.
 
-    The recorded value is that of the divider equation, as if the converter took no current. It includes the scene's
-    series resistance. With several groups of columns, the columns of an address load the driven row together; see
-    `ParallelDividers`. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor)
-    and section V.B (across the reference).
+    It is by a divider with a reference resistor. The recorded value is that of the divider
+    equation, as if the converter took no current. It includes the scene's series resistance. With
+    several groups of columns, the columns of an address load the driven row together; see
+    `ParallelDividers`. Raises ValueError if a number is out of range. Source: paper, equation (1)
+    (across the sensor) and section V.B (across the reference).
 
     Attributes
     ----------
@@ -45,8 +50,9 @@ class TwoPointReadout(Divider):
     input_ohm : float or None
         Input resistance of the converter, parallel to the measured resistor; None: negligible.
     groups : tuple of tuple of int, or None
-        Columns behind one multiplexer each, in the order of its addresses, with a reference resistor each. At every
-        address one column of each group is read. None: one multiplexer has all columns.
+        Columns behind one multiplexer each, in the order of its addresses, with a reference
+        resistor each. At every address one column of each group is read. None: one multiplexer has
+        all columns.
     adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -68,7 +74,9 @@ class TwoPointReadout(Divider):
             return
         check_apart(self.groups)
         if self.measured_across == "sensor":
-            raise ValueError("groups have a resistor each at their columns: measured_across must be reference")
+            raise ValueError(
+                "groups have a resistor each at their columns: measured_across must be reference"
+            )
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError as `Readout.check`, or if groups do not list every column once."""
@@ -76,18 +84,26 @@ class TwoPointReadout(Divider):
         check_groups(self.groups, "columns", scene.panel.shape[1])
 
     def in_scene(self, scene: Surroundings) -> Readout:
-        """Return the circuit that gives the readings: this one, or dividers in parallel that share the driven row."""
+        """Return the circuit that gives the readings.
+
+        It is this one, or dividers in parallel that share the driven row.
+        """
         if self.groups is None or len(self.groups) < 2:
             return self
-        numbers = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN}
+        numbers = {
+            field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN
+        }
         rows, columns = scene.series_lines
-        return ParallelDividers(**numbers, columns=self.groups, row_ohm=tuple(rows), column_ohm=tuple(columns))
+        return ParallelDividers(
+            **numbers, columns=self.groups, row_ohm=tuple(rows), column_ohm=tuple(columns)
+        )
 
     def description(self) -> str:
         converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         converter += "" if self.groups is None else f", {len(self.groups)} columns read in parallel"
         return (
-            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured across the "
+            f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured "
+            "across the "
             f"{self.measured_across}{converter}, {self.converter_description()}"
         )
 
@@ -102,7 +118,10 @@ class TwoPointReadout(Divider):
         return row + column - 2 * mutual
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Return the solved network; without wiring by the arithmetic of floating lines, which costs less."""
+        """Return the solved network.
+
+        Without wiring it is solved by the arithmetic of floating lines, which costs less.
+        """
         if wiring is not None:
             return super().network(cell_resistance, ties, wiring)
         return FloatingNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties))
@@ -126,14 +145,18 @@ class TwoPointReadout(Divider):
         return measured.copy()
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
-        """Return r_max = R²/σ, at least twice the uniform start: an open cell in its place changes R by the noise σ."""
+        """Return r_max = R²/σ, at least twice the uniform start.
+
+        An open cell in its place changes R by the noise σ.
+        """
         return np.asarray(np.maximum(measured**2 / sigma, 2 * self.uniform_start(measured)))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """Return exp of the mean of the shortest half of log R_m/R, which a load on some lines does not affect.
+        """Return exp of the mean of the shortest half of log R_m/R.
 
-        Two-point resistances are homogeneous: a common factor of all cells is the factor of all readings. The result is
-        1 without readings. Source: Andrews et al., Robust Estimates of Location, 1972 (the shorth).
+        A load on some lines does not affect it. Two-point resistances are homogeneous: a common
+        factor of all cells is the factor of all readings. The result is 1 without readings. Source:
+        Andrews et al., Robust Estimates of Location, 1972 (the shorth).
         """
         steps = np.sort(np.log(measured[chosen] / expected[chosen]), axis=None)
         half = len(steps) // 2 + 1
@@ -148,15 +171,23 @@ class TwoPointReadout(Divider):
         single = four_point_excess(measured, sigma)
         return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
 
-    def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Return R + R_series plus the additional resistance of both channels, (frames, rows, columns) ohm."""
+    def simulated(
+        self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
+    ) -> Array:
+        """Return R + R_series plus the additional resistance of both channels.
+
+        Shape (frames, rows, columns), in ohm.
+        """
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
-        """Return −(R + R_series)·reference, then `channel` for each line; see `Readout.shared_errors`."""
+        """Return −(R + R_series)·reference, then `channel` for each line.
+
+        See `Readout.shared_errors`.
+        """
         rows, columns = measured.shape[-2:]
         lines = np.zeros((rows + columns if channel else 0, *measured.shape))
         if channel:
@@ -168,10 +199,10 @@ class TwoPointReadout(Divider):
 def four_point_excess(resistance: Array, sigma: Array) -> Array:
     """Return max_pq (R_jk − R_jq − R_pq − R_pk)/σ for every reading, (frames, rows, columns).
 
-    Effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993): no path from row j over column q and row
-    p to column k is shorter than R_jk. σ is that of all four readings together. The shortest path over any q from row j
-    to row p is computed first, then the shortest over any p: (rows² · columns) sums. The result is −∞ for readings with
-    infinite σ.
+    Effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993): no path from row j
+    over column q and row p to column k is shorter than R_jk. σ is that of all four readings
+    together. The shortest path over any q from row j to row p is computed first, then the shortest
+    over any p: (rows² · columns) sums. The result is −∞ for readings with infinite σ.
 
     Parameters
     ----------
@@ -223,13 +254,17 @@ class ModulesReadout(TwoPointReadout):
 
     def uniform_start(self, measured: Array) -> Array:
         """Return the uniform start of each module; see `TwoPointReadout.uniform_start`."""
-        return np.asarray(measured / uniform_factor(self.layout.each.rows, self.layout.each.columns))
+        return np.asarray(
+            measured / uniform_factor(self.layout.each.rows, self.layout.each.columns)
+        )
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce attainable readings, module by module; see `convex_start`."""
         nears = [None] * self.layout.count if near is None else self.layout.split(near)
         modules = zip(self.layout.split(measured), self.layout.split(upper), nears, strict=True)
-        return np.asarray(self.layout.joined(np.stack([convex_start(*module) for module in modules])))
+        return np.asarray(
+            self.layout.joined(np.stack([convex_start(*module) for module in modules]))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +307,10 @@ class BlockNetwork(FloatingNetwork):
         return self.inner.condition()
 
     def scattered(self, blocks: Array) -> Array:
-        """Return blocks (modules, cells, cells) as a matrix (cells, cells) over the cells of the image."""
+        """Return blocks (modules, cells, cells) as a matrix over the cells of the image.
+
+        The matrix has shape (cells, cells).
+        """
         size = self.conductance.size
         layout = self.layout
         numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)

@@ -1,8 +1,9 @@
-"""Exact networks with wire resistance, contacts and touching lines between the terminals and the cells.
+"""Exact networks with wire resistance, contacts and touching lines.
 
-The path to every cell has one segment of wire more than the path to the previous cell; the first cell has one segment,
-as in badcrossbar (Joksas & Mehonic, SoftwareX 12, 2020). A contact is in series with the first segment. Lines touch
-between their contacts and their wire.
+These lie between the terminals and the cells. The path to every cell has one segment of wire more
+than the path to the previous cell; the first cell has one segment, as in badcrossbar (Joksas &
+Mehonic, SoftwareX 12, 2020). A contact is in series with the first segment. Lines touch between
+their contacts and their wire.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,8 @@ class Lines(Configuration):
     Attributes
     ----------
     row_ohm_per_cell, column_ohm_per_cell : float
-        Resistance in ohm of a row from column to column, and of a column from row to row. The segment from the terminal
-        to the first cell has the same resistance. Zero: none.
+        Resistance in ohm of a row from column to column, and of a column from row to row. The
+        segment from the terminal to the first cell has the same resistance. Zero: none.
     rows_enter : {'left', 'right'}
         Side of the rows' terminals; at the left, column 0 is the nearest.
     columns_leave : {'bottom', 'top'}
@@ -91,24 +92,35 @@ class Contacts(Configuration):
     columns: ContactPrior = ContactPrior()
 
     def mean(self, shape: tuple[int, ...]) -> Array:
-        """Return the means of all lines, (lines,) ohm, rows first. Raises ValueError if a list has another length."""
+        """Return the means of all lines, (lines,) ohm, rows first.
+
+        Raises ValueError if a list has another length.
+        """
         return self._of_lines("mean_ohm", shape)
 
     def deviation(self, shape: tuple[int, ...]) -> Array:
-        """Return the standard deviations of all lines, (lines,) ohm. Raises ValueError if a list has another length."""
+        """Return the standard deviations of all lines, (lines,) ohm.
+
+        Raises ValueError if a list has another length.
+        """
         return self._of_lines("sd_ohm", shape)
 
     def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
         sides = zip(("rows", "columns"), (self.rows, self.columns), shape, strict=True)
         return np.concatenate(
-            [per_line(f"contacts.{side}.{name}", getattr(lines, name), n) for side, lines, n in sides]
+            [
+                per_line(f"contacts.{side}.{name}", getattr(lines, name), n)
+                for side, lines, n in sides
+            ]
         )
 
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
         """Return the contacts from means and deviations, (lines,) ohm each, rows first."""
         both = np.stack([mean, deviation])
-        return cls(*(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:])))
+        return cls(
+            *(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:]))
+        )
 
 
 @dataclass(frozen=True)
@@ -134,9 +146,10 @@ class Wiring:
         return np.zeros(sum(shape)) if self.contacts is None else self.contacts.mean(shape)
 
     def path_ohm(self, shape: tuple[int, ...]) -> Array:
-        """Return the resistance of wire and contacts from terminal to terminal through every cell, (rows, columns) ohm.
+        """Return the resistance of wire and contacts through every cell, (rows, columns) ohm.
 
-        Contacts count with their means plus NOISE_REACH standard deviations.
+        It is that of the path from terminal to terminal. Contacts count with their means plus
+        NOISE_REACH standard deviations.
         """
         rows, columns = shape
         # Segments from the terminal of the row, and of the column, to every cell.
@@ -151,7 +164,10 @@ class Wiring:
         return np.asarray(wire + most[:rows, None] + most[rows:])
 
     def nodes(self, count: int) -> Array:
-        """Return E, (lines, nodes), 1 where a line belongs to a node; lines that touch are one node."""
+        """Return E, (lines, nodes), 1 where a line belongs to a node.
+
+        Lines that touch are one node.
+        """
         # Every line belongs to the node of the first line that its group names.
         first = np.arange(count)
         for group in self.joined:
@@ -161,18 +177,19 @@ class Wiring:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Factorisation of K·i = e for the currents i through cells, with potential differences e = Bᵀp of the terminals.
+    """Factorisation of K·i = e for the currents i through cells.
 
-    K = diag(r) + T, T_cd the resistance of the wire that the paths of cells c and d to the terminals share. K is solved
-    by block elimination along a ladder: the rows are its rungs, the wire of the columns its rails. The rungs passed so
-    far act as a source with an internal conductance. Each rung adds its own conductance to it, and each segment of the
-    rails its resistance. The cost is rows·columns³.
+    The potential differences are e = Bᵀp of the terminals. K = diag(r) + T, T_cd the resistance of
+    the wire that the paths of cells c and d to the terminals share. K is solved by block
+    elimination along a ladder: the rows are its rungs, the wire of the columns its rails. The rungs
+    passed so far act as a source with an internal conductance. Each rung adds its own conductance
+    to it, and each segment of the rails its resistance. The cost is rows·columns³.
 
     Attributes
     ----------
     outer, inner : slice
-        Slices that order the rungs, and the cells of a rung: a rung enters at its first cell, rails leave at the last
-        rung.
+        Slices that order the rungs, and the cells of a rung: a rung enters at its first cell, rails
+        leave at the last rung.
     rung : array, shape (rungs, n, n)
         Inverse of K of every rung alone, siemens.
     passed : array, shape (rungs, n, n)
@@ -201,8 +218,11 @@ class Ladder:
         count, size = turned.shape
         steps = np.arange(1, size + 1)
         index = np.arange(size)
-        # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the diagonal.
-        matrix = np.tile(lines.row_ohm_per_cell * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
+        # K of one rung: cells c and d share min(c, d) segments and the rung's contact; r on the
+        # diagonal.
+        matrix = np.tile(
+            lines.row_ohm_per_cell * np.minimum.outer(steps, steps).astype(float), (count, 1, 1)
+        )
         matrix += contacts[:count][outer, None, None]
         matrix[:, index, index] += turned
         segment = np.full((count, size), lines.column_ohm_per_cell)
@@ -212,14 +232,18 @@ class Ladder:
         shown = np.empty_like(rung)
         before = np.zeros((size, size))
         for number in range(count):
-            # Y ← (1 + (Y + Y_rung)·diag(segment))⁻¹ (Y + Y_rung), the conductance behind the next segment
+            # Y ← (1 + (Y + Y_rung)·diag(segment))⁻¹ (Y + Y_rung), the conductance behind the next
+            # segment
             total = before + rung[number]
             passed[number] = np.linalg.inv(np.eye(size) + total * segment[number])
             before = shown[number] = passed[number] @ total
         return cls(outer, inner, rung, passed, shown, segment)
 
     def solve(self, differences: Array) -> Array:
-        """Return i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
+        """Return i = K⁻¹·e, the currents through the cells, in ampere.
+
+        e is (rows, columns, patterns) volt; the result has the same shape.
+        """
         driven = self.rung @ differences[self.outer, self.inner]
         source = np.empty_like(driven)
         potential = np.empty_like(driven)
@@ -239,10 +263,11 @@ class Ladder:
 class WiredNetwork(DifferenceNetwork):
     """Network with wiring between terminals and cells.
 
-    The currents of the terminals at potentials p are BC·p with C = K⁻¹Bᵀ, and Z = (BC + diag t)⁻¹ with touching lines
-    as one node. D = (r C Pᵀ)ᵀ are the potential differences across the cells for the excitation of every terminal;
-    ∂Z_ab/∂g_c = −D_ac D_bc as without wiring. X = diag(r) − r K⁻¹ r + DᵀCᵀ r are the differences for a unit current
-    through every cell; ∂D_ac/∂g_d = −D_ad X_dc. Without wiring X = BᵀZB.
+    The currents of the terminals at potentials p are BC·p with C = K⁻¹Bᵀ, and Z = (BC + diag t)⁻¹
+    with touching lines as one node. D = (r C Pᵀ)ᵀ are the potential differences across the cells
+    for the excitation of every terminal; ∂Z_ab/∂g_c = −D_ac D_bc as without wiring. X = diag(r) − r
+    K⁻¹ r + DᵀCᵀ r are the differences for a unit current through every cell; ∂D_ac/∂g_d = −D_ad
+    X_dc. Without wiring X = BᵀZB.
 
     Attributes
     ----------
@@ -259,7 +284,9 @@ class WiredNetwork(DifferenceNetwork):
     currents: Array
 
     @classmethod
-    def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring) -> "WiredNetwork":
+    def solve(
+        cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring
+    ) -> "WiredNetwork":
         """Return the solved network of cells (rows, columns) ohm.
 
         Raises numpy.linalg.LinAlgError if a line is not connected.
@@ -273,16 +300,23 @@ class WiredNetwork(DifferenceNetwork):
         nodes = wiring.nodes(rows + columns)
         # Touching lines are one node, with the sum of their ties: E (Eᵀ (BC + diag t) E)⁻¹ Eᵀ
         node_ties = np.where(nodes > 0, ties[:, None], 0.0).sum(axis=0)
-        entries, potentials = (nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties))
+        entries, potentials = (
+            nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties)
+        )
         return cls(cell_resistance, entries, readout, ties, potentials, wiring, ladder, currents)
 
     @cached_property
     def potential_differences(self) -> Array:
         """D = (r C Pᵀ)ᵀ, (lines, cells) ohm."""
-        return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self.excited.T)).T)
+        return np.asarray(
+            (self.cell_resistance.reshape(-1, 1) * (self.currents @ self.excited.T)).T
+        )
 
     def driven_through(self, sources: Array) -> Array:
-        """Return X·s, (cells, patterns) volt, for currents s (cells, patterns) ampere that are driven through cells."""
+        """Return X·s, (cells, patterns) volt, for currents that are driven through cells.
+
+        The currents s are (cells, patterns) ampere.
+        """
         resistance = self.cell_resistance.reshape(-1, 1)
         pushed = resistance * sources
         drawn = self.ladder.solve(pushed.reshape(*self.conductance.shape, -1)).reshape(pushed.shape)
@@ -293,13 +327,15 @@ class WiredNetwork(DifferenceNetwork):
     def contact_response(self) -> Array:
         """Return ∂y/∂c for the lines' contacts c, (rows, columns, lines) per ohm.
 
-        ∂Z_ab/∂c_l = X_la X_lb. X_la is the current that enters line l while line a is excited: 1 − diag(t) Z, and −K of
-        a held line.
+        ∂Z_ab/∂c_l = X_la X_lb. X_la is the current that enters line l while line a is excited: 1 −
+        diag(t) Z, and −K of a held line.
         """
         ties = np.where(self.held, 0.0, self.ties)
         entering = np.eye(len(ties)) - ties[:, None] * self.excited.T
         entering = np.where(self.held[:, None], -self._impedance, entering)
-        return np.stack([self.read_change(self.entries(np.outer(line, line))) for line in entering], axis=-1)
+        return np.stack(
+            [self.read_change(self.entries(np.outer(line, line))) for line in entering], axis=-1
+        )
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:
@@ -323,18 +359,22 @@ def _contact_response_map(network: Network) -> Array:
 def wire_responses(network: Network, lines: Lines) -> Array:
     """Return ∂y/∂ρ for the wire ρ per cell of all rows, and of all columns, (2, …, rows, columns).
 
-    ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for the excitation of line
-    a, which is the sum of the currents through all cells beyond the segment.
+    ∂Z_ab/∂ρ = Σ I_a I_b over all segments of the wire. I_a is the current through a segment for the
+    excitation of line a, which is the sum of the currents through all cells beyond the segment.
     """
     if isinstance(network, AddressedNetwork):
-        by_address = network.response_of(lambda part: np.moveaxis(wire_responses(part, lines), 0, -1))
+        by_address = network.response_of(
+            lambda part: np.moveaxis(wire_responses(part, lines), 0, -1)
+        )
         return np.moveaxis(by_address, -1, 0)
     # Currents through the cells, g·D, then cumulated from the far end to each segment.
     currents = network.potential_differences * network.flat_conductance[..., None, :]
     maps = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:])
     responses = []
     for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
-        beyond = np.cumsum(np.flip(maps, axis) if near_first else maps, axis).reshape(currents.shape)
+        beyond = np.cumsum(np.flip(maps, axis) if near_first else maps, axis).reshape(
+            currents.shape
+        )
         responses.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))
     return np.stack(responses)
 

@@ -31,7 +31,10 @@ WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", 
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC-16/CCITT-FALSE of data: polynomial 0x1021, start 0xFFFF, neither reflected nor inverted."""
+    """Return the CRC-16/CCITT-FALSE of data.
+
+    Its polynomial is 0x1021, its start 0xFFFF, neither reflected nor inverted.
+    """
     return crc_hqx(data, 0xFFFF)
 
 
@@ -68,7 +71,8 @@ def message(body: bytes) -> bytes:
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
-# Bytes of the longest message between its zeros: an estimate and its CRC, without zeros to shorten the pieces.
+# Bytes of the longest message between its zeros: an estimate and its CRC, without zeros to shorten
+# the pieces.
 MAX_STUFFED = len(stuffed(b"\1" * (_ESTIMATE.size + 4 * MAX_ROWS * MAX_COLUMNS + 2)))
 
 
@@ -116,10 +120,11 @@ OUTCOMES = (
 
 @dataclass(frozen=True)
 class Hello:
-    """Identity and settings of a board, sent after a reset, once a second while idle, and on request.
+    """Identity and settings of a board.
 
-    With loaded columns, reference_milliohm is the load of every column, and drive_milliohm the resistance in series
-    with each row. `estimates` is no part of HELLO: boards that estimate accept SET_BASELINE.
+    They are sent after a reset, once a second while idle, and on request. With loaded columns,
+    reference_milliohm is the load of every column, and drive_milliohm the resistance in series with
+    each row. `estimates` is no part of HELLO: boards that estimate accept SET_BASELINE.
     """
 
     rows: int
@@ -146,10 +151,18 @@ class Hello:
         """Sentence about the first field with an impossible value, or ''."""
         limits = dict.fromkeys(("rows", "columns", "most_rows", "most_columns"), MAX_ROWS)
         limits |= dict.fromkeys(("readings", "most_readings"), MAX_READINGS)
-        limits |= dict.fromkeys(("period_us", "shortest_period_us", "reference_milliohm"), 2**32 - 1)
+        limits |= dict.fromkeys(
+            ("period_us", "shortest_period_us", "reference_milliohm"), 2**32 - 1
+        )
         limits |= {"supply_millivolt": 2**16 - 1, "adc_bits": MAX_CODE.bit_length()}
         wrong = (name for name, most in limits.items() if not 1 <= getattr(self, name) <= most)
-        return next((f"the board says that {n} is {getattr(self, n)}; 1 to {limits[n]} is possible" for n in wrong), "")
+        return next(
+            (
+                f"the board says that {n} is {getattr(self, n)}; 1 to {limits[n]} is possible"
+                for n in wrong
+            ),
+            "",
+        )
 
     @property
     def period(self) -> float:
@@ -193,8 +206,14 @@ class Frame:
     unestimated: str = ""
 
     def with_estimate(self, estimate: "Estimate | None") -> "Frame":
-        """Return the frame with the board's estimate, or why it failed; unchanged if that is of another frame."""
-        if estimate is None or (estimate.sequence, estimate.log_change.shape) != (self.sequence, self.sums.shape):
+        """Return the frame with the board's estimate, or why it failed.
+
+        The frame is unchanged if that is of another frame.
+        """
+        if estimate is None or (estimate.sequence, estimate.log_change.shape) != (
+            self.sequence,
+            self.sums.shape,
+        ):
             return self
         if estimate.outcome == 0:
             return replace(self, log_change=estimate.log_change)
@@ -249,7 +268,10 @@ Message = Hello | Frame | Estimate | Answer | Foreign | Garbage
 
 @dataclass(frozen=True)
 class Receiver:
-    """State of reception: the bytes since the last zero. `feed` returns the next state and the complete messages."""
+    """State of reception: the bytes since the last zero.
+
+    `feed` returns the next state and the complete messages.
+    """
 
     pending: bytes = b""
 
@@ -257,7 +279,9 @@ class Receiver:
         """Return the next state and the messages that the data complete; no data raise an error."""
         *pieces, pending = (self.pending + data).split(b"\0")
         # One byte more than MAX_STUFFED suffices to recognise a piece that is no message.
-        return Receiver(pending[: MAX_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
+        return Receiver(pending[: MAX_STUFFED + 1]), tuple(
+            _read_piece(piece) for piece in pieces if piece
+        )
 
 
 def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
@@ -300,7 +324,9 @@ def _read_frame(body: bytes) -> Frame:
 
 def _read_estimate(body: bytes) -> Estimate:
     _, _, rows, columns, outcome, sequence = _ESTIMATE.unpack_from(body)
-    log_change = np.frombuffer(body, "<f4", offset=_ESTIMATE.size).astype(np.float32).reshape(rows, columns)
+    log_change = (
+        np.frombuffer(body, "<f4", offset=_ESTIMATE.size).astype(np.float32).reshape(rows, columns)
+    )
     fits = 0 < rows <= MAX_ROWS and 0 < columns <= MAX_COLUMNS and outcome < len(OUTCOMES)
     if not (fits and np.all(np.abs(log_change) <= MAX_LOG_CHANGE)):
         raise ValueError("no board sends such an estimate")

@@ -1,8 +1,9 @@
-"""Recording of a board: frames are appended to a journal, which is rewritten as a recording at the end.
+"""Recording of a board.
 
-`record` reads from a port. A `Recorder` records the samples of a watched port on request. A journal has the layout of a
-recording. Other processes can read it meanwhile (single writer, multiple readers, SWMR), and flushed frames remain
-readable after a crash.
+Frames are appended to a journal, which is rewritten as a recording at the end. `record` reads from
+a port. A `Recorder` records the samples of a watched port on request. A journal has the layout of a
+recording. Other processes can read it meanwhile (single writer, multiple readers, SWMR), and
+flushed frames remain readable after a crash.
 """
 
 import contextlib
@@ -30,12 +31,19 @@ from lampest.panel.scene import Scene
 from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, group_of
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
-from lampest.recording.board.stream import CLOCK_JUMPED, CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples
+from lampest.recording.board.stream import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    UNFIT_SECONDS,
+    Sample,
+    Samples,
+)
 from lampest.recording.file import recording_file
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, save_parts
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot or separator: a visible file within the folder
+# No dot or separator: a visible file within the folder.
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +126,9 @@ class Journal:
 
     @classmethod
     @contextlib.contextmanager
-    def create(cls, path: Path, scene: Scene, readings: int, *, estimates: bool = False) -> Iterator["Journal"]:
+    def create(
+        cls, path: Path, scene: Scene, readings: int, *, estimates: bool = False
+    ) -> Iterator["Journal"]:
         """Create and yield a journal, also of a board's `estimates`.
 
         Raises InputError if the file cannot be created, or exists.
@@ -137,10 +147,12 @@ class Journal:
             with locked(path):  # HDF5's own lock ended where SWMR began
                 yield cls(file, scene)
 
-    def append(self, samples: Sequence[Sample], unloaded: int, keys: Callable[[], str] = lambda: "") -> None:
-        """Append and flush samples with their events, and the pressed keys as events. Raises InputError if it fails.
+    def append(
+        self, samples: Sequence[Sample], unloaded: int, keys: Callable[[], str] = lambda: ""
+    ) -> None:
+        """Append and flush samples with their events, and the pressed keys as events.
 
-        The first `unloaded` samples are unloaded.
+        Raises InputError if it fails. The first `unloaded` samples are unloaded.
         """
         rows = Rows.of_file(self.file, self.scene.circuit)
         unknown = np.full(self.scene.panel.shape, np.nan)
@@ -150,7 +162,9 @@ class Journal:
             | {
                 "recorded": sample.recorded,
                 "role": UNLOADED if number < unloaded else MEASURED,
-                "log_change": unknown if sample.frame.log_change is None else sample.frame.log_change,
+                "log_change": unknown
+                if sample.frame.log_change is None
+                else sample.frame.log_change,
             }
             for number, sample in enumerate(samples)
         ]
@@ -165,13 +179,19 @@ class Journal:
         EVENTS.append(self.file, ([time], [hdf5.ascii_array(label)]))
 
     def keep(self, source: h5py.File) -> None:
-        """Append the undamaged frames and events of another journal; damaged frames count as lost before the next."""
+        """Append the undamaged frames and events of another journal.
+
+        Damaged frames count as lost before the next.
+        """
         for rows in (Rows.of_file(self.file, self.scene.circuit), EVENTS):
             intact = np.flatnonzero(rows.undamaged(source))
             dropped = np.diff(intact, prepend=-1) - 1
             for part in blocks(len(intact), self.scene.panel.crossings):
                 first, last = intact[part][[0, -1]].tolist()
-                values = [column[intact[part] - first] for column in rows.stored(source, slice(first, last + 1))]
+                values = [
+                    column[intact[part] - first]
+                    for column in rows.stored(source, slice(first, last + 1))
+                ]
                 for number, (path, *_) in enumerate(rows.datasets):
                     if path == "acquisition/lost":
                         values[number] = values[number] + dropped[part]
@@ -186,27 +206,53 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> 
     hdf5.write_text(entry, "scene", to_yaml(scene))
     series = (frame_rows, EVENTS)
     salt = secrets.token_hex(16)
-    for path, kind, units, long_name in (dataset for rows in series for dataset in (*rows.datasets, rows.checksum)):
-        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums", "/log_change")) else ()
+    for path, kind, units, long_name in (
+        dataset for rows in series for dataset in (*rows.datasets, rows.checksum)
+    ):
+        cells = (
+            scene.panel.shape
+            if path.endswith((f"/{circuit.signal}", "/sums", "/log_change"))
+            else ()
+        )
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
-        dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
+        dataset = entry.create_dataset(
+            path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk
+        )
         hdf5.set_attributes(dataset, units=units, long_name=long_name)
     for rows in series:
         hdf5.set_attributes(entry[rows.checksum[0]], **{SALT: salt})
-    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    hdf5.set_attributes(
+        file,
+        NX_class="NXroot",
+        default="entry",
+        lampest_format=FORMAT,
+        lampest_unfinished=np.uint8(1),
+    )
     hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
-    hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
-    hdf5.set_attributes(entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings))
+    hdf5.set_attributes(
+        entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"]
+    )
+    hdf5.set_attributes(
+        entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings)
+    )
     hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")
 
 
 def _journal_for(sample: Sample, path: Path) -> contextlib.AbstractContextManager[Journal]:
-    """Return a journal for the frames of a board, from its first sample. Raises InputError if the file exists."""
-    return Journal.create(path, sample.scene, sample.hello.readings, estimates=sample.hello.estimates)
+    """Return a journal for the frames of a board, from its first sample.
+
+    Raises InputError if the file exists.
+    """
+    return Journal.create(
+        path, sample.scene, sample.hello.readings, estimates=sample.hello.estimates
+    )
 
 
 def _counts(sample: Sample, *, behind: bool) -> Counter[str]:
-    """Return the counts of a frame: itself, frames lost before it, missing readings of a module, and its events."""
+    """Return the counts of a frame.
+
+    They are itself, frames lost before it, missing readings of a module, and its events.
+    """
     count = Counter[str](frames=1, lost=sample.lost, parted=sample.missing > 0, behind=behind)
     count.update(sample.events)
     return count
@@ -226,13 +272,14 @@ def record(  # noqa: PLR0913 # the options of a command
 ) -> Recorded:
     """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
 
-    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the recording; frames that the port has received by then are included.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the recording; frames that the port has received by then
+    are included.
 
     Parameters
     ----------
     ports : str, sequence of str, or None
-        Port name or pyserial URL; for a panel of modules those of all boards in the order of the modules. None: the
-        only port that looks like an Arduino.
+        Port name or pyserial URL; for a panel of modules those of all boards in the order of the
+        modules. None: the only port that looks like an Arduino.
     out : Path
         File that must not exist yet.
     frames : int, or None
@@ -253,7 +300,8 @@ def record(  # noqa: PLR0913 # the options of a command
     Raises
     ------
     InputError
-        If the board does not answer or fit, `out` exists, or no frame arrives. Earlier frames are in the file.
+        If the board does not answer or fit, `out` exists, or no frame arrives. Earlier frames are
+        in the file.
     """
     check_output(out)
     if out.exists():
@@ -266,7 +314,9 @@ def record(  # noqa: PLR0913 # the options of a command
     with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
-                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()), baseline)
+                batches = samples_of(
+                    urls, scene, period, states.append, lambda: bool(ended_by()), baseline
+                )
                 stack.enter_context(contextlib.closing(batches))
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
@@ -291,7 +341,11 @@ def record(  # noqa: PLR0913 # the options of a command
         if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         complete = bool(ended_by()) or count["frames"] == frames
-        silent = 0.0 if seconds is None or complete else max(seconds - last.time - last.hello.period, 0.0)
+        silent = (
+            0.0
+            if seconds is None or complete
+            else max(seconds - last.time - last.hello.period, 0.0)
+        )
         scene, _, noise = made
         return Recorded(
             path=out,
@@ -308,9 +362,10 @@ def record(  # noqa: PLR0913 # the options of a command
 
 
 class Recorder:
-    """Recorder on request: one thread passes all samples, and any thread may start or end a recording.
+    """Recorder on request.
 
-    Every file begins with the unloaded frames of the watch, or with those after the last request of `zero`.
+    One thread passes all samples, and any thread may start or end a recording. Every file begins
+    with the unloaded frames of the watch, or with those after the last request of `zero`.
 
     Parameters
     ----------
@@ -336,13 +391,19 @@ class Recorder:
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
-        """Start a recording by its name ('': the time), or end a running one; for any thread. Raises InputError."""
+        """Start a recording by its name ('': the time), or end a running one.
+
+        It is for any thread. Raises InputError.
+        """
         if name and not NAME.fullmatch(name):
             raise InputError("a recording's name has up to 64 letters, digits, - and _")
         self._asked.append(name)
 
     def zero(self) -> None:
-        """Declare the next frames as unloaded ones of later recordings; a running recording has an event instead."""
+        """Declare the next frames as unloaded ones of later recordings.
+
+        A running recording has an event instead.
+        """
         self._zeroed.set()
 
     def take(self, sample: Sample) -> None:
@@ -366,7 +427,10 @@ class Recorder:
             self._end(str(error))
 
     def close(self) -> None:
-        """End a running recording, and wait until all files are closed, without regard to signals."""
+        """End a running recording, and wait until all files are closed.
+
+        It waits without regard to signals.
+        """
         if self._journal is not None:
             self._end()
         with deaf():
@@ -374,7 +438,10 @@ class Recorder:
                 thread.join()
 
     def _begin(self, name: str, sample: Sample) -> None:
-        """Start a recording with the unloaded frames and a sample. Raises InputError if the file exists."""
+        """Start a recording with the unloaded frames and a sample.
+
+        Raises InputError if the file exists.
+        """
         self._path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
         self._frames = 0
         if self._path.exists():
@@ -385,13 +452,19 @@ class Recorder:
             self._grow(self._journal, (sample,), 0)
 
     def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
-        """Append samples, of which the first `unloaded` ones are unloaded, and report the progress."""
+        """Append samples, and report the progress.
+
+        Of the samples, the first `unloaded` ones are unloaded.
+        """
         journal.append(samples, unloaded)
         self._frames += len(samples)
         self._say(f"recording {self._path}: {self._frames} frames", self._journal is not None)
 
     def _end(self, trouble: str = "") -> None:
-        """Close the journal, and rewrite it as a recording in another thread, because frames continue to arrive."""
+        """Close the journal, and rewrite it as a recording in another thread.
+
+        Another thread does it because frames continue to arrive.
+        """
         if self._journal is None:
             self._say(f"not recorded: {trouble}", self._journal is not None)
             return
@@ -417,8 +490,8 @@ class Recorder:
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
     """Yield batches up to a number of frames, or up to a time in s on the board's clock.
 
-    The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames are counted and
-    none has arrived for UNFIT_SECONDS and three periods.
+    The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames
+    are counted and none has arrived for UNFIT_SECONDS and three periods.
     """
     most = math.inf if frames is None else frames
     until = math.inf if seconds is None else seconds
@@ -443,10 +516,11 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
 
 
 def repair(path: Path) -> tuple[int, int]:
-    """Rewrite an unfinished recording as a finished one, with σ of every reading; finished ones remain unchanged.
+    """Rewrite an unfinished recording as a finished one, with σ of every reading.
 
-    Returns the numbers of frames and of damaged frames, which are removed and count as lost. Raises InputError if
-    nothing can be read, or if the file is still being recorded.
+    Finished ones remain unchanged. Returns the numbers of frames and of damaged frames, which are
+    removed and count as lost. Raises InputError if nothing can be read, or if the file is still
+    being recorded.
     """
     own(path)
     with hdf5.existing_file(path) as file:
@@ -463,13 +537,18 @@ def repair(path: Path) -> tuple[int, int]:
                 raise InputError(f"{path}: every frame is damaged")
             readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
             estimates = rows != Rows.of_frames(scene.circuit)
-            with Journal.create(folder / path.name, scene, readings, estimates=estimates) as journal:
+            with Journal.create(
+                folder / path.name, scene, readings, estimates=estimates
+            ) as journal:
                 journal.keep(file)
         return finished(path, folder / path.name)[1], int(np.sum(~intact))
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
-    """Rewrite the journal at `path`, or another one, as a recording at `path`; return scene, frames and noise."""
+    """Rewrite the journal at `path`, or another one, as a recording at `path`.
+
+    Return scene, frames and noise.
+    """
     own(path)
     with deaf():
         recording = StoredRecording.of(journal or path)
@@ -480,7 +559,10 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
 
 
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
-    """Return the recording with σ of every reading, by the noise of its repeats in LSB if it is known."""
+    """Return the recording with σ of every reading.
+
+    It is by the noise of its repeats in LSB if it is known.
+    """
     readout = recording.scene.readout
     if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own
         return recording
@@ -489,7 +571,10 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
-    """Return the noise of a reading in LSB from differences of successive unloaded codes; None below MIN_REPEATS."""
+    """Return the noise of a reading in LSB from differences of successive unloaded codes.
+
+    None below MIN_REPEATS.
+    """
     total = 0.0
     count = 0
     readout = None

@@ -1,8 +1,10 @@
-"""Several boards as one: each scans a module, and their simultaneous frames form a frame of the whole image.
+"""Several boards as one.
 
-A board's time on the host's clock is its own time plus the least delay of its newest frames, s = min(arrival − time).
-The board of the first module leads, or the next one while it is absent: its frames define the times of the image. Every
-other board contributes its frame nearest in time. An absent board is missing from the image until it returns.
+Each scans a module, and their simultaneous frames form a frame of the whole image. A board's time
+on the host's clock is its own time plus the least delay of its newest frames, s = min(arrival −
+time). The board of the first module leads, or the next one while it is absent: its frames define
+the times of the image. Every other board contributes its frame nearest in time. An absent board is
+missing from the image until it returns.
 """
 
 from collections import deque
@@ -24,7 +26,8 @@ from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board
 
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
 Stamped = tuple[float, Sample]  # start of the scan in s on the host's clock, and the sample
-Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # board, and its sample, state, error or end
+# board, and its sample, state, error or end
+Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]
 
 
 def samples_of(
@@ -35,25 +38,37 @@ def samples_of(
     ending: Callable[[], bool] = lambda: False,
     baseline: int = 0,
 ) -> Samples:
-    """Return samples as `board_samples`: of one board (by default the only one), or of one for each module in order.
+    """Return samples as `board_samples`, of one board or of one for each module in order.
 
-    Of modules the boards' own estimates are left out.
+    The one board is by default the only one. Of modules the boards' own estimates are left out.
     """
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
-            raise InputError("--port: several boards need a scene with panel: {modules: ...}, a board for each module")
-        return board_samples(ports[0] if ports else only_port(), scene, period, on_state, ending, baseline)
+            raise InputError(
+                "--port: several boards need a scene with panel: {modules: ...}, a board for each "
+                "module"
+            )
+        return board_samples(
+            ports[0] if ports else only_port(), scene, period, on_state, ending, baseline
+        )
     layout = scene.panel.modules
     numbers = [number for number in range(layout.count) if number not in scene.dead_modules]
     if len(ports) != len(numbers):
         named = ", ".join(str(list(layout.place(number))) for number in numbers[:4])
         raise InputError(
-            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, in the order {named}"
+            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, in "
+            f"the order {named}"
             f"{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
         )
-    readings = {module.readout.readings for module in map(scene.of_modules.__getitem__, numbers) if module.readout}
+    readings = {
+        module.readout.readings
+        for module in map(scene.of_modules.__getitem__, numbers)
+        if module.readout
+    }
     if len(readings) != 1:
-        raise InputError("modules that are recorded together need a readout with one number of readings for all")
+        raise InputError(
+            "modules that are recorded together need a readout with one number of readings for all"
+        )
     return _images(scene, numbers, ports, period, on_state, ending)
 
 
@@ -105,7 +120,10 @@ class Alignment:
         self.waiting[board].append((sample.time + min(delays), sample))
 
     def frame(self, now: float) -> dict[int, Sample] | None:
-        """Advance to the next frame and return its samples by board; None while a present board may still send."""
+        """Advance to the next frame and return its samples by board.
+
+        None while a present board may still send.
+        """
         led = self._led(now)
         if led is None:
             return None
@@ -116,7 +134,8 @@ class Alignment:
         for board in range(self.boards):
             known = self._known(board)
             newest = known[-1][0] if known else -np.inf
-            # A missing board is waited for as soon as it sends again: its next frame may be the nearer one.
+            # A missing board is waited for as soon as it sends again: its next frame may be the
+            # nearer one.
             silent = board in self.missing and newest < at - 1.5 * period
             if not (late or silent) and newest < at - period / 2:
                 return None
@@ -126,7 +145,8 @@ class Alignment:
                 parts[board] = nearest
         ends = [parts[board][0] if board in parts else at - period for board in range(self.boards)]
         self.waiting = [
-            [part for part in waiting if part[0] > end] for waiting, end in zip(self.waiting, ends, strict=True)
+            [part for part in waiting if part[0] > end]
+            for waiting, end in zip(self.waiting, ends, strict=True)
         ]
         self.shown = [parts.get(board, last) for board, last in enumerate(self.shown)]
         self.missing = tuple(board for board in range(self.boards) if board not in parts)
@@ -137,18 +157,27 @@ class Alignment:
         return {board: sample for board, (_, sample) in parts.items()}
 
     def _led(self, now: float) -> Stamped | None:
-        """Return the frame that defines the next time, from the first present board; None before it has arrived."""
+        """Return the frame that defines the next time, from the first present board.
+
+        None before it has arrived.
+        """
         if self.moment is None:
             if not all(self.waiting):
                 return None
             begin = max(waiting[0][0] for waiting in self.waiting)
-            return next((led for led in self.waiting[0] if led[0] > begin - led[1].hello.period / 2), None)
+            return next(
+                (led for led in self.waiting[0] if led[0] > begin - led[1].hello.period / 2), None
+            )
         for board, waiting in enumerate(self.waiting):
             for led in waiting:
                 if led[0] > self.moment + led[1].hello.period / 2:
                     return led
             last = self.shown[board]
-            if board not in self.missing and last and now < self.moment + 2.5 * last[1].hello.period + LATE_SECONDS:
+            if (
+                board not in self.missing
+                and last
+                and now < self.moment + 2.5 * last[1].hello.period + LATE_SECONDS
+            ):
                 return None
         return None
 
@@ -161,7 +190,10 @@ def _images(
     on_state: Callable[[str], None],
     ending: Callable[[], bool],
 ) -> Samples:
-    """Yield samples of the whole image in batches; see `board_samples`. `numbers` are the modules of the boards."""
+    """Yield samples of the whole image in batches; see `board_samples`.
+
+    `numbers` are the modules of the boards.
+    """
     assert scene.panel.modules is not None
     places = [",".join(map(str, scene.panel.modules.place(number))) for number in numbers]
     current = Alignment(len(numbers))
@@ -169,8 +201,13 @@ def _images(
     arrived = Arrived()
     states = [""] * len(numbers)
     listening = set(range(len(numbers)))
-    boards = zip(range(len(numbers)), ports, map(scene.of_modules.__getitem__, numbers), strict=True)
-    threads = [Thread(target=_listen, args=(*board, period, arrived, ended), daemon=True) for board in boards]
+    boards = zip(
+        range(len(numbers)), ports, map(scene.of_modules.__getitem__, numbers), strict=True
+    )
+    threads = [
+        Thread(target=_listen, args=(*board, period, arrived, ended), daemon=True)
+        for board in boards
+    ]
     for thread in threads:
         thread.start()
     try:
@@ -182,7 +219,8 @@ def _images(
                 if isinstance(item, Sample):
                     current.take(board, item)
                     states[board] = ""
-                elif isinstance(item, InputError):  # no frame of this board came, so there is no image yet
+                # No frame of this board came, so there is no image yet.
+                elif isinstance(item, InputError):
                     raise item
                 elif item is None:
                     listening.discard(board)
@@ -208,9 +246,16 @@ def _images(
 
 
 def _image(
-    scene: Scene, numbers: Sequence[int], parts: dict[int, Sample], before: Alignment, after: Alignment
+    scene: Scene,
+    numbers: Sequence[int],
+    parts: dict[int, Sample],
+    before: Alignment,
+    after: Alignment,
 ) -> Sample:
-    """Return the boards' frames as one sample, with the clock of the first board and the restarts of all."""
+    """Return the boards' frames as one sample.
+
+    It has the clock of the first board and the restarts of all.
+    """
     layout = scene.panel.modules
     first = next(iter(parts.values()))
     assert layout is not None
@@ -222,11 +267,20 @@ def _image(
     missed = max(sample.frame.missed for sample in parts.values())
     fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
     events = [event for sample in fresh for event in sample.events]
-    for word, inside, outside in (("gone", after.missing, before.missing), ("back", before.missing, after.missing)):
+    for word, inside, outside in (
+        ("gone", after.missing, before.missing),
+        ("back", before.missing, after.missing),
+    ):
         places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
     return Sample(
-        replace(first.frame, sequence=before.frames, missed=missed, sums=layout.joined(sums), log_change=None),
+        replace(
+            first.frame,
+            sequence=before.frames,
+            missed=missed,
+            sums=layout.joined(sums),
+            log_change=None,
+        ),
         replace(first.hello, rows=rows, columns=columns, estimates=False),
         scene,
         after.elapsed,
@@ -238,17 +292,21 @@ def _image(
     )
 
 
-def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
+def _listen(
+    board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event
+) -> None:
     """Queue a board's samples and states until the end, then None.
 
-    An error before the first sample ends all boards. After a later error the port is opened again, any number of times:
-    hubs that hang are unplugged and plugged in again.
+    An error before the first sample ends all boards. After a later error the port is opened again,
+    any number of times: hubs that hang are unplugged and plugged in again.
     """
     sessions = 0
     while not ended.is_set():
         before = sessions
         try:
-            samples = board_samples(port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set)
+            samples = board_samples(
+                port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set
+            )
             with closing(samples) as batches:
                 for sample in (sample for batch in batches for sample in batch):
                     sessions = before + sample.session + 1

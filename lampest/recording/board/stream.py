@@ -28,9 +28,10 @@ CLOCK_JUMPED = "clock jump"
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
-    """Return the user's scene, completed by the board's HELLO; without one, the board's. Raises InputError.
+    """Return the user's scene, completed by the board's HELLO; without one, the board's.
 
-    An error is raised if the two contradict each other, or if the scene exceeds the limits of the board.
+    Raises InputError. An error is raised if the two contradict each other, or if the scene exceeds
+    the limits of the board.
     """
     declared = declared_readout(hello)
     if scene is None:
@@ -44,17 +45,25 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     for name in SHARED[hello.wiring]:
         theirs = getattr(declared, name)
         for mine in as_tuple(getattr(ours, name)):
-            # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
+            # A calibrated load differs from the one that is printed on it: 5 % of ordinary
+            # resistors, twice.
             if mine != theirs and not (name == "load_ohm" and abs(mine - theirs) <= 0.1 * theirs):
-                both = [f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)]
+                both = [
+                    f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)
+                ]
                 raise InputError(
-                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} (firmware pins.h)"
+                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} "
+                    "(firmware pins.h)"
                 )
     size = (*scene.panel.shape, ours.readings)
     most = (hello.most_rows, hello.most_columns, hello.most_readings)
-    for name, needed, possible in zip(("panel.rows", "panel.columns", "readout.readings"), size, most, strict=True):
+    for name, needed, possible in zip(
+        ("panel.rows", "panel.columns", "readout.readings"), size, most, strict=True
+    ):
         if needed > possible:
-            raise InputError(f"the scene's {name} is {needed}, but the board can do at most {possible}")
+            raise InputError(
+                f"the scene's {name} is {needed}, but the board can do at most {possible}"
+            )
     return scene
 
 
@@ -62,7 +71,10 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """Return the readout that a board declares in its HELLO."""
     reference = hello.reference_milliohm / 1000
     drive = hello.drive_milliohm / 1000
-    known: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
+    known: dict[str, Any] = {
+        "supply_volt": hello.supply_millivolt / 1000,
+        "adc_bits": hello.adc_bits,
+    }
     known["readings"] = hello.readings
     if hello.wiring == "loaded_columns":
         return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **known)
@@ -81,7 +93,8 @@ class Sample:
     scene : Scene
         Scene of `scene_of`.
     time : float
-        Time since the first frame in s, by the board's clock; across a restart of the board by the host's.
+        Time since the first frame in s, by the board's clock; across a restart of the board by the
+        host's.
     host_time : float
         Arrival in s since 1970-01-01 UTC.
     lost : int
@@ -117,10 +130,11 @@ Samples = Generator[tuple[Sample, ...], None, None]
 class Scanning:
     """Run of a started board: frame numbers and clock increase together, modulo 2³².
 
-    A scan may begin up to a period late. Some lines repeat old messages, which are no frames. If two consecutive frames
-    follow each other but not the newest sample, either the clock has jumped (the numbers continue), or the numbers have
-    restarted (the clock continues). If the clock has jumped for a single frame, whose number lies between those of its
-    neighbours, the frame has the time between theirs that its number says. A clock that stands still costs no frame.
+    A scan may begin up to a period late. Some lines repeat old messages, which are no frames. If
+    two consecutive frames follow each other but not the newest sample, either the clock has jumped
+    (the numbers continue), or the numbers have restarted (the clock continues). If the clock has
+    jumped for a single frame, whose number lies between those of its neighbours, the frame has the
+    time between theirs that its number says. A clock that stands still costs no frame.
 
     Attributes
     ----------
@@ -159,10 +173,14 @@ class Scanning:
     since: float = field(default_factory=time.time)
 
     def take(self, frame: Frame) -> tuple[Sample, ...]:
-        """Take a further frame, and return the new samples: one, two, or none if the frame does not follow."""
+        """Take a further frame, and return the new samples.
+
+        They are one, two, or none if the frame does not follow.
+        """
         frame = frame.with_estimate(self.estimate)
         if self.before is None:
-            # Numbers start with 0: earlier frames are lost, unless the clock shows that there was no time for them.
+            # Numbers start with 0: earlier frames are lost, unless the clock shows that there was
+            # no time for them.
             time_ms = min(frame.device_ms + 2, self._most_ms(self.since))
             lost = frame.sequence if 990 * frame.sequence * self.hello.period <= time_ms else 0
             return (self._accept(self._sample(frame, 0.0, lost)),)
@@ -174,18 +192,24 @@ class Scanning:
                 between = self._between(newest, frame, at)
                 known = 0 if not between else _since(newest.frame, between[0].frame)[0]
                 return (*between, self._accept(self._sample(frame, at, steps - 1 - known)))
-        # Two consecutive frames that follow each other: the clock has jumped, or the numbers have restarted.
+        # Two consecutive frames that follow each other: the clock has jumped, or the numbers have
+        # restarted.
         stray = self.stray
-        if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
+        if (
+            stray
+            and _since(stray, frame)[0] == 1
+            and (first := self._resumed(stray, frame)) is not None
+        ):
             return (self._accept(first), *self.take(frame))
         self.stray = frame
         self.stray_host_time = time.time()
         return ()
 
     def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
-        """Return the stray frame as a sample, if its number lies between those of a sample and of the next frame.
+        """Return the stray frame as a sample, if its number lies between two others.
 
-        Its clock has jumped for it alone. `at` is the time of the next frame in s.
+        These are those of a sample and of the next frame. Its clock has jumped for it alone. `at`
+        is the time of the next frame in s.
         """
         stray = self.stray
         if stray is None or self.last is not newest or not at > newest.time:
@@ -196,20 +220,37 @@ class Scanning:
             return ()
         moved = newest.time + steps / all_steps * (at - newest.time)
         sample = Sample(
-            stray, self.hello, self.scene, moved, self.stray_host_time, steps - 1, self.session, (CLOCK_JUMPED,)
+            stray,
+            self.hello,
+            self.scene,
+            moved,
+            self.stray_host_time,
+            steps - 1,
+            self.session,
+            (CLOCK_JUMPED,),
         )
         self.last = sample
         return (sample,)
 
     def rest(self) -> tuple[Sample, ...]:
-        """Return the last frame of a run as a sample, if its number follows and its clock alone does not."""
-        if self.stray is None or self.before is None or _since(self.before.frame, self.stray)[0] != 1:
+        """Return the last frame of a run as a sample, if only its clock does not follow.
+
+        Its number follows and its clock alone does not.
+        """
+        if (
+            self.stray is None
+            or self.before is None
+            or _since(self.before.frame, self.stray)[0] != 1
+        ):
             return ()
         resumed = self._resumed(self.stray, self.stray)
         return () if resumed is None else (self._accept(resumed),)
 
     def doubt(self) -> None:
-        """Forget the newest sample, after a silence: if it was a wrong frame, no other frame would follow it."""
+        """Forget the newest sample, after a silence.
+
+        If it was a wrong frame, no other frame would follow it.
+        """
         self.before = self.earlier
         self.stray = None
 
@@ -228,45 +269,69 @@ class Scanning:
         return sample
 
     def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:
-        """Return a sample at a time in s, moved behind the last one if necessary; `anew` is 1 after a restart."""
+        """Return a sample at a time in s, moved behind the last one if necessary.
+
+        `anew` is 1 after a restart.
+        """
         time_now = time.time()
         if self.last is not None and at <= self.last.time:
             at = self.last.time + max(time_now - self.last.host_time, self.hello.period)
-        return Sample(frame, self.hello, self.scene, at, time_now, lost, self.session + anew, events)
+        return Sample(
+            frame, self.hello, self.scene, at, time_now, lost, self.session + anew, events
+        )
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
-        """Return whether number and clock of a frame can follow those of an earlier one, received at host_time."""
+        """Return whether number and clock of a frame can follow those of an earlier one.
+
+        The earlier one was received at host_time.
+        """
         steps, elapsed_ms = _since(before, frame)
         most_ms = self._most_ms(host_time)
         # The board counts its missed scans; either scan may begin up to a period late.
         most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
-        return 0 < steps < COUNTER // 2 and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
+        return (
+            0 < steps < COUNTER // 2
+            and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
+        )
 
     def _most_ms(self, host_time: float) -> float:
-        """Return the largest possible advance of the board's clock since a time of the host's, in ms."""
+        """Return the largest possible advance of the board's clock in ms.
+
+        It is that since a time of the host's.
+        """
         # The factor 1000 covers simulated boards, which run 300 times as fast as a real one.
         return 1e3 * (1000 * max(time.time() - host_time, 0.0) + 10 + 3 * self.hello.period)
 
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
-        """Return the first sample after a jump of the clock or a restart of the numbers; None for a repetition.
+        """Return the first sample after a jump of the clock or a restart of the numbers.
 
-        `after` is the next frame, whose clock follows that of `frame` if the numbers have restarted.
+        None for a repetition. `after` is the next frame, whose clock follows that of `frame` if the
+        numbers have restarted.
         """
         assert self.before is not None and self.last is not None
         steps, elapsed_ms = _since(self.before.frame, frame)
-        if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.host_time):
+        if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(
+            self.before.host_time
+        ):
             moved = (steps + frame.missed) * self.hello.period
             return self._sample(frame, self.last.time + moved, steps - 1, 0, CLOCK_JUMPED)
         if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.time())):
             return None
         # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
-        moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period))
-        return self._sample(frame, self.last.time + moved, max(round(moved / self.hello.period) - 1, 0), anew=1)
+        moved = min(
+            elapsed_ms / 1000,
+            SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period),
+        )
+        return self._sample(
+            frame, self.last.time + moved, max(round(moved / self.hello.period) - 1, 0), anew=1
+        )
 
 
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
     """Return the number of frames and the time in ms from one frame to another, modulo 2³²."""
-    return (frame.sequence - before.sequence) % COUNTER, (frame.device_ms - before.device_ms) % COUNTER
+    return (frame.sequence - before.sequence) % COUNTER, (
+        frame.device_ms - before.device_ms
+    ) % COUNTER
 
 
 def board_samples(
@@ -277,10 +342,12 @@ def board_samples(
     ending: Callable[[], bool] = lambda: False,
     baseline: int = 0,
 ) -> Samples:
-    """Yield samples as they arrive, in batches, which may be empty. Closing the generator stops the board.
+    """Yield samples as they arrive, in batches, which may be empty.
 
-    Raises InputError if no board answers at first, if the board does not fit the scene or the period, or if the line
-    delivers no valid frame for UNFIT_SECONDS.
+    Closing the generator stops the board.
+
+    Raises InputError if no board answers at first, if the board does not fit the scene or the
+    period, or if the line delivers no valid frame for UNFIT_SECONDS.
 
     Parameters
     ----------
@@ -293,7 +360,8 @@ def board_samples(
     on_state : callable
         Called with a sentence when the board disappears.
     ending : callable
-        Called repeatedly; once it returns True, the messages that the port has received follow as a last batch.
+        Called repeatedly; once it returns True, the messages that the port has received follow as a
+        last batch.
     baseline : int
         Number of unloaded frames at the beginning, for a board that estimates as well.
     """
@@ -309,7 +377,9 @@ def board_samples(
                     heard = board.heard
         except OSError as error:
             if line.last is None:
-                raise NoBoardError(f"{url}: the board went away ({' '.join(str(error).split())})") from error
+                raise NoBoardError(
+                    f"{url}: the board went away ({' '.join(str(error).split())})"
+                ) from error
             reason = "the board is gone; waiting for it"
         except NoBoardError:
             if line.last is None:
@@ -324,10 +394,18 @@ def board_samples(
 
 
 class _Line:
-    """Connection to a board: settings, newest sample, and the messages since then that were no valid frames."""
+    """Connection to a board: settings, newest sample, and later messages.
+
+    These are the messages since then that were no valid frames.
+    """
 
     def __init__(
-        self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool], baseline: int = 0
+        self,
+        url: str,
+        scene: Scene | None,
+        period: float | None,
+        ending: Callable[[], bool],
+        baseline: int = 0,
     ) -> None:
         self._url = url
         self._scene = scene
@@ -343,14 +421,23 @@ class _Line:
         self._unfit = Counter[str]()
 
     def check(self, period: float = 0.0) -> None:
-        """Raise InputError if the line delivered only invalid messages for UNFIT_SECONDS and three periods."""
+        """Raise InputError if the line delivered only invalid messages for too long.
+
+        Too long is for UNFIT_SECONDS and three periods.
+        """
         waited = time.monotonic() - self._since
         if self._unfit and waited > UNFIT_SECONDS + 3 * period:
             came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
-            raise InputError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
+            raise InputError(
+                f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent "
+                f"({came})"
+            )
 
     def connection(self, board: Board) -> Samples:
-        """Yield samples until the board disappears or the end is requested; restarted boards are started again."""
+        """Yield samples until the board disappears or the end is requested.
+
+        Restarted boards are started again.
+        """
         hello = board.hello()
         try:
             while True:
@@ -359,7 +446,9 @@ class _Line:
                 requested = None if self._period is None else round(self._period * 1e6)
                 # A board that comes back may be loaded.
                 unloaded = self._baseline if self.last is None else 0
-                settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded)
+                settings = board.start(
+                    agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded
+                )
                 for samples in self._run(board, settings, agreed):
                     if samples:
                         self.last = samples[-1]
@@ -404,7 +493,7 @@ class _Line:
                 heard = time.monotonic()
 
     def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[tuple[Sample, ...], bool]:
-        """Return the samples that messages continue a run by, and whether the board has restarted."""
+        """Return the samples by which messages continue a run, and whether the board restarted."""
         samples: tuple[Sample, ...] = ()
         for item in messages:
             if isinstance(item, Estimate):

@@ -1,4 +1,7 @@
-"""Import of other programs' files as recordings: text tables, sheets, arrays, and layouts of one's own."""
+"""Import of other programs' files as recordings.
+
+These are text tables, sheets, arrays, and layouts of one's own.
+"""
 
 from lampest.recording.foreign.arrays import Layout
 

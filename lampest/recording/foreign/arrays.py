@@ -26,7 +26,10 @@ MAX_NOTES = 20  # of a folder (tests/contracts/test_import_files.py)
 MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
-PICKLED = "it holds pickled objects, which run code when they are opened, so that lampest does not open them"
+PICKLED = (
+    "it holds pickled objects, which run code when they are opened, so that lampest does not "
+    "open them"
+)
 ONE = "(rows, columns)"
 STACKED = "(rows, columns, frames)"
 FRAMES = "(frames, rows, columns)"
@@ -51,7 +54,8 @@ class Frames:
     named : callable
         Function index → place in the file; -1 → the file.
     timing : callable, or None
-        Function unit (or None) → times of the frames, which may raise InputError. None: no times in the file.
+        Function unit (or None) → times of the frames, which may raise InputError. None: no times in
+        the file.
     notes : tuple of str
         Sentences on the interpretation of the file.
     words : tuple of str
@@ -73,7 +77,11 @@ class Frames:
     def place(self, frame: int, row: int, column: int) -> str:
         """Return the place of a reading in the file."""
         number = int(self.number[frame, row, column])
-        return self.named(number) if number >= 0 else f"{self.named(-1)}: row {row}, column {column} of frame {frame}"
+        return (
+            self.named(number)
+            if number >= 0
+            else f"{self.named(-1)}: row {row}, column {column} of frame {frame}"
+        )
 
     def arranged(self, number: Index, note: str) -> "Frames":
         """Return the frames with another arrangement of the same numbers, and a note on it."""
@@ -81,14 +89,19 @@ class Frames:
 
 
 def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, note: str) -> Frames:
-    """Return the frames of several files, one after the other. A note that some files lack names those that have it.
+    """Return the frames of several files, one after the other.
+
+    A note that some files lack names those that have it.
 
     files : names of the files.
     source : name of all of them, which have no times.
     """
     ends = np.cumsum([len(part.numbers) for part in parts])
     begins = (ends - [len(part.numbers) for part in parts]).tolist()
-    shifted = [np.where(part.number < 0, -1, part.number + begin) for part, begin in zip(parts, begins, strict=True)]
+    shifted = [
+        np.where(part.number < 0, -1, part.number + begin)
+        for part, begin in zip(parts, begins, strict=True)
+    ]
 
     def named(at: int) -> str:
         part = int(np.searchsorted(ends, max(at, 0), side="right"))
@@ -96,11 +109,16 @@ def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, no
 
     words = tuple(dict.fromkeys(word for part in parts for word in part.words))
     numbers = np.concatenate([part.numbers for part in parts])
-    return Frames(numbers, np.concatenate(shifted), named, None, (note, *_joined_notes(parts, files)), words)
+    return Frames(
+        numbers, np.concatenate(shifted), named, None, (note, *_joined_notes(parts, files)), words
+    )
 
 
 def _joined_notes(parts: Sequence[Frames], files: Sequence[str]) -> Iterator[str]:
-    """Yield each note of files once, at most MAX_NOTES: those of all files, then those of some behind their names."""
+    """Yield each note of files once, at most MAX_NOTES.
+
+    First come those of all files, then those of some behind their names.
+    """
     named: dict[str, list[str]] = {}
     for part, file in zip(parts, files, strict=True):
         for note in dict.fromkeys(part.notes):
@@ -119,10 +137,12 @@ class Layout(Validated):
     Attributes
     ----------
     kind : str
-        Name for the option `--layout`. An installed package registers an object of the class in the entry point group
-        `lampest.layouts`. In Python the object itself is passed as `import_file(..., layout=...)`.
+        Name for the option `--layout`. An installed package registers an object of the class in the
+        entry point group `lampest.layouts`. In Python the object itself is passed as
+        `import_file(..., layout=...)`.
     suffixes : tuple of str
-        Suffixes in lower case, such as '.dat', of files that are read by this layout without the option.
+        Suffixes in lower case, such as '.dat', of files that are read by this layout without the
+        option.
 
     >>> issubclass(lampest.Layout, lampest.Layout)
     True
@@ -133,7 +153,9 @@ class Layout(Validated):
 
     @abstractmethod
     def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array | None]:
-        """Return readings (frames, rows, columns), NaN where missing, and times (frames) in the file's unit or None.
+        """Return readings (frames, rows, columns), NaN where missing, and times (frames).
+
+        Times are in the file's unit or None.
 
         Raises InputError with the place in the file that cannot be read.
         """
@@ -143,17 +165,28 @@ class Layout(Validated):
         read, times = self.read(path, *shape)
         values = real_array(read, f"{path}: layout {self.kind}").astype(float)
         if values.ndim != 3 or values.shape[1:] != shape or not len(values):
-            raise InputError(f"{path}: layout {self.kind} gives {_by(values.shape)}, not frames × {_by(shape)}")
+            raise InputError(
+                f"{path}: layout {self.kind} gives {_by(values.shape)}, not frames × {_by(shape)}"
+            )
 
         def named(at: int) -> str:
             return f"{path}: reading {list(map(int, np.unravel_index(max(at, 0), values.shape)))}"
 
         def clock(unit: str | None) -> Clock:
             seconds = real_array(times, f"{path}: times of layout {self.kind}").astype(float)
-            return clock_of_numbers(seconds, "", lambda frame: f"{path}: time of frame {frame}", unit).read_from("")
+            return clock_of_numbers(
+                seconds, "", lambda frame: f"{path}: time of frame {frame}", unit
+            ).read_from("")
 
         number = np.arange(values.size).reshape(values.shape)
-        return Frames(values.ravel(), number, named, clock if times is not None else None, (f"layout {self.kind}",), ())
+        return Frames(
+            values.ravel(),
+            number,
+            named,
+            clock if times is not None else None,
+            (f"layout {self.kind}",),
+            (),
+        )
 
 
 def check_count(where: object, values: int) -> None:
@@ -163,11 +196,16 @@ def check_count(where: object, values: int) -> None:
 
 
 def check_archive(path: Path) -> None:
-    """Raise InputError if a file is no zip archive, or claims to unpack to more bytes than are imported."""
+    """Raise InputError if a file is no zip archive, or claims to unpack to too many bytes.
+
+    Too many are more bytes than are imported.
+    """
     with reading(path), zipfile.ZipFile(path) as archive:
         claimed = sum(part.file_size for part in archive.infolist())
     if claimed > MAX_BYTES:
-        raise InputError(f"{path}: unpacks to {claimed} bytes, more than {MAX_BYTES} are not imported")
+        raise InputError(
+            f"{path}: unpacks to {claimed} bytes, more than {MAX_BYTES} are not imported"
+        )
 
 
 @contextmanager
@@ -190,7 +228,9 @@ def _of_npy(path: Path) -> Arrays:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError as error:
         if "pickle" in str(error) or "Python objects" in str(error):
-            raise InputError(f"{path}: no readable .npy file ({PICKLED}; save a plain array)") from error
+            raise InputError(
+                f"{path}: no readable .npy file ({PICKLED}; save a plain array)"
+            ) from error
         raise
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
         raise InputError(f"{path}: holds no plain array of real numbers")
@@ -213,14 +253,17 @@ def _of_npz(path: Path) -> Arrays:
                 if dtype.kind in "iufM":
                     check_count(f"{path}: {member}", prod(shape))
                     array = npy.read_array(stream, allow_pickle=False)
-                    since_1970 = array.astype("M8[ns]").astype(float) / 1e9 if dtype.kind == "M" else array
+                    since_1970 = (
+                        array.astype("M8[ns]").astype(float) / 1e9 if dtype.kind == "M" else array
+                    )
                     arrays[member] = since_1970
     return arrays
 
 
 def _of_mat(path: Path) -> Arrays:
     """Return the arrays of a .mat file by name, in MATLAB's shapes and in the file's order."""
-    # Source: MATLAB, MAT-File Format, 2020. Damaged files end SciPy's reader in a segmentation fault.
+    # Source: MATLAB, MAT-File Format, 2020. Damaged files end SciPy's reader in a segmentation
+    # fault.
     data = path.read_bytes()
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return _of_level_7(path)
@@ -232,15 +275,23 @@ def _of_mat(path: Path) -> Arrays:
     while at + 8 <= len(data):
         kind, body, at = _element(memoryview(data), at, order)
         if kind == "compressed":
-            head = np.frombuffer(zlib.decompressobj().decompress(body, 64), dtype=order + "u4").tolist()
-            check_count(path, prod(head[8 : 8 + head[7] // 4]))  # dimensions come behind eight words
-            kind, body, _ = _element(memoryview(zlib.decompressobj().decompress(body, MAX_BYTES)), 0, order)
+            head = np.frombuffer(
+                zlib.decompressobj().decompress(body, 64), dtype=order + "u4"
+            ).tolist()
+            # Dimensions come behind eight words.
+            check_count(path, prod(head[8 : 8 + head[7] // 4]))
+            kind, body, _ = _element(
+                memoryview(zlib.decompressobj().decompress(body, MAX_BYTES)), 0, order
+            )
         arrays |= _matrix(body, order) if kind == "matrix" else {}
     return arrays
 
 
 def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, int]:
-    """Return kind and content of the data element at a position, and the position of the next one."""
+    """Return kind and content of the data element at a position.
+
+    Also returns the position of the next one.
+    """
     kind, size = struct.unpack_from(order + "II", view, at)
     small = kind >> 16  # its size: a small one holds both in eight bytes
     name = ELEMENTS.split()[kind & 0xFFFF]
@@ -256,7 +307,10 @@ def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, in
 
 
 def _matrix(body: memoryview, order: str) -> Arrays:
-    """Return the values of a matrix element by name; empty for texts, structures, cells and complex values."""
+    """Return the values of a matrix element by name.
+
+    Empty for texts, structures, cells and complex values.
+    """
     _, flags, at = _element(body, 0, order)
     _, size, at = _element(body, at, order)
     _, name, at = _element(body, at, order)
@@ -285,7 +339,8 @@ def _of_level_7(path: Path) -> Arrays:
     return arrays
 
 
-READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # they return arrays of real numbers only
+# They return arrays of real numbers only.
+READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}
 
 
 def arrays_of(path: Path) -> Arrays:
@@ -295,14 +350,24 @@ def arrays_of(path: Path) -> Arrays:
 
 
 def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | None) -> Frames:
-    """Return the frames of the only array that fits the panel, or of the array `variable`, by the first fitting layout.
+    """Return the frames of the only array that fits the panel, or of the array `variable`.
+
+    They are by the first fitting layout.
 
     Raises InputError if no array or several arrays fit.
     """
     matlab = path.suffix.lower() == ".mat"
-    sizes = {ONE: shape, FRAMES: (None, *shape), FLAT: (None, shape[0] * shape[1]), STACKED: (*shape, None)}
+    sizes = {
+        ONE: shape,
+        FRAMES: (None, *shape),
+        FLAT: (None, shape[0] * shape[1]),
+        STACKED: (*shape, None),
+    }
     layouts = (ONE, STACKED, FRAMES) if matlab else tuple(sizes)
-    fits = {name: [way for way in layouts if _fits(array.shape, sizes[way])] for name, array in arrays.items()}
+    fits = {
+        name: [way for way in layouts if _fits(array.shape, sizes[way])]
+        for name, array in arrays.items()
+    }
     name = _chosen(path, arrays, fits, shape, variable)
     array = arrays[name]
     where = f"{path}: {name}" if name else str(path)
@@ -322,31 +387,49 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
 
     def clock(unit: str | None) -> Clock:
         values = np.asarray(arrays[times[0]], dtype=float).ravel()
-        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit)
+        read = clock_of_numbers(
+            values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit
+        )
         return read.read_from(f"array {times[0]} in ")
 
-    times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]
+    times = [
+        time
+        for time in arrays
+        if role_of(time) == "time" and arrays[time].size == len(number) and time != name
+    ]
     values = array.ravel().astype(float)
     values[np.isnan(values)] = np.nan  # a signalling NaN would raise warnings in arithmetic
     return Frames(values, number, named, clock if times else None, (note,), (name,))
 
 
-def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None) -> str:
+def _chosen(
+    path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None
+) -> str:
     """Return the name of the requested array, or of the only one that fits."""
     if variable is not None and variable not in arrays:
-        raise InputError(f"{path}: no numeric array '{variable}'; there are {', '.join(arrays) or 'none'}")
-    chosen = [name for name in arrays if fits[name] or name == ""] if variable is None else [variable]
+        raise InputError(
+            f"{path}: no numeric array '{variable}'; there are {', '.join(arrays) or 'none'}"
+        )
+    chosen = (
+        [name for name in arrays if fits[name] or name == ""] if variable is None else [variable]
+    )
     if len(chosen) > 1:
         raise InputError(f"{path}: {', '.join(chosen)} would all fit; say which with `variable`")
     if not chosen:
-        listed = ", ".join(f"{name} ({_by(array.shape)})" for name, array in arrays.items()) or "none"
-        raise InputError(f"{path}: no array fits {shape[0]} × {shape[1]} cells; the numeric arrays are: {listed}")
+        listed = (
+            ", ".join(f"{name} ({_by(array.shape)})" for name, array in arrays.items()) or "none"
+        )
+        raise InputError(
+            f"{path}: no array fits {shape[0]} × {shape[1]} cells; the numeric arrays are: {listed}"
+        )
     return chosen[0]
 
 
 def _fits(size: Sequence[int], wanted: Sequence[int | None]) -> bool:
     """Return whether a shape agrees with a wanted one, in which None is any positive length."""
-    return len(size) == len(wanted) and all(has and want in (has, None) for has, want in zip(size, wanted, strict=True))
+    return len(size) == len(wanted) and all(
+        has and want in (has, None) for has, want in zip(size, wanted, strict=True)
+    )
 
 
 def _by(size: Sequence[int]) -> str:

@@ -1,4 +1,7 @@
-"""Fields beside the readings of a line: clocks of several columns, numbers of frames and rows, constant marks."""
+"""Fields beside the readings of a line.
+
+They are clocks of several columns, numbers of frames and rows, constant marks.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,13 +22,19 @@ DATE = ("year", "month", "day")
 
 
 def with_one_clock(table: ReadingsTable) -> ReadingsTable:
-    """Return the table with one column for the hour, minute and second that it names, and one for a date's parts."""
+    """Return the table with one column for its clock, and one for a date's parts.
+
+    The clock is the hour, minute and second that the table names.
+    """
     words = [parted(name)[0] for name in table.names]
     parts = [PART_OF_CLOCK.get(word) or (word if word in DATE else None) for word in words]
     if all(part in parts for part in DATE):
         fields = [parts.index(part) for part in DATE]
         year, month, day = table.values[:, fields].T
-        dates = [_written("{:04.0f}-{:02.0f}-{:02.0f}", *date) for date in zip(year, month, day, strict=True)]
+        dates = [
+            _written("{:04.0f}-{:02.0f}-{:02.0f}", *date)
+            for date in zip(year, month, day, strict=True)
+        ]
         return with_one_clock(_joined(table, fields, dates, "date"))
     if not all(part in parts for part in CLOCK):
         return table
@@ -36,17 +45,24 @@ def with_one_clock(table: ReadingsTable) -> ReadingsTable:
     return _joined(table, fields if thousandths is None else [*fields, after], texts, "time")
 
 
-def _clock_texts(table: ReadingsTable, fields: Sequence[int], thousandths: int | None = None) -> list[str]:
+def _clock_texts(
+    table: ReadingsTable, fields: Sequence[int], thousandths: int | None = None
+) -> list[str]:
     hour, minute, second = table.values[:, fields].T
     second = second if thousandths is None else second + table.values[:, thousandths] / 1000
-    return [_written("{:02.0f}:{:02.0f}:{:09.6f}", *part) for part in zip(hour, minute, second, strict=True)]
+    return [
+        _written("{:02.0f}:{:02.0f}:{:09.6f}", *part)
+        for part in zip(hour, minute, second, strict=True)
+    ]
 
 
 def _written(form: str, *parts: float) -> str:
     return form.format(*parts) if np.all(np.isfinite(parts)) else ""
 
 
-def _joined(table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], name: str) -> ReadingsTable:
+def _joined(
+    table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], name: str
+) -> ReadingsTable:
     """Return the table with texts in the first of the fields, and without the others."""
     first = fields[0]
     kept = [field for field in range(table.width) if field not in fields[1:]]
@@ -55,19 +71,23 @@ def _joined(table: ReadingsTable, fields: Sequence[int], texts: Sequence[str], n
     held[:, first] = texts
     values[:, first] = np.nan
     names = tuple(name if field == first else old for field, old in enumerate(table.names))
-    joined = f"{', '.join(table.names[field] or f'field {field + 1}' for field in fields)} are one {name}"
+    joined = (
+        f"{', '.join(table.names[field] or f'field {field + 1}' for field in fields)} are one "
+        f"{name}"
+    )
     notes = (*table.notes, joined)
     return replace(table, fields=held, values=values, names=names, notes=notes).only(columns=kept)
 
 
 def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
-    """Return a table without a header with names for the fields beside the readings, and without marks.
+    """Return a table without a header with names for the fields beside the readings.
 
-    These are a clock, a time, a frame's number, or marks, which are the same in every line, before or after the
-    readings; a row's number stands before. Where they cannot be distinguished, and where a single field leads, the
-    table is returned unchanged.
+    It is returned without marks. These are a clock, a time, a frame's number, or marks, which are
+    the same in every line, before or after the readings; a row's number stands before. Where they
+    cannot be distinguished, and where a single field leads, the table is returned unchanged.
     """
-    fits = table.width in (shape[0] * shape[1], *shape)  # or it would with rows and columns exchanged
+    # Or it would with rows and columns exchanged.
+    fits = table.width in (shape[0] * shape[1], *shape)
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
     marks = np.array([np.all(column == column[0]) and column[0] != "" for column in table.fields.T])
@@ -89,9 +109,16 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
 
 
 def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTable:
-    """Return the table with its named fields first, of which `lead` stood there, and without those called '-'."""
+    """Return the table with its named fields first, and without those called '-'.
+
+    Of the named fields, `lead` stood first already.
+    """
     trailing = len(names) - lead
-    order = [*range(lead), *range(table.width - trailing, table.width), *range(lead, table.width - trailing)]
+    order = [
+        *range(lead),
+        *range(table.width - trailing, table.width),
+        *range(lead, table.width - trailing),
+    ]
     said = [f"field {order[at] + 1} {name}" for at, name in enumerate(names) if name != SKIPPED]
     marks = [f"field {order[at] + 1}" for at, name in enumerate(names) if name == SKIPPED]
     notes = [f"no header: {', '.join(said)}; `layout` says otherwise"] if said else []
@@ -106,10 +133,15 @@ def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTab
 def _told(
     table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
 ) -> list[str] | None:
-    """Return names of the fields beside the readings, of which `lead` stand before; None if one is unclear."""
+    """Return names of the fields beside the readings; None if one is unclear.
+
+    Of these fields, `lead` stand before the readings.
+    """
     leading = [_is_row(table.fields[:, field], rows) for field in fields[:lead]] if rows > 1 else []
     names: list[str | None] = [
-        "row" if at < len(leading) and leading[at] else _name_of(table, field, rows, mark=bool(marks[field]))
+        "row"
+        if at < len(leading) and leading[at]
+        else _name_of(table, field, rows, mark=bool(marks[field]))
         for at, field in enumerate(fields)
     ]
     for at in range(lead - 2):
@@ -128,10 +160,16 @@ def _told(
 
 
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
-    """Return what a field beside the readings is: 'time', 'frame', or '-' for a mark; None if nothing fits."""
+    """Return what a field beside the readings is: 'time', 'frame', or '-' for a mark.
+
+    None if nothing fits.
+    """
     texts = table.fields[:, field]
     values = table.values[:, field]
-    if all(is_stamp(text) for text in set(texts[table.words[:, field]])) and table.words[:, field].all():
+    if (
+        all(is_stamp(text) for text in set(texts[table.words[:, field]]))
+        and table.words[:, field].all()
+    ):
         return "time"
     if mark:
         return SKIPPED
@@ -144,7 +182,10 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
 
 
 def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
-    """Return whether texts count the rows of every frame, from 0 or 1, as numbers or as names such as R3."""
+    """Return whether texts count the rows of every frame, from 0 or 1.
+
+    They count as numbers or as names such as R3.
+    """
     numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
     first = int(numbers.min())
     follows = (np.diff(numbers) == 1) | (numbers[1:] < numbers[:-1])

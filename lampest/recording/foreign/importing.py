@@ -37,12 +37,15 @@ from lampest.recording.foreign.words import Clock
 from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-NOT_READ = dict.fromkeys((".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import") | {
+NOT_READ = dict.fromkeys(
+    (".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import"
+) | {
     ".xls": "save it as .xlsx",
     ".ods": "save it as .xlsx or .csv",
     ".xlsb": "save it as .xlsx",
     **dict.fromkeys(
-        (".pkl", ".pickle", ".p"), "a pickle runs code when it is opened; save the array as .npy, .json or .csv"
+        (".pkl", ".pickle", ".p"),
+        "a pickle runs code when it is opened; save the array as .npy, .json or .csv",
     ),
     **dict.fromkeys((".zip", ".gz", ".bz2", ".xz", ".zst", ".7z", ".tar"), "unpack it first"),
     **dict.fromkeys((".bag", ".db3", ".mcap"), "save the topic's arrays as .npy"),
@@ -72,8 +75,9 @@ def import_file(  # noqa: PLR0913 # the options of a command
 ) -> tuple[Recording, tuple[str, ...]]:
     r"""Import a file as a recording of rows × columns cells.
 
-    The suffix determines the format: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, those of layouts, and a text
-    table for any other; a folder of such files holds frames one after the other. docs/howto/import.md.
+    The suffix determines the format: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, those of
+    layouts, and a text table for any other; a folder of such files holds frames one after the
+    other. docs/howto/import.md.
 
     Parameters
     ----------
@@ -95,13 +99,13 @@ def import_file(  # noqa: PLR0913 # the options of a command
     missing : {'mark', 'skip-frame', 'refuse'}
         Missing readings become NaN, their frames are left out, or they are an error.
     layout : str, Layout, or None
-        Names of the columns as in a header, 'time,row,column,value'; or a `Layout`, or its kind. None: the layout of
-        the file's suffix, otherwise by the header, or by the number of columns.
+        Names of the columns as in a header, 'time,row,column,value'; or a `Layout`, or its kind.
+        None: the layout of the file's suffix, otherwise by the header, or by the number of columns.
     time_unit : {'s', 'ms', 'us'}, or None
         Unit of times that are numbers; None: by the column's name, otherwise by the numbers.
     resting : str, Path, or None
-        File with the resting frame that the firmware subtracted, for scenes with `baseline: subtracted`: it is added
-        again, and becomes the only unloaded frame.
+        File with the resting frame that the firmware subtracted, for scenes with `baseline:
+        subtracted`: it is added again, and becomes the only unloaded frame.
 
     Returns
     -------
@@ -121,19 +125,28 @@ def import_file(  # noqa: PLR0913 # the options of a command
     """
     path = Path(path)
     if missing not in ("mark", "skip-frame", "refuse"):
-        raise InputError(f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse")
+        raise InputError(
+            f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse"
+        )
     panel = panel_of(rows, columns, scene)
     check_unit(unit, scene, path)
     layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
     by_name = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
     if isinstance(layout, str) and layout not in by_name and (hint := meant(layout, by_name)):
         raise InputError(f"`layout='{layout}'` is no import format{hint}")
-    layout = by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
+    layout = (
+        by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
+    )
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
     rest = None
     if resting is not None:
-        rest = Path(resting), _frames(Path(resting), panel, transpose=False, variable=None, layout=layout)
-    return _recording(path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, rest)
+        rest = (
+            Path(resting),
+            _frames(Path(resting), panel, transpose=False, variable=None, layout=layout),
+        )
+    return _recording(
+        path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, rest
+    )
 
 
 def _recording(  # noqa: PLR0913 # the options of an import
@@ -153,7 +166,10 @@ def _recording(  # noqa: PLR0913 # the options of an import
     count = len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
-        raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
+        raise InputError(
+            f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} "
+            "frames"
+        )
     clock = _clock(frames, period, time_unit, path)
     if missing == "refuse":
         for frame, row, column in np.argwhere(np.isnan(values) & panel.present).tolist():
@@ -174,12 +190,24 @@ def _recording(  # noqa: PLR0913 # the options of an import
     series = recorded[chosen]
     time = clock.seconds[chosen]
     recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
-    notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
+    notes = (
+        *frames.notes,
+        reason,
+        clock.sentence,
+        _assumed(scene, given=given),
+        gaps,
+        *_summary(recording),
+    )
     return recording, tuple(map(printable, filter(None, notes)))
 
 
-def _check_unprocessed(values: Array, unit: str, scene: Scene, role: NDArray[np.uint8], path: Path) -> None:
-    """Raise InputError for readings in volt or codes that firmware has changed; see `processing_of`."""
+def _check_unprocessed(
+    values: Array, unit: str, scene: Scene, role: NDArray[np.uint8], path: Path
+) -> None:
+    """Raise InputError for readings in volt or codes that firmware has changed.
+
+    See `processing_of`.
+    """
     readout = scene.readout
     if readout is None or unit in RESISTANCES or readout.floor_code is not None:
         return
@@ -191,17 +219,26 @@ def _check_unprocessed(values: Array, unit: str, scene: Scene, role: NDArray[np.
 
 
 def _restored(
-    values: Array, scene: Scene, role: NDArray[np.uint8], resting: tuple[Path, Frames] | None, path: Path
+    values: Array,
+    scene: Scene,
+    role: NDArray[np.uint8],
+    resting: tuple[Path, Frames] | None,
+    path: Path,
 ) -> tuple[Array, Scene]:
-    """Return readings with the resting frame of a file added, unloaded frames as this frame, and the scene without it.
+    """Return readings with the resting frame of a file added, and the scene without it.
+
+    Unloaded frames are returned as this frame.
 
     Raises InputError unless both the scene and a file say that a frame was subtracted.
     """
     if scene.baseline != "subtracted":
-        raise InputError(f"{path}: a resting frame is added where the scene says baseline: subtracted")
+        raise InputError(
+            f"{path}: a resting frame is added where the scene says baseline: subtracted"
+        )
     if resting is None:
         raise InputError(
-            f"{path}: the scene says baseline: subtracted; give the resting frame that was subtracted "
+            f"{path}: the scene says baseline: subtracted; give the resting frame that was "
+            "subtracted "
             f"(--resting FILE), or {AS_CONVERTED}"
         )
     file, frames = resting
@@ -212,16 +249,21 @@ def _restored(
     raw = restored(values, frame)
     if not np.any(role == UNLOADED):
         raise InputError(
-            f"{path}: say how many frames at the beginning are unloaded (--baseline); the resting frame is theirs"
+            f"{path}: say how many frames at the beginning are unloaded (--baseline); the resting "
+            "frame is theirs"
         )
     raw[role == UNLOADED] = frame
     return raw, replace(scene, baseline="raw")
 
 
-def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
+def _frames(
+    path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None
+) -> Frames:
     """Return the file's frames over the panel, or with one value for each listed cell."""
     try:
-        frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
+        frames = _read_frames(
+            path, panel.shape[::-1] if transpose else panel.shape, variable, layout
+        )
     except InputError as error:
         cells = [cell[:2] for cell in panel.cells or ()]
         if cells and not transpose:
@@ -235,12 +277,19 @@ def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, 
             raise InputError(f"{error}; with `transpose` it would fit") from error
         raise
     if transpose:
-        return frames.arranged(frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns")
+        return frames.arranged(
+            frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns"
+        )
     return frames
 
 
-def _fits_turned(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> bool:
-    """Return whether a file gives frames, with their times, of a panel with rows and columns exchanged."""
+def _fits_turned(
+    path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
+) -> bool:
+    """Return whether a file gives frames of a panel with rows and columns exchanged.
+
+    The frames are with their times.
+    """
     try:
         frames = _read_frames(path, shape, variable, layout)
         _clock(frames, None, None, path)
@@ -249,8 +298,13 @@ def _fits_turned(path: Path, shape: Shape, variable: str | None, layout: str | L
     return shape[0] != shape[1]
 
 
-def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
-    """Read the frames of a file by its suffix. Raises InputError if it is unreadable, too large, or does not fit."""
+def _read_frames(
+    path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
+) -> Frames:
+    """Read the frames of a file by its suffix.
+
+    Raises InputError if it is unreadable, too large, or does not fit.
+    """
     kind = path.suffix.lower()
     try:
         note_read(path)
@@ -287,7 +341,9 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         raise InputError(f"{path}: claims more data than the memory holds") from error
 
 
-def _of_folder(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
+def _of_folder(
+    path: Path, shape: Shape, variable: str | None, layout: str | Layout | None
+) -> Frames:
     """Return the frames of all files in a folder, in the order of the numbers in their names."""
     files = [file for file in path.iterdir() if file.is_file() and not _of_desktop(file.name)]
     files.sort(key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)])
@@ -295,7 +351,9 @@ def _of_folder(path: Path, shape: Shape, variable: str | None, layout: str | Lay
         raise InputError(f"{path}: no file in this folder")
     kinds = sorted({file.suffix.lower() or "no suffix" for file in files})
     if len(kinds) > 1:
-        raise InputError(f"{path}: a folder of frames holds files of one kind, not {', '.join(kinds)}")
+        raise InputError(
+            f"{path}: a folder of frames holds files of one kind, not {', '.join(kinds)}"
+        )
     if len(files) > MAX_FILES:
         raise InputError(f"{path}: {len(files)} files, more than {MAX_FILES} are not imported")
     if sum(file.stat().st_size for file in files) > MAX_BYTES:
@@ -323,7 +381,9 @@ def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None)
         except InputError as error:
             wrong.append(error)
     if len(fitting) > 1:
-        raise InputError(f"{path}: the sheets {', '.join(fitting)} would all fit; say which with `variable`")
+        raise InputError(
+            f"{path}: the sheets {', '.join(fitting)} would all fit; say which with `variable`"
+        )
     if not fitting:
         raise wrong[min(1, len(wrong) - 1)]
     return next(iter(fitting.values()))
@@ -336,47 +396,75 @@ def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -
         if not 0 < period < float("inf"):
             raise InputError("the period must be positive and finite")
         unused = "; those of the file are not used" if frames.timing is not None else ""
-        return Clock(number * period, None, f"time: a frame every {period:g} s, as specified{unused}")
+        return Clock(
+            number * period, None, f"time: a frame every {period:g} s, as specified{unused}"
+        )
     if frames.timing is None and unit is not None:
         raise InputError(f"{path}: holds no times that could be in {unit}; `period` sets them")
     if frames.timing is None:
-        return Clock(number, None, "no time in the file: one frame a second is assumed; `period` says otherwise")
+        return Clock(
+            number,
+            None,
+            "no time in the file: one frame a second is assumed; `period` says otherwise",
+        )
     return frames.timing(unit)
 
 
-def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.bool_], str]:
-    """Return the frames that are kept, boolean (frames,), and a note. Raises InputError if none would be kept."""
+def _without_missing(
+    blank: NDArray[np.bool_], missing: str, path: Path
+) -> tuple[NDArray[np.bool_], str]:
+    """Return the frames that are kept, boolean (frames,), and a note.
+
+    Raises InputError if none would be kept.
+    """
     gaps = np.asarray(blank.any(axis=(1, 2)))
     if not np.any(gaps):
         return ~gaps, "no reading is missing"
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
-    note = f"{counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {counted(len(blank), 'frame')}"
+    note = (
+        f"{counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of "
+        f"{counted(len(blank), 'frame')}"
+    )
     if missing == "mark":
         return np.ones_like(gaps), f"{note}: NaN in the recording"
     if np.all(gaps):
-        raise InputError(f"{path}: {note}, so that no frame would be left; `missing='mark'` keeps them")
+        raise InputError(
+            f"{path}: {note}, so that no frame would be left; `missing='mark'` keeps them"
+        )
     return ~gaps, f"{note}: these frames are left out"
 
 
 def _assumed(scene: Scene, *, given: bool) -> str:
-    """Return a note on the numbers of the scene that affect the recording, and on those that are assumed."""
+    """Return a note on the numbers of the scene that affect the recording.
+
+    It is also on those that are assumed.
+    """
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
     values = " and ".join(filter(None, (series, pitch)))
-    origin = values and f"{values}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
+    origin = (
+        values and f"{values}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
+    )
     assumed = scene.assumed_text and f"{scene.assumed_text} assumed: the scene does not say"
     return "; ".join(filter(None, (origin, assumed)))
 
 
 def _summary(recording: Recording) -> Iterator[str]:
-    """Yield notes on readings at the converter's rails, which count as bounds, and on the number of frames."""
+    """Yield notes on readings at the converter's rails, and on the number of frames.
+
+    Readings at the rails count as bounds.
+    """
     scene = recording.scene
     recorded = recording.recorded
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
-    beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))
+    beyond = int(
+        np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded))
+    )
     if beyond:
-        rail = "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
+        rail = (
+            "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
+        )
         yield f"{counted(beyond, 'reading')} {rail}: kept as bounds"
     cells = " × ".join(map(str, scene.panel.shape))
     unloaded = int(np.sum(recording.role == UNLOADED))

@@ -16,7 +16,10 @@ from lampest.recording.foreign.words import role_of, units_of
 
 
 def frames_of_table(table: Any, shape: Shape) -> Frames:
-    """Return the frames of a data frame. Raises InputError with line and column if it does not fit the panel."""
+    """Return the frames of a data frame.
+
+    Raises InputError with line and column if it does not fit the panel.
+    """
     if not all(hasattr(table, name) for name in ("columns", "index", "itertuples")):
         raise InputError(f"from_dataframe needs a pandas.DataFrame, not {in_words(table)}")
     indexed = getattr(table.index, "name", None) is not None or hasattr(table.index, "tz")
@@ -36,13 +39,20 @@ def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
 
     Raises InputError if it is none, or if its dimensions are not time, row and column.
     """
-    if not all(hasattr(data, name) for name in ("dims", "coords", "attrs", "transpose")) or hasattr(data, "data_vars"):
-        raise InputError(f"from_xarray needs an xarray.DataArray, not {in_words(data)}; of a Dataset name a variable")
+    if not all(hasattr(data, name) for name in ("dims", "coords", "attrs", "transpose")) or hasattr(
+        data, "data_vars"
+    ):
+        raise InputError(
+            f"from_xarray needs an xarray.DataArray, not {in_words(data)}; of a Dataset name a "
+            "variable"
+        )
     places = {role_of(str(name)): name for name in data.dims}
     frame = places.get("time", places.get("frame"))
     wanted = [frame, places.get("row"), places.get("column")]
     if None in wanted or len(data.dims) != len(wanted):
-        raise InputError(f"the dimensions must be time, row and column, not {', '.join(map(str, data.dims))}")
+        raise InputError(
+            f"the dimensions must be time, row and column, not {', '.join(map(str, data.dims))}"
+        )
     values = np.asarray(data.transpose(*wanted).values, dtype=float)
     seconds = None
     if frame in data.coords and role_of(str(frame)) == "time":
@@ -54,7 +64,10 @@ def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
 
 
 def named_units(frames: Frames, source: object) -> tuple[str, ...]:
-    """Return the units that the file's own words permit. Raises InputError with the file if they are not imported."""
+    """Return the units that the file's own words permit.
+
+    Raises InputError with the file if they are not imported.
+    """
     try:
         return units_of(frames.words)
     except InputError as error:
@@ -67,7 +80,9 @@ def panel_of(rows: int | None, columns: int | None, scene: Scene | None) -> Pane
         shape = scene.panel.shape
         size = (shape[0] if rows is None else rows, shape[1] if columns is None else columns)
         if shape != size:
-            raise InputError(f"the scene's panel has {shape[0]} × {shape[1]} cells, not {size[0]} × {size[1]}")
+            raise InputError(
+                f"the scene's panel has {shape[0]} × {shape[1]} cells, not {size[0]} × {size[1]}"
+            )
         return scene.panel
     if rows is None or columns is None:
         raise InputError("how large is the panel? Say `rows` and `columns`, or give a `scene`")

@@ -20,12 +20,15 @@ Cells = dict[int, tuple[int, int]]
 
 
 def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return the frames of a table, with the layout by its header and by the number of fields of its lines.
+    """Return the frames of a table.
+
+    The layout is found by its header and by the number of fields of its lines.
 
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
     table = with_one_clock(table)
-    # One value a line; else one frame a line; else one row a line; else again without empty columns.
+    # One value a line; else one frame a line; else one row a line; else again without empty
+    # columns.
     order = _single_values(table, shape)
     if order is not None:
         return _frames_of_single_values(table, shape, order)
@@ -44,10 +47,14 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     if not np.all(filled):
         empty = ", ".join(names[field] or f"field {field + 1}" for field in np.flatnonzero(~filled))
         shorter = table.only(columns=np.flatnonzero(filled))
-        return frames_of(replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape)
+        return frames_of(
+            replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape
+        )
     raise InputError(
-        f"{table.place(0, None)}: {counted(table.width, 'field')}; {shape[0]} × {shape[1]} cells need {cells}, "
-        f"{cells + 1} with the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row; "
+        f"{table.place(0, None)}: {counted(table.width, 'field')}; {shape[0]} × {shape[1]} cells "
+        f"need {cells}, "
+        f"{cells + 1} with the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in "
+        "a line for each row; "
         "`layout` says what each field is"
     )
 
@@ -59,12 +66,21 @@ def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
     row, column = np.divmod(cell, shape[1])
     note = f"one number a line, {cells} lines a frame; row by row{left_out}"
     at = (frame[:, None], row[:, None], column[:, None])
-    return table.frames(at, [0], shape, table.timing([], begins) or table.title_timing(begins, title), note)
+    return table.frames(
+        at, [0], shape, table.timing([], begins) or table.title_timing(begins, title), note
+    )
 
 
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
-    """Return (row, column) of the cells in the names of columns, by column, and a sentence; None without such names."""
-    named = {field: cell for field, name in enumerate(names) if (cell := cell_of(name)) and not role_of(name)}
+    """Return (row, column) of the cells in the names of columns, by column, and a sentence.
+
+    None without such names.
+    """
+    named = {
+        field: cell
+        for field, name in enumerate(names)
+        if (cell := cell_of(name)) and not role_of(name)
+    }
     if not named:
         return None
     first = min(1, *map(min, named.values()))
@@ -76,7 +92,9 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
             raise InputError(f"{source}: the header's {headers} are the same cell")
         if row >= shape[0] or column >= shape[1]:
             sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
-            raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}")
+            raise InputError(
+                f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}"
+            )
     example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
     unnamed = shape[0] * shape[1] - len(cells)
     gap = f"; {counted(unnamed, 'cell')} without a column, missing" if unnamed else ""
@@ -85,11 +103,21 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
 
 
 def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
-    """Return the cells of columns that are named by one word and the numbers of all cells, and a sentence; or None."""
-    lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
+    """Return the cells of columns named by one word and the numbers of all cells, or None.
+
+    A sentence is returned with the cells.
+    """
+    lines = {
+        field: line
+        for field, name in enumerate(names)
+        if (line := line_of(name)) and not role_of(name)
+    }
     first = min((number for _, number in lines.values()), default=0)
     one_word = len({word for word, _ in lines.values()}) == 1
-    ways = {"row by row": (shape[1], (0, 1)), "a digit for the row and one for the column": (10, (0, 11))}
+    ways = {
+        "row by row": (shape[1], (0, 1)),
+        "a digit for the row and one for the column": (10, (0, 11)),
+    }
     for way, (base, firsts) in ways.items():
         cells = {field: divmod(number - first, base) for field, (_, number) in lines.items()}
         if one_word and first in firsts and sorted(cells.values()) == list(np.ndindex(shape)):
@@ -100,32 +128,49 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
 def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None) -> Frames:
     """Return the frames of a table with one frame a line.
 
-    `named` contains the cells by column, and a sentence. None: cells row by row in the order of the fields.
+    `named` contains the cells by column, and a sentence. None: cells row by row in the order of the
+    fields.
     """
     names = table.names
     roles = [role_of(name) for name in names]
     times = [field for field, role in enumerate(roles) if role in ("date", "time")]
     if named is None:
         cells = shape[0] * shape[1]
-        values = [field for field, role in enumerate(roles) if role not in ("date", "time", "frame")]
+        values = [
+            field for field, role in enumerate(roles) if role not in ("date", "time", "frame")
+        ]
         values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
         if not times and values[0] == 1 and roles[0] != "frame" and (names[0] or not any(names)):
-            times = [0]  # one field more than cells; where a header leaves it without a name it is a counter
+            # One field more than cells; where a header leaves it without a name it is a counter.
+            times = [0]
         unknown = (
-            f"; {names[values[0]]!r} and the other names tell no cells" if any(names[field] for field in values) else ""
+            f"; {names[values[0]]!r} and the other names tell no cells"
+            if any(names[field] for field in values)
+            else ""
         )
         named = dict(zip(values, np.ndindex(shape), strict=True)), f"cells row by row{unknown}"
     fields = sorted(named[0])
     rows, columns = np.transpose([named[0][field] for field in fields])
-    unused = [names[field] for field in range(table.width) if field not in fields and field not in times]
-    omitted = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
+    unused = [
+        names[field] for field in range(table.width) if field not in fields and field not in times
+    ]
+    omitted = (
+        f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}"
+        if unused
+        else ""
+    )
     index = np.arange(len(table.lines))
     note = f"one frame a line, {named[1]}{omitted}"
-    return table.frames((index[:, None], rows, columns), fields, shape, table.timing(times, range(len(index))), note)
+    return table.frames(
+        (index[:, None], rows, columns), fields, shape, table.timing(times, range(len(index))), note
+    )
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
-    """Return the fields of a table of single values by role: row, column, cell, value, frame, time, date; or None."""
+    """Return the fields of a table of single values by role, or None.
+
+    The roles are row, column, cell, value, frame, time, date.
+    """
     cells = shape[0] * shape[1]
     if any(table.names):
         roles = [role_of(name) for name in table.names]
@@ -133,7 +178,11 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         if {"r", "c"} <= set(short):  # beside a c, an r is no resistance
             roles[short.index("r")], roles[short.index("c")] = "row", "column"
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
-        return order if "value" in order and ({"row", "column"} <= set(order) or "cell" in order) else None
+        return (
+            order
+            if "value" in order and ({"row", "column"} <= set(order) or "cell" in order)
+            else None
+        )
     if table.width == 2 and shape[1] > 2 and _count_cells(table, cells):
         return {"cell": 0, "value": 1}
     if counter := _counter_before_cells(table, shape):
@@ -149,11 +198,14 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
 
 
 def _counter_before_cells(table: ReadingsTable, shape: Shape) -> str | None:
-    """Return whether the first of four fields is a 'frame' or a 'time' before row, column and value; None for neither.
+    """Return whether the first of four fields is a 'frame' or a 'time'; None for neither.
 
-    Each of its values must stand before most cells of the panel, and before none of them twice. Readings are not so.
+    It stands before row, column and value. Each of its values must stand before most cells of the
+    panel, and before none of them twice. Readings are not so.
     """
-    counter, row, column = (table.values[:, field] for field in range(3)) if table.width == 4 else (np.empty(0),) * 3
+    counter, row, column = (
+        (table.values[:, field] for field in range(3)) if table.width == 4 else (np.empty(0),) * 3
+    )
     rows, columns = (np.unique(numbers).tolist() for numbers in (row, column))
     complete = [[*map(list, map(range, shape))], [list(range(1, size + 1)) for size in shape]]
     if [rows, columns] not in complete or not np.all(np.diff(counter) >= 0):
@@ -169,11 +221,18 @@ def _count_cells(table: ReadingsTable, cells: int) -> bool:
     """Return whether the first field counts all cells of a frame."""
     numbers = table.values[:, 0]
     first = numbers[0]
-    return bool(first in (0, 1) and numbers.max() - first == cells - 1 and np.all(numbers == np.round(numbers)))
+    return bool(
+        first in (0, 1)
+        and numbers.max() - first == cells - 1
+        and np.all(numbers == np.round(numbers))
+    )
 
 
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
-    """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'; NaN for any other text."""
+    """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'.
+
+    NaN for any other text.
+    """
     values = table.values[:, field].copy()
     unread = table.words[:, field]
     texts = table.fields[unread, field]
@@ -183,22 +242,38 @@ def _line_numbers(table: ReadingsTable, field: int) -> Array:
 
 
 def _indices(table: ReadingsTable, field: int) -> Index:
-    """Return the row or column numbers in a field as integers. Raises InputError for any other text."""
+    """Return the row or column numbers in a field as integers.
+
+    Raises InputError for any other text.
+    """
     values = _line_numbers(table, field)
-    bad = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) > np.iinfo(np.int32).max)
+    bad = (
+        ~np.isfinite(values)
+        | (values != np.round(values))
+        | (np.abs(values) > np.iinfo(np.int32).max)
+    )
     table.refuse(bad, field, "{0} is no index")
     return values.astype(np.intp)
 
 
 def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> Frames:
-    """Return the frames of a table of single values, with the fields `order` by role; other cells are missing."""
+    """Return the frames of a table of single values, with the fields `order` by role.
+
+    Other cells are missing.
+    """
     rows, columns, first = _cells_of_lines(table, order, shape)
     cells = rows * shape[1] + columns
     frames, how = _frame_numbers(table, cells, order)
-    _, begins, again = np.unique(np.stack([frames, cells]), axis=1, return_index=True, return_inverse=True)
+    _, begins, again = np.unique(
+        np.stack([frames, cells]), axis=1, return_index=True, return_inverse=True
+    )
     twice = np.flatnonzero(begins[again.ravel()] < np.arange(len(cells)))
     if len(twice):
-        hint = "" if how or "frame" in order else "; several frames need a field with the frame's number"
+        hint = (
+            ""
+            if how or "frame" in order
+            else "; several frames need a field with the frame's number"
+        )
         earlier = table.source.called(int(table.lines[begins[again.ravel()[twice[0]]]]))
         raise InputError(f"{table.place(int(twice[0]), None)}: the same cell as in {earlier}{hint}")
     times = [order[role] for role in ("date", "time") if role in order]
@@ -209,7 +284,9 @@ def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str
     return table.frames(at, [order["value"]], shape, timing, note)
 
 
-def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -> tuple[Index, Index, int]:
+def _cells_of_lines(
+    table: ReadingsTable, order: dict[str, int], shape: Shape
+) -> tuple[Index, Index, int]:
     """Return row and column of all lines, counted from 0, and the file's first index (0 or 1).
 
     A single field may name or number the cell.
@@ -230,7 +307,9 @@ def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -
     for name, values, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
         name = name if name in order else "cell"
         bad = (values < first) | (values >= first + size)
-        table.refuse(bad, order[name], f"{name} {{0}} is beyond the panel's {first} to {first + size - 1}")
+        table.refuse(
+            bad, order[name], f"{name} {{0}} is beyond the panel's {first} to {first + size - 1}"
+        )
     return rows - first, columns - first, first
 
 
@@ -246,15 +325,21 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
         return 0 * cells, ""
     texts = table.fields[:, [order[role] for role in ("date", "time") if role in order]]
     stamps = [" ".join(line) for line in texts]
-    number = {stamp: at for at, stamp in enumerate(dict.fromkeys(stamps))}  # in the order in which they come
+    # In the order in which they come.
+    number = {stamp: at for at, stamp in enumerate(dict.fromkeys(stamps))}
     if len(number) < len(cells) or len(cells) == 1:
-        return np.array([number[stamp] for stamp in stamps], dtype=np.intp), "; frames by their time"
+        return np.array(
+            [number[stamp] for stamp in stamps], dtype=np.intp
+        ), "; frames by their time"
     how = "; every line has a time of its own, a new frame begins where a cell comes again"
     return repeated, how
 
 
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
-    """Return whether a frame begins at a line, (lines,): its number occurs again, or a title precedes it."""
+    """Return whether a frame begins at a line, (lines,).
+
+    It does where its number occurs again, or a title precedes it.
+    """
     numbers_of_frame = set[int]()
     begins = np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
@@ -265,7 +350,10 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
 
 
 def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
-    """Return the frames of a table with one row of the panel a line; further fields are the row's name or the time."""
+    """Return the frames of a table with one row of the panel a line.
+
+    Further fields are the row's name or the time.
+    """
     extra = table.width - shape[1]
     labels, times = _before_the_row(table, extra, shape[0])
     columns, order = _column_order(table, extra, shape[1])
@@ -278,11 +366,15 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
         often = Counter(kind for kinds in table.kinds for kind in kinds)
         frames = int(np.bincount(labels).max())
         ends = {kind for kind, times in often.items() if frames / 2 <= times <= 1.5 * frames}
-        numbered = [field for field, name in enumerate(table.names[:extra]) if role_of(name) == "frame"]
+        numbered = [
+            field for field, name in enumerate(table.names[:extra]) if role_of(name) == "frame"
+        ]
         changes = np.zeros(len(labels), dtype=bool)
         for field in numbered:
             changes[1:] |= table.fields[1:, field] != table.fields[:-1, field]
-        ended = [bool(kinds & ends) or bool(new) for kinds, new in zip(table.kinds, changes, strict=True)]
+        ended = [
+            bool(kinds & ends) or bool(new) for kinds, new in zip(table.kinds, changes, strict=True)
+        ]
         frame = np.cumsum(_begins_again(labels, ended))
         row = labels
         begins = np.unique(frame, return_index=True)[1].tolist()
@@ -293,7 +385,10 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
 
 
 def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index | None, list[int]]:
-    """Return the rows by the names of the lines, (lines,) counted from 0, or None; and the columns with times."""
+    """Return the rows by the names of the lines, or None; and the columns with times.
+
+    The rows are (lines,), counted from 0.
+    """
     roles = [role_of(name) for name in table.names[:extra]]
     times = [field for field, role in enumerate(roles) if role in ("time", "date")]
     labelled = [field for field, role in enumerate(roles) if role not in ("time", "date", "frame")]
@@ -313,15 +408,25 @@ def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index 
 
 
 def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[int], str]:
-    """Return the panel's column of each field, by numbers in their names or in their order, and a note."""
+    """Return the panel's column of each field, and a note.
+
+    The columns are found by numbers in the names of the fields or in their order.
+    """
     names = table.names[extra:]
     lines = [line for name in names if (line := line_of(name))]
     numbers = [number for _, number in lines]
-    if len(names) != columns or sorted(numbers) not in (list(range(columns)), list(range(1, columns + 1))):
+    if len(names) != columns or sorted(numbers) not in (
+        list(range(columns)),
+        list(range(1, columns + 1)),
+    ):
         return list(range(columns)), "columns from left to right"
     if any(re.fullmatch(ROW, word) for word, _ in lines):
-        raise InputError(f"{table.source.source}: the header's {names[0]!r} names a row; `transpose` swaps")
-    return [number - min(numbers) for number in numbers], f"columns by their names from {min(numbers)}"
+        raise InputError(
+            f"{table.source.source}: the header's {names[0]!r} names a row; `transpose` swaps"
+        )
+    return [
+        number - min(numbers) for number in numbers
+    ], f"columns by their names from {min(numbers)}"
 
 
 def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], str, str | None]:
@@ -355,14 +460,22 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
             frame[lines] = len(begins) + np.arange(len(lines)) // rows
             row[lines] = np.arange(len(lines)) % rows
             begins += lines[::rows]
-    passed = [item for before in table.before[1:] for item in before.items() if title is not None and item[0]]
+    passed = [
+        item
+        for before in table.before[1:]
+        for item in before.items()
+        if title is not None and item[0]
+    ]
     skipped = [place for text, place in passed if kind_of(text) != title]
     notes += [f"skipped between rows: {', '.join(skipped)}"] if skipped else []
     return frame, row, begins, "".join(f"; {sentence}" for sentence in notes), title
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Return the lines of every frame, and the kind of the titles between frames; None for any kind, or no titles."""
+    """Return the lines of every frame, and the kind of the titles between frames.
+
+    None for any kind, or no titles.
+    """
     kinds = table.kinds
     separators = [line for line in range(1, len(kinds)) if kinds[line]]
     often = Counter(kind for line in separators for kind in kinds[line])
@@ -372,7 +485,9 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
 
     def whole(groups: Sequence[range]) -> int:
         """Return the number of complete frames; lines of a single group may be cut at the end."""
-        return sum(len(group) // rows for group in groups if len(group) % rows == 0 or len(groups) == 1)
+        return sum(
+            len(group) // rows for group in groups if len(group) % rows == 0 or len(groups) == 1
+        )
 
     options: list[tuple[list[range], str | None]] = [(split(separators), None)]
     for kind, _ in often.most_common(8):  # titles are among the most frequent
@@ -383,5 +498,8 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
         return ungrouped, None
     long = next((group for group in best[0] if len(group) > rows), None)
     if long and not whole(best[0]):
-        raise InputError(f"{table.place(long[0], None)}: a block of {len(long)} lines, where the panel has {rows} rows")
+        raise InputError(
+            f"{table.place(long[0], None)}: a block of {len(long)} lines, where the panel has "
+            f"{rows} rows"
+        )
     return best

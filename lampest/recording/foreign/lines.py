@@ -1,6 +1,7 @@
-"""Lines and fields of texts and sheets: encoding, separators, comments, a terminal's time before a line.
+"""Lines and fields of texts and sheets.
 
-Nothing here knows readings; `lampest.recording.foreign.table` finds the lines and columns that hold some.
+Encoding, separators, comments, a terminal's time before a line. Nothing here knows readings;
+`lampest.recording.foreign.table` finds the lines and columns that hold some.
 """
 
 import csv
@@ -21,8 +22,10 @@ from lampest.recording.foreign.arrays import Index, check_archive, reading
 from lampest.recording.foreign.words import has_decimal_comma, number_of
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
-MAX_DAMAGED = 0.01  # share of such bytes; a serial line loses one now and then, and binary files have many more
-# Letters of Western Europe in words, and µ and ° before a unit, in the single bytes that Excel writes on Windows.
+# Share of such bytes; a serial line loses one now and then, and binary files have many more.
+MAX_DAMAGED = 0.01
+# Letters of Western Europe in words, and µ and ° before a unit, in the single bytes that Excel
+# writes on Windows.
 WINDOWS_WORDS = re.compile(
     rb"(?<=[A-Za-z])[\xc0-\xff]+|(?<![\xc0-\xff])[\xc0-\xff]+(?=[A-Za-z])|(?<!\d)[\xb0\xb5](?=[A-Za-z])"
 )
@@ -30,23 +33,30 @@ WINDOWS_WORDS = re.compile(
 PICKLE = "a pickle, which runs code when it is opened; save the array as .npy, .json or .csv"
 MARKS = {bytes([0x80, protocol]): PICKLE for protocol in range(2, 6)} | {
     b"\x93NUMPY": "NumPy's format; name it .npy",
-    b"PK\x03\x04": "a zip archive; name a workbook .xlsx, NumPy's arrays .npz, and unpack others first",
+    b"PK\x03\x04": "a zip archive; name a workbook .xlsx, NumPy's arrays .npz, and unpack others "
+    "first",
     b"\x89HDF": "HDF5; save the array as .npy. lampest's own recordings need no import",
     b"\xd0\xcf\x11\xe0": "an old Excel file; save it as .xlsx",
     b"\x1f\x8b": "compressed; unpack it first",
     b"PAR1": "Parquet; name it .parquet",
 }
-READ = "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; `layout` names a layout of your own"
+READ = (
+    "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; `layout` names a layout of "
+    "your own"
+)
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
 SAMPLED_LINES = 1000
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
-COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not Excel's words for no number
-# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
+# Not Excel's words for no number.
+COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)
+# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789]
+# ' of others
 DATE = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?"
 TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
-LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
+# 'ROW0=512,511', 'R0: 512 511'
+LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
 
 
@@ -107,7 +117,11 @@ class FieldLines:
 
 
 def field_lines(
-    source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], lines: Iterable[FieldLine]
+    source: str,
+    word: str,
+    at: Callable[[int, int | None], str],
+    notes: Iterable[str],
+    lines: Iterable[FieldLine],
 ) -> FieldLines:
     """Return lines as a table. Raises InputError if it is too large."""
     read = list[FieldLine]()
@@ -118,7 +132,9 @@ def field_lines(
         total = total + len(line.texts)
         width = max(width, len(line.texts))
         if max(total, len(read) * width // 2) > MAX_FIELDS:
-            raise InputError(f"{at(line.number, None)}: more than {MAX_FIELDS} fields are not imported")
+            raise InputError(
+                f"{at(line.number, None)}: more than {MAX_FIELDS} fields are not imported"
+            )
     fields = np.full((len(read), width), "", dtype=object)
     for number, line in enumerate(read):
         fields[number, : len(line.texts)] = line.texts
@@ -131,7 +147,8 @@ def field_lines(
 def lines_of_text(path: Path) -> FieldLines:
     """Return the lines of a text file; the separator of fields is the sign that gives most numbers.
 
-    Raises InputError with the line if the file is no text or too large, or if a quotation mark is not closed.
+    Raises InputError with the line if the file is no text or too large, or if a quotation mark is
+    not closed.
     """
     text, notes = _decoded(path)
     read: list[FieldLine] = []
@@ -147,23 +164,36 @@ def lines_of_text(path: Path) -> FieldLines:
         if content.strip().strip(" \t;,"):
             read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
     contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
-    if contents and 2 * sum(content.lstrip().startswith('{"') for content in contents) > len(contents):
+    if contents and 2 * sum(content.lstrip().startswith('{"') for content in contents) > len(
+        contents
+    ):
         stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
         raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
     delimiter = _delimiter(contents)
     aligned = delimiter == "\t" and _is_aligned(contents)
     if aligned:
-        read = [line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read]
+        read = [
+            line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read
+        ]
     if any(delimiter in content.strip() for content in contents):
-        notes.insert(0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}")
+        notes.insert(
+            0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}"
+        )
     notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
 
     def at(number: int, field: int | None) -> str:
         return f"{path}:{number}" + ("" if field is None else f":{field + 1}")
 
-    split = (line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter)) for line in read)
+    split = (
+        line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter))
+        for line in read
+    )
     lines = field_lines(str(path), "line", at, notes, split)
-    if len(read) > 1 and not text.endswith(("\r", "\n")) and lines.counts[-1] < np.median(lines.counts):
+    if (
+        len(read) > 1
+        and not text.endswith(("\r", "\n"))
+        and lines.counts[-1] < np.median(lines.counts)
+    ):
         lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
         note = f"the last number of line {read[-1].number} is cut off and missing"
         return replace(lines, notes=(*lines.notes, note))
@@ -171,7 +201,10 @@ def lines_of_text(path: Path) -> FieldLines:
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:
-    """Return the text of a file in UTF-8, or in UTF-16 by its mark or its zero bytes, and notes on the encoding."""
+    """Return the text of a file in UTF-8 or UTF-16, and notes on the encoding.
+
+    UTF-16 is recognised by its mark or its zero bytes.
+    """
     data = path.read_bytes()
     if kind := next((kind for mark, kind in MARKS.items() if data.startswith(mark)), ""):
         raise InputError(f"{path}: no text table, but {kind}")
@@ -179,25 +212,40 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     if count > MAX_FIELDS:
         raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
     marks = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
-    encoding = marks.get(data[:2]) or ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else "")
+    encoding = marks.get(data[:2]) or (
+        "utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else ""
+    )
     data = data[: len(data) // 2 * 2] if encoding else data
-    text = data.decode(encoding or "utf-8", errors="replace").removeprefix("\ufeff").replace("\0", DAMAGED)
+    text = (
+        data.decode(encoding or "utf-8", errors="replace")
+        .removeprefix("\ufeff")
+        .replace("\0", DAMAGED)
+    )
     damaged = text.count(DAMAGED)
     if damaged and not encoding and not data.isascii() and WINDOWS_WORDS.sub(b"", data).isascii():
         return data.decode("cp1252", errors="replace"), ["Windows-1252"]
     if damaged > max(1, MAX_DAMAGED * len(text)):
         line = text.count("\n", 0, text.index(DAMAGED)) + 1
         wrong = f"{damaged} of {len(text)} bytes are no text"
-        raise InputError(f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}")
+        raise InputError(
+            f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}"
+        )
     return text, ["UTF-16"] if encoding else []
 
 
 def _delimiter(lines: Sequence[str]) -> str:
-    """Return the sign that gives most numeric fields in the first lines; of equal signs the earlier in the list."""
+    """Return the sign that gives most numeric fields in the first lines.
+
+    Of equal signs the earlier in the list.
+    """
     sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
 
     def numbers(sign: str) -> tuple[int, bool]:
-        fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
+        fields = [
+            field.strip(' "')
+            for line in sample
+            for field in line.split(None if sign == " " else sign)
+        ]
         comma = has_decimal_comma(fields)
         read = sum(field != "" and number_of(field, comma=comma) is not None for field in fields)
         return read, any(sign in line for line in sample)
@@ -206,14 +254,17 @@ def _delimiter(lines: Sequence[str]) -> str:
 
 
 def _is_aligned(lines: Sequence[str]) -> bool:
-    """Return whether lines agree in their number of fields only if tabs that follow each other are one."""
+    """Return whether lines agree in their number of fields only if consecutive tabs are one."""
     single = Counter(line.count("\t") for line in lines[:SAMPLED_LINES])
     joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in lines[:SAMPLED_LINES])
     return max(joined.values(), default=0) > max(single.values(), default=0)
 
 
 def _split(place: str, line: str, delimiter: str) -> list[str]:
-    """Return the fields of a line. Raises InputError with the place for a misplaced quotation mark."""
+    """Return the fields of a line.
+
+    Raises InputError with the place for a misplaced quotation mark.
+    """
     if delimiter == " ":
         return line.split()
     if '"' not in line:
@@ -221,7 +272,9 @@ def _split(place: str, line: str, delimiter: str) -> list[str]:
     try:
         (fields,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
     except csv.Error as error:
-        raise InputError(f"{place}: a quotation mark that is not closed, or within a field") from error
+        raise InputError(
+            f"{place}: a quotation mark that is not closed, or within a field"
+        ) from error
     return [text.strip() for text in fields]
 
 
@@ -229,7 +282,8 @@ def lines_of_sheets(path: Path, wanted: str | None) -> dict[str, FieldLines]:
     """Return the lines of every nonempty sheet, or of the wanted one, by name in the file's order.
 
     Sheets are read row by row, because a few bytes may claim 10¹⁰ cells. Raises
-    InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too large.
+    InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too
+    large.
     """
     check_archive(path)
     with extra("tables"):
@@ -241,7 +295,9 @@ def lines_of_sheets(path: Path, wanted: str | None) -> dict[str, FieldLines]:
     ):
         sheets = {str(sheet.title): sheet for sheet in book.worksheets}
         if wanted is not None and wanted not in sheets:
-            raise InputError(f"{path}: no sheet '{wanted}'; there are {', '.join(sheets) or 'none'}")
+            raise InputError(
+                f"{path}: no sheet '{wanted}'; there are {', '.join(sheets) or 'none'}"
+            )
         tables: dict[str, FieldLines] = {}
         for title in sheets if wanted is None else [wanted]:
 
@@ -250,7 +306,9 @@ def lines_of_sheets(path: Path, wanted: str | None) -> dict[str, FieldLines]:
                 return f"{path}: {title}!{letters}{number}"
 
             rows = _rows_of_sheet(sheets[title])
-            tables[title] = field_lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
+            tables[title] = field_lines(
+                f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows
+            )
     return {title: lines for title, lines in tables.items() if lines.lines}
 
 
@@ -269,4 +327,8 @@ def _text_of_cell(value: Any) -> str:
     """Return a cell as the text of a text file, with all digits of a number."""
     if isinstance(value, datetime.datetime) and value.time() == datetime.time():
         value = value.date()  # the time of day may be in the next cell
-    return "" if value is None else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
+    return (
+        ""
+        if value is None
+        else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
+    )

@@ -21,7 +21,9 @@ Content = tuple[Any, tuple[str, ...]]  # a file's content, and notes on it
 
 
 def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
-    """Return the arrays of a file of records by name, and notes; records of single values are the lines of a table.
+    """Return the arrays of a file of records by name, and notes.
+
+    Records of single values are the lines of a table.
 
     Raises InputError if the file is damaged or too large, or if its lists have different lengths.
     """
@@ -38,7 +40,11 @@ def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
 def _largest_records(content: Any) -> list[dict[str, Any]] | None:
     """Return the longest list of records in a file: the file itself, or one of its parts."""
     lists = [content, *(content.values() if isinstance(content, dict) else ())]
-    records = [part for part in lists if isinstance(part, list) and part and all(isinstance(r, dict) for r in part)]
+    records = [
+        part
+        for part in lists
+        if isinstance(part, list) and part and all(isinstance(r, dict) for r in part)
+    ]
     return max(records, key=len, default=None)
 
 
@@ -47,22 +53,36 @@ def _is_value(value: Any) -> bool:
 
 
 def _arrays(path: Path, values: dict[str, Any]) -> Arrays:
-    """Return lists of numbers as arrays, and lists of dates as seconds since 1970; other parts are left out."""
+    """Return lists of numbers as arrays, and lists of dates as seconds since 1970.
+
+    Other parts are left out.
+    """
     arrays = Arrays()
     for name, value in values.items():
         where = f"{path}: {name}" if name else str(path)
-        if isinstance(value, list) and any(isinstance(part, list) or hasattr(part, "shape") for part in value):
+        if isinstance(value, list) and any(
+            isinstance(part, list) or hasattr(part, "shape") for part in value
+        ):
             arrays[name] = _numbers(value, where)
-        elif isinstance(value, list) and all(isinstance(part, int | float | None) for part in value):
+        elif isinstance(value, list) and all(
+            isinstance(part, int | float | None) for part in value
+        ):
             arrays[name] = np.array(value, dtype=float)
-        elif role_of(name) == "time" and isinstance(value, list) and all(_is_value(part) for part in value):
+        elif (
+            role_of(name) == "time"
+            and isinstance(value, list)
+            and all(_is_value(part) for part in value)
+        ):
             with reading(path):
                 arrays[name] = np.array([_seconds(part) for part in value])
     return arrays
 
 
 def _numbers(value: list[Any], where: str) -> Any:
-    """Return nested lists as an array; null is a missing reading. Raises InputError with the place of a fault."""
+    """Return nested lists as an array; null is a missing reading.
+
+    Raises InputError with the place of a fault.
+    """
     lengths = [len(part) if hasattr(part, "__len__") else 0 for part in value]
     if len(set(lengths)) > 1:
         usual = max(lengths, key=lengths.count)
@@ -71,7 +91,9 @@ def _numbers(value: list[Any], where: str) -> Any:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{where}: its lists differ in length, or hold what is no number") from error
+        raise InputError(
+            f"{where}: its lists differ in length, or hold what is no number"
+        ) from error
     check_count(where, array.size)
     return array
 
@@ -92,7 +114,10 @@ def _table(path: Path, records: Sequence[dict[str, Any]]) -> FieldLines:
         return f"{path}: record {number}" + ("" if field is None else f", {names[field]!r}")
 
     lines = [FieldLine(0, ["" if name == INDEX else name for name in names])]
-    lines += [FieldLine(n, [text_of_value(record.get(name)) for name in names]) for n, record in enumerate(records, 1)]
+    lines += [
+        FieldLine(n, [text_of_value(record.get(name)) for name in names])
+        for n, record in enumerate(records, 1)
+    ]
     return field_lines(str(path), "record", at, [f"{len(records)} records"], lines)
 
 
@@ -102,7 +127,11 @@ def text_of_value(value: Any) -> str:
         return ""
     if isinstance(value, datetime):
         return value.isoformat()
-    return repr(float(value)).removesuffix(".0") if isinstance(value, int | float | np.number) else str(value)
+    return (
+        repr(float(value)).removesuffix(".0")
+        if isinstance(value, int | float | np.number)
+        else str(value)
+    )
 
 
 def _of_json(path: Path) -> Content:
@@ -121,7 +150,9 @@ def _of_json(path: Path) -> Content:
 
 def _of_json_lines(path: Path) -> Content:
     """Return one value for each line; a last line that is cut is left out, and named in a note."""
-    lines = [(number, line) for number, line in enumerate(_text_of(path).splitlines(), 1) if line.strip()]
+    lines = [
+        (number, line) for number, line in enumerate(_text_of(path).splitlines(), 1) if line.strip()
+    ]
     values = []
     notes: tuple[str, ...] = ()
     for number, line in lines:
@@ -129,7 +160,9 @@ def _of_json_lines(path: Path) -> Content:
             values.append(json.loads(line))
         except (ValueError, RecursionError) as error:
             if number != lines[-1][0] or not values:
-                raise InputError(f"{path}:{number}: no JSON ({' '.join(str(error).split())})") from error
+                raise InputError(
+                    f"{path}:{number}: no JSON ({' '.join(str(error).split())})"
+                ) from error
             notes = (f"left out: line {number}, the last one, which is cut off",)
     return values, notes
 
@@ -137,7 +170,9 @@ def _of_json_lines(path: Path) -> Content:
 def _text_of(path: Path) -> str:
     size = path.stat().st_size
     if size > MAX_TEXT:
-        raise InputError(f"{path}: {size} bytes, more than {MAX_TEXT} of JSON are not imported; save it as .npy")
+        raise InputError(
+            f"{path}: {size} bytes, more than {MAX_TEXT} of JSON are not imported; save it as .npy"
+        )
     with reading(path):
         return path.read_text(encoding="utf-8-sig")
 

@@ -1,4 +1,7 @@
-"""Unit of foreign numbers: specified, named in the header, or the only one that values and scene permit."""
+"""Unit of foreign numbers.
+
+It is specified, named in the header, or the only one that values and scene permit.
+"""
 
 from collections.abc import Callable, Sequence
 from itertools import product
@@ -16,8 +19,10 @@ from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 Place = Callable[[int, int, int], str]  # frame, row and column of a value → its place in the source
 RESISTANCES = ("ohm", "kohm")
-MIN_USED = 0.01  # least share of the converter's range that readings use; less indicates another unit
-MAX_SHORTED = 0.05  # share of zeros among resistances without a unit; more are pressures, or codes of open cells
+# Least share of the converter's range that readings use; less indicates another unit.
+MIN_USED = 0.01
+# Share of zeros among resistances without a unit; more are pressures, or codes of open cells.
+MAX_SHORTED = 0.05
 MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
 
 
@@ -28,18 +33,31 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
         write = f"; write {word}" if word in FACTORS else meant(unit, FACTORS)
         raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}{write}")
     if unit is not None and unit not in RESISTANCES and (scene is None or scene.readout is None):
-        raise InputError(f"{source}: {unit} values need a scene with a readout, which says how they become ohm")
+        raise InputError(
+            f"{source}: {unit} values need a scene with a readout, which says how they become ohm"
+        )
     if unit in RESISTANCES and scene is not None and scene.circuit.unit != "ohm":
-        raise InputError(f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code")
+        raise InputError(
+            f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code"
+        )
 
 
-def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
+def understood_unit(
+    values: Array, named: Sequence[str], scene: Scene | None, source: object
+) -> tuple[str, str]:
     """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
 
-    `named` are the units that the header permits, () if it names none. Raises InputError if no unit fits, or several.
+    `named` are the units that the header permits, () if it names none. Raises InputError if no unit
+    fits, or several.
     """
     readout = None if scene is None else scene.readout
-    possible = RESISTANCES if readout is None else tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
+    possible = (
+        RESISTANCES
+        if readout is None
+        else tuple(FACTORS)
+        if readout.unit == "ohm"
+        else ("volt", "mV", "code")
+    )
     allowed = [unit for unit in possible if not named or unit in named]
     if len(named) == 1 or not allowed:
         check_unit(named[0], scene, source)
@@ -53,25 +71,35 @@ def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, so
     else:
         fitting, reason = _explaining(finite, allowed, readout)
     if not fitting:
-        scene_text = "" if readout is None else f" in this scene, whose converter ends at {readout.full_scale_volt:g} V"
+        scene_text = (
+            ""
+            if readout is None
+            else f" in this scene, whose converter ends at {readout.full_scale_volt:g} V"
+        )
         none = f"{span} fit none of {', '.join(allowed)}{scene_text}{reason}"
         raise InputError(f"{source}: {none}; `unit` says what they are")
     if len(fitting) > 1:
         ways = " or ".join(f"`unit={unit!r}`" for unit in fitting)
-        raise InputError(f"{source}: {span} may be {' or '.join(fitting)}{reason}; say which with {ways}")
+        raise InputError(
+            f"{source}: {span} may be {' or '.join(fitting)}{reason}; say which with {ways}"
+        )
     how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
     return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"
 
 
 def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
-    """Return the allowed units that explain the values, and the reason: of one, why it is; of several, a remark."""
+    """Return the allowed units that explain the values, and the reason.
+
+    The reason is of one unit, why it is; of several, a remark.
+    """
     top = 2**readout.adc_bits - 1
     supply = readout.full_scale_volt
     middle = float(np.median(finite))
     largest = float(finite.max())
     whole = bool(np.all(finite == np.round(finite)))
     in_steps = {unit: _on_steps(finite, unit, readout) for unit in allowed}
-    # Codes are whole, or means of as many as a reading has; others are filtered, and compete with every other unit.
+    # Codes are whole, or means of as many as a reading has; others are filtered, and compete with
+    # every other unit.
     counted = whole or in_steps.get("code") is True or _are_means(finite, readout.readings)
     fits = {
         "code": largest <= top and (counted or largest > max(supply, MIN_USED * top)),
@@ -88,10 +116,23 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
             return certain, "as such they lie on the converter's steps"
         if whole and "code" in units and not set(RESISTANCES) & set(units):
             also = "; whole mV would look alike" if "mV" in units and in_steps["mV"] is None else ""
-            also += "; most are 0, as of open cells or in pressures, which are no readings" if middle == 0 else ""
-            return ["code"], f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter{also}"
-        expected = "whole numbers" if readout.readings == 1 else f"means of {readout.readings} whole numbers"
-        return units, "" if counted or "code" not in units else f" (codes would be {expected}, by the scene)"
+            also += (
+                "; most are 0, as of open cells or in pressures, which are no readings"
+                if middle == 0
+                else ""
+            )
+            return [
+                "code"
+            ], f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter{also}"
+        expected = (
+            "whole numbers"
+            if readout.readings == 1
+            else f"means of {readout.readings} whole numbers"
+        )
+        return (
+            units,
+            "" if counted or "code" not in units else f" (codes would be {expected}, by the scene)",
+        )
     least, most = readout.rails()
     if not units and "ohm" in allowed and least <= middle <= most:
         return ["ohm"], "no other unit is within the converter's rails"
@@ -104,25 +145,29 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
 
 
 def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], str]:
-    """Return which of the resistances' units explain values that no readout describes, and the reason."""
+    """Return which resistances' units explain values that no readout describes, and the reason."""
     middle = float(np.median(finite))
     zeros = float(np.mean(finite == 0))
     if zeros > MAX_SHORTED:
         return (
             [],
-            f": {100 * zeros:.0f} % of them are 0, as in pressures or codes; a resistance of 0 is a short circuit",
+            f": {100 * zeros:.0f} % of them are 0, as in pressures or codes; a resistance of 0 is "
+            "a short circuit",
         )
     whole = bool(np.all(finite == np.round(finite))) and finite.max() <= MAX_CODE
     fits = {"ohm": middle >= 1, "kohm": middle < 100, "code": whole}
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1:
-        return units, ", the whole numbers of a converter, which need a scene" if "code" in units else ""
+        return (
+            units,
+            ", the whole numbers of a converter, which need a scene" if "code" in units else "",
+        )
     least = "too small for ohm" if units == ["kohm"] else "too large for kohm"
     return units, f"their median, {middle:.3g}, is {least}; no readout describes them"
 
 
 def _are_means(finite: Array, readings: int) -> bool:
-    """Return whether values are means of whole numbers, rounded or cut to the digits that they are written with."""
+    """Return whether values are means of whole numbers, rounded or cut to their written digits."""
     sums = finite * readings
     slack = 2 * _rounding(finite) * readings
     distance = np.abs(sums - np.round(sums))
@@ -130,27 +175,37 @@ def _are_means(finite: Array, readings: int) -> bool:
 
 
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
-    """Return whether values in this unit would be means of the converter's codes; None if undecidable."""
+    """Return whether values in this unit would be means of the converter's codes.
+
+    None if undecidable.
+    """
     values = np.unique(finite)
     digit = _rounding(values)
     # Written numbers are rounded to the nearest digit, or cut to the next lower one.
     nearest = _in_volt(values, digit, unit, readout)
     cut = _in_volt(values + digit, digit, unit, readout)
     half = nearest[1]
-    # A value is on a step by chance with a probability of ½ at most: of twelve, in eight tries, once in 500 times.
+    # A value is on a step by chance with a probability of ½ at most: of twelve, in eight tries,
+    # once in 500 times.
     if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
-    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
+    # Many programs take the latter.
+    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
         scale = steps / readout.full_scale_volt * readout.readings
         for offset, (volt, slack) in product((0.0, 0.5), (nearest, cut)):
             sums = volt * scale - offset * readout.readings
-            if np.all(np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))):
+            if np.all(
+                np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))
+            ):
                 return True
     return False
 
 
 def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[Array, Array]:
-    """Return values in this unit as volt at the converter, and half the range that values ± slack have there."""
+    """Return values in this unit as volt at the converter, and half their range.
+
+    The range is the one that values ± slack have there.
+    """
     ends = [(values + sign * slack) * FACTORS[unit] for sign in (-1, 0, 1)]
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
@@ -163,16 +218,19 @@ def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[
 def _rounding(values: Array) -> float:
     """Return half a unit of the last decimal digit with which values are written."""
     slack = 1e-12 * np.maximum(1.0, np.abs(values))
-    digits = (digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack))
+    digits = (
+        digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack)
+    )
     return 0.5 * 10.0 ** -next(digits, 9)
 
 
 def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
-    """Return values converted from their unit to the readout's recorded quantity, (frames, rows, columns); NaN is kept.
+    """Return values converted from their unit to the readout's recorded quantity.
 
-    Codes and voltages at a rail, infinite resistances and those of zero remain bounds. Raises InputError with the place
-    (frame, row, column) of an impossible value, or with the source if most readings are at the rail of a shorted cell:
-    unit or range are probably wrong.
+    Shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail, infinite resistances
+    and those of zero remain bounds. Raises InputError with the place (frame, row, column) of an
+    impossible value, or with the source if most readings are at the rail of a shorted cell: unit or
+    range are probably wrong.
     """
     scaled = values * FACTORS[unit]
     readout = scene.readout
@@ -186,21 +244,31 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         refuse(values < 0, "must be a positive resistance in ohm")
         recorded = scaled
     elif unit == "code":
-        refuse((finite < 0) | (finite > 2**readout.adc_bits - 1), f"is no code of a {readout.adc_bits}-bit converter")
+        refuse(
+            (finite < 0) | (finite > 2**readout.adc_bits - 1),
+            f"is no code of a {readout.adc_bits}-bit converter",
+        )
         floored = finite <= (readout.floor_code or -1)
-        recorded = readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(finite)))
+        recorded = readout.recorded_from_volt(
+            np.where(floored, 0.0, readout.volt_from_code(finite))
+        )
     else:
         largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
         outside = (finite < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
         refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
         recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
     if readout is not None:
-        shorted = Readings.of(scene, recorded).side == (AT_MOST if readout.unit == "ohm" else AT_LEAST)
+        shorted = Readings.of(scene, recorded).side == (
+            AT_MOST if readout.unit == "ohm" else AT_LEAST
+        )
         count = int(shorted.sum())
         total = int(np.isfinite(recorded).sum())
         key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
         if 2 * count > total:
-            wrong = f"{count} of {total} readings stand at the rail of the converter that a shorted cell reaches"
+            wrong = (
+                f"{count} of {total} readings stand at the rail of the converter that a "
+                "shorted cell reaches"
+            )
             scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
             raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")
     return recorded

@@ -24,11 +24,13 @@ ROLE_OF_WORD = _by_word(
     row="row rows zeile reihe y i",
     column="column columns col cols spalte x j",
     cell="cell taxel pixel index sensor",
-    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts mv r v wert widerstand "
+    value="value values reading measured resistance ohm kohm volt voltage code adc raw counts mv r "
+    "v wert widerstand "
     "spannung",
     frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     date="date datum day tag",
-    time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock ts "
+    time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel "
+    "elapsed clock ts "
     "millis micros ms us µs s sec second seconds unix epoch",
 )
 # Words for the parts of a time of day that stands in columns of their own.
@@ -38,7 +40,8 @@ PART_OF_CLOCK = _by_word(
     second="ss s sec secs second seconds sekunde sekunden",
     millisecond="ms msec millis millisecond milliseconds",
 )
-QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}  # names that permit two units
+# Names that permit two units.
+QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}
 UNITS_OF_WORD = _by_word(
     ohm="ohm ohms ω",
     kohm="kohm kohms kω kiloohm kiloohms k",
@@ -62,56 +65,77 @@ PRESSURE_UNITS = _by_word(
     pressure="pa kpa mpa hpa mmhg mmh2o cmh2o psi bar mbar atm torr n/cm2 n/mm2 n/cm² n/mm² kg/cm2"
 )
 LOADS = PRESSURE_UNITS | _by_word(
-    load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces kraft weight gewicht "
+    load="n newton newtons g gram grams kg lb lbs lbf kgf pressure pressures druck force forces "
+    "kraft weight gewicht "
     "load last conductance leitwert temperature"
 )
-STATED_PRESSURE = re.compile(
-    rf"(?:\d\s*|[\[(:=]\s*)({'|'.join(sorted(map(re.escape, PRESSURE_UNITS), key=len, reverse=True))})(?![\w/²])",
-    re.IGNORECASE,
-)
+ANY_PRESSURE_UNIT = "|".join(sorted(map(re.escape, PRESSURE_UNITS), key=len, reverse=True))
+STATED_PRESSURE = re.compile(rf"(?:\d\s*|[\[(:=]\s*)({ANY_PRESSURE_UNIT})(?![\w/²])", re.IGNORECASE)
 UNITS = {*UNITS_OF_WORD, *TIME_UNIT_OF_WORD, *PRESSURE_UNITS}
 BRACKETED = re.compile(
-    r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*[^\[\](){}<>\s\d,;:|/x_.-][^\[\](){}<>]*?)\s*[\])}>]", re.IGNORECASE
+    r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*[^\[\](){}<>\s\d,;:|/x_.-][^\[\](){}<>]*?)\s*[\])}>]",
+    re.IGNORECASE,
 )
 PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
 ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
 ROW = r"(?:r|rows?|zeile|z|y)"
 COLUMN = r"(?:c|cols?|columns?|spalte|s|x)"
 GAP = r"[_,;/|=\[\]()]*"
-LINE_NUMBER = re.compile(rf"(?:{ROW}|{COLUMN})\s*{GAP}\s*\d{{1,9}}")  # in brackets: a part of a cell's name, no unit
+# In brackets: a part of a cell's name, no unit.
+LINE_NUMBER = re.compile(rf"(?:{ROW}|{COLUMN})\s*{GAP}\s*\d{{1,9}}")
 CELLS = (
-    re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}"),
-    re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}"),
-    re.compile(rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d{{1,9}})[_,;/|x\[\]()]+(?P<column>\d{{1,9}}){GAP}"),
+    re.compile(
+        rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}"
+    ),
+    re.compile(
+        rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}"
+    ),
+    re.compile(
+        rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d{{1,9}})[_,;/|x\[\]()]+(?P<column>\d{{1,9}}){GAP}"
+    ),
 )
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d{{1,9}}){GAP}")
 
-MAX_LENGTH = 100  # characters of a name or a number that are analysed; patterns would take long for more
-# Words for missing or infinite numbers, as written by NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
-# Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
+# Characters of a name or a number that are analysed; patterns would take long for more.
+MAX_LENGTH = 100
+# Words for missing or infinite numbers, as written by NumPy, R, MATLAB, JSON, Arduino's Print
+# (ovf), multimeters (OL), Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 NO_NUMBERS = _by_word(
-    nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . -inf "
+    nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error "
+    "missing ? ?? . -inf "
     "-infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!",
     inf="inf +inf infinity +infinity ∞ 1.#inf",
 )
 NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\d+)?"
-POINT, COMMA = (re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\.", ","), (",", r"\.")))
+POINT, COMMA = (
+    re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\.", ","), (",", r"\."))
+)
 
-EPOCH = 1e9  # least time in s since 1970, in 2001; a board's own clock would have run for thirty years
-MAX_CUT = 0.1  # share of the stamps that may be cut and interpolated; more indicate another clock, or no times
+# Least time in s since 1970, in 2001; a board's own clock would have run for thirty years.
+EPOCH = 1e9
+# Share of the stamps that may be cut and interpolated; more indicate another clock, or no times.
+MAX_CUT = 0.1
 STAMP = re.compile(
     r"(?=\d)(?:(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?=[T ,]|$))?[T ,]*"
     r"(?:(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*([AP]M\b)?)?\s*(Z|UTC|[+-]\d{2}:?\d{2})?",
     re.IGNORECASE,
 )
 # Order of a date's parts → separators.
-DATES = {"year-month-day": "-/.", "day.month.year": ".", "day/month/year": "/-", "month/day/year": "/-"}
+DATES = {
+    "year-month-day": "-/.",
+    "day.month.year": ".",
+    "day/month/year": "/-",
+    "month/day/year": "/-",
+}
 
 Where = Callable[[int], str]
 
 
 def parted(name: str) -> tuple[str, str]:
-    """Return a name in lower case, its words joined by underscores, and the unit at its end as written, or ''."""
+    """Return a name in lower case and the unit at its end as written, or ''.
+
+    The words of the name are joined by underscores.
+    """
     text = name[:MAX_LENGTH].strip()
     unit = ""
     match = PARTED.fullmatch(text)
@@ -119,29 +143,46 @@ def parted(name: str) -> tuple[str, str]:
     if bracketed and bracketed[1] and not LINE_NUMBER.fullmatch(bracketed[2].lower()):
         text = bracketed[1]
         unit = bracketed[2]
-    elif match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
+    elif match and (
+        match[2].strip(" _") in tuple("[(<{")
+        or match[3].lower() in UNITS
+        or ELECTRIC.fullmatch(match[3])
+    ):
         text = match[1]
         unit = match[3]
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 
 
 def role_of(name: str) -> str | None:
-    """Return the role of a name without its unit: 'row', 'column', 'cell', 'value', 'frame', 'date', 'time' or None."""
+    """Return the role of a name without its unit, or None.
+
+    The role is 'row', 'column', 'cell', 'value', 'frame', 'date' or 'time'.
+    """
     word, unit = parted(name)
     seconds = unit.lower() in TIME_UNIT_OF_WORD and unit[1:] != "S"  # mS are millisiemens
     role = ROLE_OF_WORD.get(word) or ("time" if seconds else None)
-    return None if role == "time" and BRACKETED.fullmatch(name.strip()) and unit and not seconds else role
+    return (
+        None
+        if role == "time" and BRACKETED.fullmatch(name.strip()) and unit and not seconds
+        else role
+    )
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
-    """Return (row, column) of names such as r0c0, R1C1, 'row 0 col 3', c3_r0, cell_0_3, (0, 3), [0][3]; else None."""
+    """Return (row, column) of names such as r0c0 or 'row 0 col 3'; else None.
+
+    Others are R1C1, c3_r0, cell_0_3, (0, 3), [0][3].
+    """
     word, _ = parted(name)
     matches = filter(None, (pattern.fullmatch(word) for pattern in CELLS))
     return next(((int(match["row"]), int(match["column"])) for match in matches), None)
 
 
 def line_of(name: str) -> tuple[str, int] | None:
-    """Return word and number, such as ('r', 3), of names such as R3, 'row 3', 3 or col_3; None for other names."""
+    """Return word and number, such as ('r', 3), of names such as R3, 'row 3', 3 or col_3.
+
+    None for other names.
+    """
     match = ONE_NUMBER.fullmatch(parted(name)[0])
     return (match[1].strip("_"), int(match[2])) if match else None
 
@@ -154,31 +195,43 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
     permitted: tuple[str, ...] = ()
     for units in filter(None, map(_units_of_one, dict.fromkeys(names))):
         if permitted and not set(permitted) & set(units):
-            raise InputError(f"the headers name both {permitted[0]} and {units[0]}; `unit` says which it is")
+            raise InputError(
+                f"the headers name both {permitted[0]} and {units[0]}; `unit` says which it is"
+            )
         permitted = units if not permitted or len(units) < len(permitted) else permitted
     return permitted
 
 
 def _units_of_one(name: str) -> tuple[str, ...]:
-    """Return the units that a name permits by its unit, otherwise by the whole name, its first or its last word."""
+    """Return the units that a name permits.
+
+    It permits them by its unit, otherwise by the whole name, its first or its last word.
+    """
     stem, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
     if load := load_named(name):
         raise InputError(
-            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which cells are computed. "
+            f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which "
+            "cells are computed. "
             "If they are, `unit` says which"
         )
     bracketed = BRACKETED.fullmatch(name.strip()) is not None and unit != ""
     if unit.lower() not in UNITS_OF_WORD and (bracketed or ELECTRIC.fullmatch(unit)):
-        raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides")
-    ends = [word for word in (stem.split("_")[0], stem.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
+        raise InputError(
+            f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides"
+        )
+    # r_0_c_1 is a cell
+    ends = [word for word in (stem.split("_")[0], stem.split("_")[-1]) if len(word) > 1]
     names = (UNITS_OF_WORD[word] for word in (unit.lower(), stem, *ends) if word in UNITS_OF_WORD)
     return next((QUANTITIES.get(name, (name,)) for name in names), ())
 
 
 def load_named(name: str) -> str:
-    """Return the word for a load's quantity or unit in a name, such as 'mmHg' or 'pressure'; '' without one."""
+    """Return the word for a load's quantity or unit in a name, such as 'mmHg' or 'pressure'.
+
+    '' without one.
+    """
     stem, unit = parted(name)
     if unit.lower() in UNITS_OF_WORD or unit in ("v", "V"):
         return ""  # 'pressure sensor [mV]' holds voltages
@@ -187,7 +240,10 @@ def load_named(name: str) -> str:
 
 
 def names_unit(name: str) -> bool:
-    """Return whether the name of a column says anything of the unit of its numbers, known or not."""
+    """Return whether the name of a column says anything of the unit of its numbers.
+
+    The unit may be known or not.
+    """
     try:
         return _units_of_one(name) != ()
     except InputError:
@@ -200,13 +256,19 @@ def names_pressure(name: str) -> bool:
 
 
 def pressures_in(text: str) -> str:
-    """Return the unit of pressure that a line with numbers states, as in 'Max: 200 mmHg' and 'Mean (kPa) 3'; or ''."""
+    """Return the unit of pressure that a line with numbers states, or ''.
+
+    Such as in 'Max: 200 mmHg' and 'Mean (kPa) 3'.
+    """
     match = STATED_PRESSURE.search(text)
     return match[1] if match else ""
 
 
 def states_unit(title: str) -> bool:
-    """Return whether a title or a comment without numbers ends with a unit of readings: 'Resistance (kOhm)'."""
+    """Return whether a title or a comment without numbers ends with a unit of readings.
+
+    An example is 'Resistance (kOhm)'.
+    """
     plain, unit = parted(title)
     known = UNITS_OF_WORD.get(unit.lower(), "volt" if unit in ("v", "V") else "")
     electric = known in ("ohm", "kohm", "volt", "mV")
@@ -214,8 +276,13 @@ def states_unit(title: str) -> bool:
 
 
 def has_decimal_comma(fields: Sequence[str]) -> bool:
-    """Return whether more of the fields are numbers with a decimal comma than with a point; if equal, by the signs."""
-    comma, point = ([field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT))
+    """Return whether more of the fields are numbers with a decimal comma than with a point.
+
+    If equal, it is decided by the signs.
+    """
+    comma, point = (
+        [field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT)
+    )
     text = "".join(comma)
     return len(comma) > len(point) or (len(comma) == len(point) and "," in text and "." not in text)
 
@@ -258,7 +325,9 @@ def is_stamp(text: str) -> bool:
     return STAMP.fullmatch(text.strip()) is not None
 
 
-def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit: str | None) -> Clock:
+def clock_of(
+    texts: Sequence[str], name: str, where: Where, *, comma: bool, unit: str | None
+) -> Clock:
     """Return times of frames from the texts of a column or of stamps before lines.
 
     Parameters
@@ -276,13 +345,16 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
     Raises
     ------
     InputError
-        If a text is no time, dates are ambiguous, times do not increase, or a unit is given for dates.
+        If a text is no time, dates are ambiguous, times do not increase, or a unit is given for
+        dates.
     """
     numbers = [number_of(text, comma=comma) for text in texts]
     if numbers.count(None) <= MAX_CUT * len(numbers):
         return clock_of_numbers(np.array(numbers, dtype=float), name, where, unit)
     if unit is not None:
-        raise InputError(f"{where(0)}: {texts[0][:40]!r} is no number, so that it has no time unit {unit}")
+        raise InputError(
+            f"{where(0)}: {texts[0][:40]!r} is no number, so that it has no time unit {unit}"
+        )
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
     ways: dict[str, list[str]] = {}
     for way in DATES if dated else ("time of day",):
@@ -293,7 +365,9 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
         wrong = min(strange, key=lambda number: numbers[number] is not None)
         raise InputError(f"{where(wrong)}: {texts[wrong][:40]!r} is no time")
     if len(set(map(tuple, ways.values()))) > 1:
-        raise InputError(f"{where(0)}: {texts[0][:40]!r} may be {' or '.join(ways)}; write year-month-day")
+        raise InputError(
+            f"{where(0)}: {texts[0][:40]!r} may be {' or '.join(ways)}; write year-month-day"
+        )
     way, stamps = next(iter(ways.items()))
     times = list(map(datetime.fromisoformat, stamps))
     zoned = [time if time.tzinfo else time.replace(tzinfo=UTC) for time in times]
@@ -304,17 +378,26 @@ def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit
     else:  # across midnight
         day = 24 * SECONDS["h"]
         seconds[1:] += day * np.cumsum(np.diff(seconds) < -day / 2)
-        sentence = f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
+        sentence = (
+            f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
+        )
     seconds, cut = _growing(seconds, where)
     return Clock(seconds, stamps[0] if dated else None, f"{sentence}{cut}")
 
 
 def _iso(text: str, way: str) -> str:
-    """Return a stamp in ISO 8601, by an order of its date's parts. Raises ValueError if it does not fit this order."""
+    """Return a stamp in ISO 8601, by an order of its date's parts.
+
+    Raises ValueError if it does not fit this order.
+    """
     match = STAMP.fullmatch(text.strip())
     if match is None or (match[2] or "none") not in DATES.get(way, "none"):
         raise ValueError
-    parts = dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False)) if match[1] else {"year": "2000"}
+    parts = (
+        dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False))
+        if match[1]
+        else {"year": "2000"}
+    )
     hours = int(match[5] or 0)
     half = (match[9] or "").upper()
     hours = hours % 12 + 12 * (half == "PM") if half else hours
@@ -326,7 +409,9 @@ def _iso(text: str, way: str) -> str:
 
 
 def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -> Clock:
-    """Return the clock of times as numbers, in a given unit or in one inferred from the column's name or the numbers.
+    """Return the clock of times as numbers, in a given or an inferred unit.
+
+    It is inferred from the column's name or the numbers.
 
     Raises InputError if the times do not increase.
     """
@@ -337,14 +422,20 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
     integers = bool(np.all(finite == np.round(finite)))
     again = np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
-    # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times since 1970.
+    # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times
+    # since 1970.
     word, suffix = parted(name)
     named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
     # Frames come every 10 ms to 10 s.
     counted = "us" if usual >= 10_000 else "ms" if usual >= 10 else None
     how = " (as specified)" if unit else ""
     unit = named
-    if unit is None and counted and integers and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER):
+    if (
+        unit is None
+        and counted
+        and integers
+        and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER)
+    ):
         unit = counted
         how = f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
     largest *= SECONDS[unit or "s"]
@@ -354,28 +445,45 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     scale = SECONDS[unit or "s"]
     if largest >= EPOCH:
         try:
-            first = datetime.fromtimestamp(float(values[0]) * scale, UTC).isoformat().replace("+00:00", "Z")
+            first = (
+                datetime.fromtimestamp(float(values[0]) * scale, UTC)
+                .isoformat()
+                .replace("+00:00", "Z")
+            )
         except (ValueError, OverflowError, OSError) as error:
-            raise InputError(f"{where(0)}: {values[0] * scale:.6g} s since 1970 is no date") from error
+            raise InputError(
+                f"{where(0)}: {values[0] * scale:.6g} s since 1970 is no date"
+            ) from error
         seconds, cut = _growing((values - values[0]) * scale, where)
-        return Clock(seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}{cut}")
+        return Clock(
+            seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}{cut}"
+        )
     wrapped = again if unit in ("ms", "us") else 0 * again
     seconds, cut = _growing((values + COUNTER * wrapped) * scale, where)
-    often = f"; the counter began again {'once' if wrapped[-1] == 1 else f'{wrapped[-1]} times'}" if wrapped[-1] else ""
-    return Clock(seconds, None, f"{unit or 's (assumed; --time-unit says otherwise)'}{often}{how}{cut}")
+    often = (
+        f"; the counter began again {'once' if wrapped[-1] == 1 else f'{wrapped[-1]} times'}"
+        if wrapped[-1]
+        else ""
+    )
+    return Clock(
+        seconds, None, f"{unit or 's (assumed; --time-unit says otherwise)'}{often}{how}{cut}"
+    )
 
 
 def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     """Return increasing times, and a sentence on those that are interpolated.
 
-    The stamp of a cut line is missing, or does not fit its neighbours. Raises InputError with the place of the first
-    such stamp if their share exceeds MAX_CUT.
+    The stamp of a cut line is missing, or does not fit its neighbours. Raises InputError with the
+    place of the first such stamp if their share exceeds MAX_CUT.
     """
     grow = _longest_growing(seconds)
     cut = np.flatnonzero(~grow)
     if len(cut) > MAX_CUT * len(seconds):
         bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
-        raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them instead")
+        raise InputError(
+            f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them "
+            "instead"
+        )
     if not len(cut):
         return seconds, ""
     number = np.arange(len(seconds))
@@ -391,7 +499,10 @@ def grows(values: Array) -> bool:
 
 
 def _longest_growing(values: Array) -> NDArray[np.bool_]:
-    """Return the longest increasing subsequence of values, boolean (n,); the last one of equally long ones."""
+    """Return the longest increasing subsequence of values, boolean (n,).
+
+    Of equally long ones it is the last one.
+    """
     ends = list[float]()
     numbers = list[int]()
     before = list[int]()

@@ -1,4 +1,7 @@
-"""Simulated electronics from cells to readings: circuit, multiplexers, converter, and effects outside the scene."""
+"""Simulated electronics from cells to readings.
+
+Circuit, multiplexers, converter, and effects outside the scene.
+"""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -7,7 +10,12 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
+from lampest.files.typed import (
+    Configuration,
+    check_not_negative,
+    check_positive_fields,
+    check_ranges,
+)
 from lampest.panel.effects import LineLeak, effect_on_readings, neighbours
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
@@ -51,19 +59,21 @@ class Unmodelled(Configuration):
     noise_factor : float, or None
         Factor on the scene's noise of one reading.
     supply_ripple_lsb, supply_ripple_hz : float, or None
-        Amplitude and frequency of a sine at the converter, with a random phase in every frame. None: one period is as
-        long as the scan of a line.
+        Amplitude and frequency of a sine at the converter, with a random phase in every frame.
+        None: one period is as long as the scan of a line.
     gain_spread : float, or None
         Standard deviation of a factor on all voltages of a frame, drawn for every frame.
     load_speed_mm_s : float, or None
-        Speed of loads along x, back and forth over TRAVEL_MM, also during a scan; the truth is that of the middle of
-        the scan.
+        Speed of loads along x, back and forth over TRAVEL_MM, also during a scan; the truth is that
+        of the middle of the scan.
     inl_lsb : float, or None
-        Largest, smooth deviation of the converter's curve from a straight line, in least significant bits.
+        Largest, smooth deviation of the converter's curve from a straight line, in least
+        significant bits.
     wire_ohm_per_cell : float, or None
         Resistance of rows and columns from cell to cell, in addition to the scene's, in ohm.
     reading_error : float, or None
-        Standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
+        Standard deviation of the logarithm of a factor on each recorded reading, the same in all
+        frames.
     response_loss : float, or None
         Fraction by which the film's response is smaller, in the logarithm of its resistance.
     response_spread : float, or None
@@ -103,13 +113,18 @@ class Unmodelled(Configuration):
     @property
     def needs_converter(self) -> tuple[str, ...]:
         """Names of the present effects that need a readout in the scene."""
-        names = "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb gain_spread inl_lsb"
+        names = (
+            "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb "
+            "gain_spread inl_lsb"
+        )
         return tuple(name for name in names.split() if getattr(self, name))
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
     """Return a random generator for one purpose, independent of draws for others."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))
+    return np.random.default_rng(
+        np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),))
+    )
 
 
 def measured(
@@ -123,9 +138,9 @@ def measured(
 ) -> tuple[Array, NDArray[np.int64] | None]:
     """Return recorded readings and the sums of the converter's codes, (frames, rows, columns) each.
 
-    Codes follow from the true reference resistor, readings from the mean code and the nominal one. Without a readout,
-    readings are exact and there are no sums. Raises ValueError if the spread of the channels makes a resistance
-    negative.
+    Codes follow from the true reference resistor, readings from the mean code and the nominal one.
+    Without a readout, readings are exact and there are no sums. Raises ValueError if the spread of
+    the channels makes a resistance negative.
 
     Parameters
     ----------
@@ -143,13 +158,17 @@ def measured(
         Called after each frame is converted.
     """
     if scene.panel.modules is not None:
-        joined = _measured_modules(scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned)
+        joined = _measured_modules(
+            scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned
+        )
         for _ in cells:
             on_frame()
         return joined
     actual, scene = _true_circuit(scene, unmodelled, seed)
     # Exact readings, line by line for moving loads, with an error of each reading.
-    total, *passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
+    total, *passes = [
+        _read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]
+    ]
     if passes:  # every line from the pass in which it was read
         axis = 2 if actual.by_columns else 1
         lines = [part.take(line, axis) for line, part in enumerate([total, *passes])]
@@ -157,10 +176,14 @@ def measured(
     normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
     total = total * np.exp((unmodelled.reading_error or 0.0) * normal)
     if actual.unit == "ohm" and not np.all(total > 0):
-        raise ValueError("unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance above it")
+        raise ValueError(
+            "unmodelled.channel_spread_ohm makes a resistance negative; give a series resistance "
+            "above it"
+        )
     if scene.readout is None:
         return total, None
-    # Voltages at the converter: memory of the previous channel, gain, ripple, nonlinearity, saturation; then codes.
+    # Voltages at the converter: memory of the previous channel, gain, ripple, nonlinearity,
+    # saturation; then codes.
     volt = actual.volt_from_recorded(total)
     if scene.known_memory is not None:
         volt = with_memory(actual, scene.known_memory, volt)
@@ -178,13 +201,18 @@ def _measured_modules(
     period_s: float,
     scanned: Sequence[Array],
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """Return what `measured` does for a panel of modules, each with its own random numbers; dead ones have NaN."""
+    """Return what `measured` does for a panel of modules, each with its own random numbers.
+
+    Dead ones have NaN.
+    """
     modules = []
     for number, module_scene in enumerate(scene.of_modules):
         inside = (..., *layout.cells(number))
         drawn = int(random_stream(seed, f"module {number}").integers(2**63))
         travelling = [part[inside] for part in scanned]
-        modules.append(measured(module_scene, cells[inside], unmodelled, drawn, period_s, travelling))
+        modules.append(
+            measured(module_scene, cells[inside], unmodelled, drawn, period_s, travelling)
+        )
     recorded = np.stack([values for values, _ in modules], axis=-3)
     recorded[..., list(scene.dead_modules), :, :] = np.nan
     codes = [sums for _, sums in modules if sums is not None]
@@ -202,12 +230,19 @@ def _true_circuit(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Read
         more = unmodelled.wire_ohm_per_cell
         row = lines.row_ohm_per_cell + more
         column = lines.column_ohm_per_cell + more
-        scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
+        scene = replace(
+            scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column)
+        )
     return actual, scene
 
 
-def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """Return recorded readings of cells (frames, rows, columns) ohm, with leak and contact from their begin on."""
+def _read(
+    actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float
+) -> Array:
+    """Return recorded readings of cells (frames, rows, columns) ohm.
+
+    They are with leak and contact from their begin on.
+    """
     begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
     cells = np.where(scene.panel.present, cells, np.inf)
     recorded = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
@@ -233,13 +268,18 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
 
 
-def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bool) -> tuple[Array, Array]:
+def _channel_errors(
+    scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bool
+) -> tuple[Array, Array]:
     """Return the additional channel resistances of rows, (rows,), and of columns, (columns,), ohm.
 
-    Unmodelled series resistance is added on the driven side. `late` adds the resistance of a bad contact.
+    Unmodelled series resistance is added on the driven side. `late` adds the resistance of a bad
+    contact.
     """
     rows, columns = scene.panel.shape
-    channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
+    channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(
+        rows + columns
+    )
     if late and unmodelled.contact_ohm:
         channel[int(random_stream(seed, "contact").integers(rows))] += unmodelled.contact_ohm
     driven, sensed = of_side(scene.circuit.noisy_side, channel[:rows], channel[rows:])
@@ -247,7 +287,11 @@ def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bo
 
 
 def sums_of_codes(
-    readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, on_frame: Callable[[], None] = lambda: None
+    readout: Readout,
+    volt: Array,
+    unmodelled: Unmodelled,
+    seed: int,
+    on_frame: Callable[[], None] = lambda: None,
 ) -> NDArray[np.int64]:
     """Return Σ code(V + noise) over `readings` conversions of voltages V, (frames, rows, columns).
 
@@ -255,7 +299,9 @@ def sums_of_codes(
     """
     noise = random_stream(seed, "noise")
     outliers = random_stream(seed, "outliers")
-    sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
+    sigma = readout.noise_volt() * (
+        1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor
+    )
     sums = np.zeros(volt.shape, dtype=np.int64)
     for frame, exact in enumerate(volt):
         for first in range(0, readout.readings, 64):  # 64 conversions at once
@@ -270,34 +316,49 @@ def sums_of_codes(
 
 
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
-    """Return the sums as 16-bit integers for a recording; None if readings · (2^bits − 1) does not fit."""
+    """Return the sums as 16-bit integers for a recording.
+
+    None if readings · (2^bits − 1) does not fit.
+    """
     if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
         return None
     return sums.astype(np.uint16)
 
 
-def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """Return V·(1 + gain) + ripple + INL(V), clipped to the stage's range, (frames, rows, columns) V."""
+def _disturbed(
+    readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float
+) -> Array:
+    """Return V·(1 + gain) + ripple + INL(V), clipped to the stage's range.
+
+    Shape (frames, rows, columns), in V.
+    """
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
         volt = volt * (1 + gain[:, None, None])
     if unmodelled.supply_ripple_lsb:
         channels = volt[0].size
         lines = volt.shape[2 if readout.by_columns else 1]
-        periods = lines if unmodelled.supply_ripple_hz is None else unmodelled.supply_ripple_hz * period_s
+        periods = (
+            lines if unmodelled.supply_ripple_hz is None else unmodelled.supply_ripple_hz * period_s
+        )
         time = (np.arange(channels) + 0.5) / channels * periods
         phase = random_stream(seed, "ripple").uniform(0, 2 * np.pi, len(volt))
         wave = in_panel_order(readout, np.sin(2 * np.pi * time + phase[:, None]), volt.shape)
         volt = volt + unmodelled.supply_ripple_lsb * readout.lsb_volt * wave
     if unmodelled.inl_lsb:
-        weights = random_stream(seed, "inl").standard_normal(SINES)  # of sines with ½, 1, 1½, … periods over the range
+        # Of sines with ½, 1, 1½, … periods over the range.
+        weights = random_stream(seed, "inl").standard_normal(SINES)
 
         def sines(at: Array) -> Array:
-            waves = (weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1))
+            waves = (
+                weight * np.sin(np.pi * number * at) for number, weight in enumerate(weights, 1)
+            )
             return np.asarray(sum(waves, np.zeros_like(at)))
 
         largest = np.abs(sines(np.linspace(0, 1, 1001))).max()
-        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (sines(volt / readout.full_scale_volt) / largest)
+        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (
+            sines(volt / readout.full_scale_volt) / largest
+        )
     if unmodelled.saturation:
         volt = np.minimum(volt, unmodelled.saturation * readout.full_scale_volt)
     return volt

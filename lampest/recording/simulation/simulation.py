@@ -1,7 +1,8 @@
-"""Simulated recordings with their truth, from loads on a panel and its electronics, and the files that define them.
+"""Simulated recordings with their truth, and the files that define them.
 
-A file is YAML with an optional sweep. A number may be given as `{uniform: [low, high]}`: it is drawn from a random
-stream of the seed and of its place in the file, so that other drawn numbers do not affect it. A recording contains the
+They are simulated from loads on a panel and its electronics. A file is YAML with an optional sweep.
+A number may be given as `{uniform: [low, high]}`: it is drawn from a random stream of the seed and
+of its place in the file, so that other drawn numbers do not affect it. A recording contains the
 drawn numbers, in /entry/truth/simulation.
 """
 
@@ -19,7 +20,13 @@ from lampest.files.document import Document, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.files.sweep import combinations
-from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_range, typed
+from lampest.files.typed import (
+    Configuration,
+    check_not_negative,
+    check_positive_fields,
+    check_range,
+    typed,
+)
 from lampest.files.whole import check_room
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
@@ -29,33 +36,46 @@ from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
+from lampest.recording.simulation.measure import (
+    OPEN_OHM,
+    SHORT_OHM,
+    Unmodelled,
+    measured,
+    random_stream,
+    raw_sums,
+)
 
-TRAVEL_MM = 20.0  # two cells of the usual panel: a moving load that starts in the middle stays on the panel
+# Two cells of the usual panel: a moving load that starts in the middle stays on the panel.
+TRAVEL_MM = 20.0
 PUMPED_S = 1.0  # duration of a pump, or of the pull before a release; an assumption
 MOMENTS = 8  # time steps of the film's memory within a frame period
 
 
 @dataclass(frozen=True)
 class Course(Configuration):
-    """Factors of contact and suction over time; by default the load is complete from the first moment.
+    """Factors of contact and suction over time.
+
+    By default the load is complete from the first moment.
 
     Attributes
     ----------
     start_s : float
-        First touch, in seconds after the first measured frame; negative: before it, after the last unloaded one.
+        First touch, in seconds after the first measured frame; negative: before it, after the last
+        unloaded one.
     approach_s, attachment_s : float
         Duration of the growth of contact pressure, and then of suction; 0: a step.
     breathing_hz, breathing_depth : float
         Frequency and relative amplitude of the common oscillation of contact and suction.
     pump_s, pump_loss : float
-        Time between pumps of the suction, and the part of it that is lost until the next pump; 0: none.
+        Time between pumps of the suction, and the part of it that is lost until the next pump; 0:
+        none.
     pull_off : float
         Relative growth of the suction within the second before the release.
     release_at_s, release_s : float, or None
         Start and duration of the release; None: never.
 
-    Source of the pumps: 20 to 200 s apart, -8 to -70 kPa when pulled off: Shi et al., PLoS ONE 16, e0247884, 2021.
+    Source of the pumps: 20 to 200 s apart, -8 to -70 kPa when pulled off: Shi et al., PLoS ONE 16,
+    e0247884, 2021.
 
     >>> lampest.Course(start_s=1.0).start_s
     1.0
@@ -81,16 +101,17 @@ class Course(Configuration):
                 raise ValueError(f"{name} must be below 1")
 
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
-        """Return the factors of contact pressure and of suction, (frames,) each, at times (frames,) in s.
+        """Return the factors of contact pressure and of suction at times (frames,) in s.
 
-        Suction starts at the end of the approach.
+        Shape (frames,) each. Suction starts at the end of the approach.
         """
         touched = time - self.start_s
         released = time - (np.inf if self.release_at_s is None else self.release_at_s)
         breathing = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
         factor = breathing * (1 - _ramp(released, self.release_s))
         suction = _ramp(touched - self.approach_s, self.attachment_s)
-        # Pumps: an exponential loss by pump_loss per period, made up within PUMPED_S at the begin of the next one.
+        # Pumps: an exponential loss by pump_loss per period, made up within PUMPED_S at the begin
+        # of the next one.
         if self.pump_s:
             since = np.maximum(touched - self.approach_s - self.attachment_s, 0.0)
             lost = (1 - self.pump_loss) ** (np.mod(since, self.pump_s) / self.pump_s)
@@ -101,7 +122,10 @@ class Course(Configuration):
 
 
 def _ramp(time: Array, length: float) -> Array:
-    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1; a step at time 0 for a length of 0."""
+    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1.
+
+    It is a step at time 0 for a length of 0.
+    """
     if length == 0:
         return (time >= 0).astype(float)
     part = np.clip(time / length, 0, 1)
@@ -189,12 +213,26 @@ class Simulation(Configuration):
         auto = film is not None and "auto" in (film.hysteresis, film.creep_per_decade)
         for right, message in (
             (0 <= self.seed < 2**64, "seed must lie between 0 and 2^64"),
-            (self.baseline_frames >= 0 and self.frames >= 1, "a recording needs at least one measured frame"),
+            (
+                self.baseline_frames >= 0 and self.frames >= 1,
+                "a recording needs at least one measured frame",
+            ),
             (self.values <= 20_000_000, "more than 20000000 values in one recording"),
-            (late, "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"),
+            (
+                late,
+                "course.start_s must lie after the last unloaded frame, one frame_period_s before "
+                "the first",
+            ),
             (digital or not electronic, f"unmodelled: {electronic} need a readout in the scene"),
-            (digital or self.scene.converter_memory is None, "converter_memory needs a readout in the scene"),
-            (not auto, "film: a simulation needs numbers where the scene says auto; give a film of its own"),
+            (
+                digital or self.scene.converter_memory is None,
+                "converter_memory needs a readout in the scene",
+            ),
+            (
+                not auto,
+                "film: a simulation needs numbers where the scene says auto; give a film of its "
+                "own",
+            ),
         ):
             if not right:
                 raise ValueError(message)
@@ -213,8 +251,12 @@ class Simulation(Configuration):
 
 
 @typed
-def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable[[], None] = lambda: None) -> Recording:
-    """Return a simulated recording with its truth: r = r0·e^drift·f(p)·e^(α(T − T_b)), and the measured readings of r.
+def simulate(
+    simulation: Simulation, name: str = "simulated", on_frame: Callable[[], None] = lambda: None
+) -> Recording:
+    """Return a simulated recording with its truth r, and the measured readings of r.
+
+    The truth is r = r0·e^drift·f(p)·e^(α(T − T_b)).
 
     Parameters
     ----------
@@ -226,7 +268,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
 
     Raises ValueError if a cell's or a measured resistance is out of range.
 
-    >>> lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)).recorded.shape
+    >>> two = lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)
+    >>> lampest.simulate(two).recorded.shape
     (5, 2, 3)
     """
     scene = simulation.scene
@@ -235,8 +278,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     time = np.arange(frames) * simulation.frame_period_s
     moves = bool(unmodelled.load_speed_mm_s)
     ladder = scene.panel.network
-    # Memory: pressures, cells, their factors, readings and sums; for moving loads also the cells while each line is
-    # read.
+    # Memory: pressures, cells, their factors, readings and sums; for moving loads also the cells
+    # while each line is read.
     size = 8.0 * (10 + moves * sum(ladder.shape)) * simulation.values
     check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
@@ -244,7 +287,9 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     lines = (ladder.columns if scene.circuit.by_columns else ladder.rows) if moves else 0
     later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
     scanned = [cells_under(simulation, time, float(part)) for part in later]
-    recorded, sums = measured(scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame)
+    recorded, sums = measured(
+        scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame
+    )
     raw = raw_sums(scene.readout, sums)
     present = scene.panel.present
     return Recording(
@@ -262,26 +307,35 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
 
 
 def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
-    """Return p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water over patches, (frames, rows, columns) kPa.
+    """Return p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water over patches.
+
+    Shape (frames, rows, columns), in kPa.
 
     Parameters
     ----------
     time : array, shape (frames)
         Times in s after the first measured frame; loads are absent before it.
     later_s : float
-        Time after the middle of the scan in s. It changes the position of moving loads, which travel TRAVEL_MM along x
-        and back, but not their pressure.
+        Time after the middle of the scan in s. It changes the position of moving loads, which
+        travel TRAVEL_MM along x and back, but not their pressure.
     """
     panel = simulation.scene.panel
     way = (simulation.unmodelled.load_speed_mm_s or 0.0) * (time + later_s)
     way = np.mod(way + TRAVEL_MM / 2, 2 * TRAVEL_MM)
-    along, frames = np.unique(np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2, return_inverse=True)
-    fully = np.zeros((len(along), 2, *panel.shape))  # contact and suction of loads that are fully there
+    along, frames = np.unique(
+        np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2, return_inverse=True
+    )
+    # Contact and suction of loads that are fully there.
+    fully = np.zeros((len(along), 2, *panel.shape))
     for number, mm in enumerate(along.tolist()):
         for load in simulation.loads:
-            moved = replace(load, centre_mm=(load.centre_mm[0] + mm, load.centre_mm[1])) if mm else load
+            moved = (
+                replace(load, centre_mm=(load.centre_mm[0] + mm, load.centre_mm[1])) if mm else load
+            )
             fully[number] += moved.mean_pressure(panel, simulation.cells.patch_mm)
-    contact, suction = ((time >= 0) * np.stack(simulation.course.contact_and_suction(time)))[:, :, None, None]
+    contact, suction = ((time >= 0) * np.stack(simulation.course.contact_and_suction(time)))[
+        :, :, None, None
+    ]
     water = water_pressure(panel, simulation.water or simulation.scene.water)
     return np.asarray(contact * fully[frames, 0] + suction * fully[frames, 1] + water)
 
@@ -289,8 +343,9 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """Return the true cells r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm.
 
-    r0 is log-normal. Each cell drifts at its own rate plus a rate that all cells share. Cells that the scene's faults
-    open or short have OPEN_OHM or SHORT_OHM. Raises ValueError if a cell is out of range.
+    r0 is log-normal. Each cell drifts at its own rate plus a rate that all cells share. Cells that
+    the scene's faults open or short have OPEN_OHM or SHORT_OHM. Raises ValueError if a cell is out
+    of range.
 
     Parameters
     ----------
@@ -311,20 +366,29 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
         loss = unmodelled.response_loss or 0.0
         spread = unmodelled.response_spread or 0.0
         ratio = ratio ** ((1 - loss) * np.exp(spread * normal("response")))
-        rate = unmodelled.drift_per_minute * normal("drift") + (unmodelled.common_drift_per_minute or 0.0)
+        rate = unmodelled.drift_per_minute * normal("drift") + (
+            unmodelled.common_drift_per_minute or 0.0
+        )
         drift = np.exp(rate / 60 * time[:, None, None])
-        unloaded = simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal("cells"))
+        unloaded = simulation.cells.resistance_ohm * np.exp(
+            simulation.cells.spread * normal("cells")
+        )
         cells: Array = unloaded * drift * ratio
         if scene.temperature is not None:
             cells[simulation.baseline_frames :] *= np.exp(scene.temperature.logarithm)
     if not np.all((cells > SHORT_OHM) & (cells < OPEN_OHM)):
-        raise ValueError(f"a cell's resistance leaves the range of {SHORT_OHM:g} to {OPEN_OHM:g} ohm")
+        raise ValueError(
+            f"a cell's resistance leaves the range of {SHORT_OHM:g} to {OPEN_OHM:g} ohm"
+        )
     cells[:, scene.open_cells], cells[:, scene.shorted_cells] = OPEN_OHM, SHORT_OHM
     return cells
 
 
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
-    """Return r over that of a flat, unloaded film in air, (frames, rows, columns), with drawn film parameters."""
+    """Return r over that of a flat, unloaded film in air, (frames, rows, columns).
+
+    It is with drawn film parameters.
+    """
     scene = simulation.scene
     first = time[simulation.baseline_frames]
     step = simulation.frame_period_s / MOMENTS
@@ -341,14 +405,17 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         # A factor of all cells with the film's deviation, and one of each cell with its spread.
         shared = stream.standard_normal()
         individual = stream.standard_normal(water.shape)
-        return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * individual), most)
+        return np.minimum(
+            value * np.exp(film.deviation * shared + film.cell_spread * individual), most
+        )
 
     hysteresis = strength("hysteresis", film.hysteresis, film.most["hysteresis"])
     creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     memory = FilmMemory.at_rest(hysteresis, creep, gain, water, response)
     ratios = list[Array]()
-    # The film's memory advances in MOMENTS steps per frame; the last step of each frame gives its ratio.
+    # The film's memory advances in MOMENTS steps per frame; the last step of each frame gives its
+    # ratio.
     for begin in range(0, len(time), 64):
         felt = time[begin : begin + 64, None] - step * np.arange(MOMENTS)[::-1] - first
         for number, loaded in enumerate(pressure_at(simulation, felt.ravel(), later_s) - water, 1):
@@ -366,14 +433,16 @@ def run(
 ) -> list[Path]:
     """Simulate all recordings of a file and write them; return their paths.
 
-    All recordings are computed before the first one is written. Raises InputError if a file or a value is invalid.
+    All recordings are computed before the first one is written. Raises InputError if a file or a
+    value is invalid.
 
     Parameters
     ----------
     path : Path
         Simulation file.
     out : Path or None
-        Path of a single recording, or folder of several ones; None: the paths in the file's `output`.
+        Path of a single recording, or folder of several ones; None: the paths in the file's
+        `output`.
     on_frame : callable
         Called with the number of frames done and the number of all frames.
     settings : tuple of str
@@ -390,7 +459,9 @@ def run(
     frames = sum(simulation.all_frames for _, simulation in planned)
     for (name, simulation), target in zip(planned, targets, strict=True):
         try:
-            recordings.append(simulate(simulation, target.stem, lambda: on_frame(next(done), frames)))
+            recordings.append(
+                simulate(simulation, target.stem, lambda: on_frame(next(done), frames))
+            )
         except ValueError as error:
             raise InputError(f"{path}: {name}: {error}") from error
     for target, recording in zip(targets, recordings, strict=True):
@@ -400,28 +471,38 @@ def run(
 
 @typed
 def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
-    """Return the pairs (output path as in the file, simulation) of all combinations of a file's sweep.
+    """Return the pairs (output path, simulation) of all combinations of a file's sweep.
 
-    `settings` are entries PATH=VALUE that override those of the file. Raises InputError with line and column.
+    The output path is as in the file. `settings` are entries PATH=VALUE that override those of the
+    file. Raises InputError with line and column.
 
-    >>> _ = Path("simulation.yaml").write_text("{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}")
+    >>> text = "{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}"
+    >>> _ = Path("simulation.yaml").write_text(text)
     >>> len(lampest.read_simulations(Path("simulation.yaml")))
     1
     """
     document = read_document(path, settings)
     simulations: dict[str, Simulation] = {}
-    planned = combinations(document, lambda varied: cast(Simulation, validated(_drawn(varied), Simulation)))
+    planned = combinations(
+        document, lambda varied: cast(Simulation, validated(_drawn(varied), Simulation))
+    )
     for number, case in enumerate(planned, start=1):
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
         name = _filled(document, template, case.value.seed, number, case.assignments)
         if name in simulations:
-            raise document.error(("output",), f"two recordings would be written to {name}; name the swept values in it")
+            raise document.error(
+                ("output",),
+                f"two recordings would be written to {name}; name the swept values in it",
+            )
         simulations[name] = replace(case.value, output=name)
     return list(simulations.items())
 
 
 def _drawn(document: Document) -> Document:
-    """Return the document with a drawn number in place of every `{uniform: [low, high]}`. Raises InputError."""
+    """Return the document with a drawn number in place of every `{uniform: [low, high]}`.
+
+    Raises InputError.
+    """
     content = document.content
     seed = content.get("seed") if isinstance(content, dict) else None
     if type(seed) is not int or seed < 0:
@@ -437,30 +518,48 @@ def _drawn(document: Document) -> Document:
         bounds = node["uniform"]
         numbers = isinstance(bounds, list) and all(type(bound) in (int, float) for bound in bounds)
         if not numbers or len(bounds) != 2 or not -1e12 < bounds[0] <= bounds[1] < 1e12:
-            raise document.error((*place, "uniform"), "must be a list of two numbers, the lower one first")
+            raise document.error(
+                (*place, "uniform"), "must be a list of two numbers, the lower one first"
+            )
         return round(float(random_stream(seed, ".".join(map(str, place))).uniform(*bounds)), 6)
 
     return replace(document, content=walk(content, ()))
 
 
-def _filled(document: Document, template: str, seed: int, number: int, assignments: dict[str, Any]) -> str:
-    """Return the output's name with {seed}, {case} and the last words of swept paths replaced; also {word:03d}."""
-    values = {path.split(".")[-1]: value for path, value in assignments.items()} | {"seed": seed, "case": number}
+def _filled(
+    document: Document, template: str, seed: int, number: int, assignments: dict[str, Any]
+) -> str:
+    """Return the output's name with its placeholders replaced.
+
+    These are {seed}, {case} and the last words of swept paths; also {word:03d}.
+    """
+    values = {path.split(".")[-1]: value for path, value in assignments.items()} | {
+        "seed": seed,
+        "case": number,
+    }
 
     def value(match: re.Match[str]) -> str:
         if match[1] not in values:
-            raise document.error(("output",), f"{{{match[1]}}} is none of {', '.join(sorted(values))}")
+            raise document.error(
+                ("output",), f"{{{match[1]}}} is none of {', '.join(sorted(values))}"
+            )
         part = values[match[1]]
         return f"{part:0{match[2]}d}" if match[2] and isinstance(part, int) else str(part)
 
     name = re.sub(r"\{(\w+)(?::0([1-9])d)?\}", value, template)
     if "{" in name or "}" in name or not name.endswith(".h5"):
-        raise document.error(("output",), f"'{name}' is no name of a recording: it must end in .h5 and hold no braces")
+        raise document.error(
+            ("output",),
+            f"'{name}' is no name of a recording: it must end in .h5 and hold no braces",
+        )
     return name
 
 
 def _targets(path: Path, out: Path | None, names: list[str]) -> list[Path]:
-    """Return the paths of the recordings. Raises InputError if `out` is a file for several, or a folder for one."""
+    """Return the paths of the recordings.
+
+    Raises InputError if `out` is a file for several, or a folder for one.
+    """
     if out is None:
         return [(path.parent / name).parent.resolve() / Path(name).name for name in names]
     if len(names) == 1:
@@ -471,5 +570,7 @@ def _targets(path: Path, out: Path | None, names: list[str]) -> list[Path]:
         raise InputError(f"{out}: must be a folder, because {path} makes {len(names)} recordings")
     targets = [out / Path(name).name for name in names]
     if len(set(targets)) < len(targets):
-        raise InputError(f"{path}: output names differ only by their folders; they cannot all go into {out}")
+        raise InputError(
+            f"{path}: output names differ only by their folders; they cannot all go into {out}"
+        )
     return targets

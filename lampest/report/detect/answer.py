@@ -1,4 +1,4 @@
-"""Answer of `lampest detect`: a sentence, attachments and events; as a table, as JSON and as a file."""
+"""Answer of `lampest detect`: a sentence, attachments and events; as a table, JSON and a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -126,8 +126,12 @@ class Detected:
     end_s: float | None = None
 
     @classmethod
-    def of(cls, recording: str, attachments: Sequence[Attachment], rate: float, **known: Any) -> "Detected":
-        """Return the answer by the most alarming attachment, among equals by a present one, then by the last one.
+    def of(
+        cls, recording: str, attachments: Sequence[Attachment], rate: float, **known: Any
+    ) -> "Detected":
+        """Return the answer by the most alarming attachment.
+
+        Among equals it is by a present one, then by the last one.
 
         Parameters
         ----------
@@ -140,7 +144,9 @@ class Detected:
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate, known.get("threshold", MIN_PROBABILITY)) for load in loads]
-        chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, ""))
+        chosen = min(
+            called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, "")
+        )
         return cls(recording, *chosen, rate, attachments=tuple(attachments), **known)
 
     @classmethod
@@ -162,7 +168,11 @@ class Detected:
     def chosen(self) -> Attachment | None:
         """The attachment of the answer: the last one that is present, or the last one."""
         pairs = zip(reversed(self.attachments), reversed(self.called), strict=True)
-        return max((load for load, name in pairs if name == self.answer), key=lambda load: load.present, default=None)
+        return max(
+            (load for load, name in pairs if name == self.answer),
+            key=lambda load: load.present,
+            default=None,
+        )
 
     @property
     def sentence(self) -> str:
@@ -192,11 +202,18 @@ class Detected:
         return headline(self.called)
 
     def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
-        name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
+        name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(
+            self.answer, self.answer
+        )
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= self.threshold:
             messages.append("pumping up its suction")
-        if self.answer == LAMPREY and load.breathes > 0.5 and load.breathing_hz and load.breathing_depth:
+        if (
+            self.answer == LAMPREY
+            and load.breathes > 0.5
+            and load.breathing_hz
+            and load.breathing_depth
+        ):
             depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
             messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
         if more := len(present) - load.present:
@@ -209,7 +226,11 @@ class Detected:
         events = list[Event]()
         for number, load in enumerate(self.attachments):
             touched = load.since_s if load.sucks_s is None or load.sucks_s > load.since_s else None
-            times = [("touched", touched), ("attached", load.sucks_s), *(("moved", time) for time in load.moved_s)]
+            times = [
+                ("touched", touched),
+                ("attached", load.sucks_s),
+                *(("moved", time) for time in load.moved_s),
+            ]
             times.append(("released", load.until_s))
             events += [Event(kind, time, number) for kind, time in times if time is not None]
         return tuple(sorted(events, key=lambda event: event.time_s))
@@ -234,13 +255,18 @@ class Detected:
                 for load, (answer, probability, why) in pairs
             ],
             "events": [
-                {"event": kind, "time_s": _rounded(time), "attachment": number} for kind, time, number in self.events
+                {"event": kind, "time_s": _rounded(time), "attachment": number}
+                for kind, time, number in self.events
             ],
         }
 
 
-def answer_of(load: Attachment, rate: float, threshold: float = MIN_PROBABILITY) -> tuple[str, float, str]:
-    """Return the answer by one load, its probability, and the reason why it is no more specific, or ''.
+def answer_of(
+    load: Attachment, rate: float, threshold: float = MIN_PROBABILITY
+) -> tuple[str, float, str]:
+    """Return the answer by one load, its probability, and a reason, or ''.
+
+    It is the reason why the answer is no more specific.
 
     Parameters
     ----------
@@ -260,7 +286,11 @@ def answer_of(load: Attachment, rate: float, threshold: float = MIN_PROBABILITY)
     if why := too_slow(rate):
         return SUCKS, load.sucks, f"{why}; {_pumps_in_words(load)}"
     if breath.odds > 0 and breath.suction < 0.5:
-        return SUCKS, load.sucks, "it moves at a breathing rate, but probably not by its suction: it may be shaken"
+        return (
+            SUCKS,
+            load.sucks,
+            "it moves at a breathing rate, but probably not by its suction: it may be shaken",
+        )
     if breath.hertz is None:
         return SUCKS, load.sucks, _silence_in_words(load)
     if breath.previous_odds < 0 and lifeless >= threshold:  # no breath in a full window
@@ -273,13 +303,19 @@ def _pumps_in_words(load: Attachment) -> str:
     minutes = 0.0 if load.track is None else load.track.observed_s / 60
     if minutes < MIN_PUMP_MINUTES:
         return "whether suction is pumped up again shows within minutes"
-    return f"in {minutes:.0f} minutes it was not pumped up in a way that tells a mouth (P = {load.pumps:.2f})"
+    return (
+        f"in {minutes:.0f} minutes it was not pumped up in a way that tells a mouth (P = "
+        f"{load.pumps:.2f})"
+    )
 
 
 def _silence_in_words(load: Attachment) -> str:
     """Return why no breath is known yet."""
     if np.isfinite(load.breath.judged_s):
-        return "its readings are never steady for long enough to show breathing, or too many frames are missing"
+        return (
+            "its readings are never steady for long enough to show breathing, or too many "
+            "frames are missing"
+        )
     after = f"it moved at {load.moved_s[-1]:.1f} s, and " if load.moved_s else ""
     return f"{after}breathing shows when it has been in its place for {MIN_WINDOW_S:g} s"
 
@@ -296,7 +332,10 @@ def headline(called: Sequence[str]) -> str:
 
 
 def alarming(detected: Detected) -> list[float]:
-    """Return the arrival times, s, of lampreys, and of all loads that suck if the frame rate shows no breathing."""
+    """Return the arrival times, s, of lampreys.
+
+    If the frame rate shows no breathing, also those of all loads that suck.
+    """
     alarms = (LAMPREY, SUCKS) if too_slow(detected.frames_per_second or 0.0) else (LAMPREY,)
     pairs = zip(detected.attachments, detected.called, strict=True)
     return [load.since_s for load, name in pairs if name in alarms]
@@ -306,7 +345,10 @@ def _described(load: Attachment) -> str:
     """Return the times, the place and the size of an attachment in words."""
     until = "since {:.1f} s" if load.until_s is None else "from {:.1f} s to {:.1f} s"
     diameter = f", {_shown(load.diameter_mm, 'mm')}" if load.diameter_mm else ""
-    messages = [f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}) mm"]
+    messages = [
+        f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, "
+        f"{load.y_mm[0]:.0f}) mm"
+    ]
     if load.suction_kpa and load.sucks > 0.5:
         messages.append(_shown(load.suction_kpa, "kPa"))
     if load.diameter_mm is None and load.area_mm2 is not None:
@@ -315,7 +357,10 @@ def _described(load: Attachment) -> str:
 
 
 def _rounded(value: Pair | float | None) -> Any:
-    """Return a number, or each of a pair, with six significant digits; counts and None are unchanged."""
+    """Return a number, or each of a pair, with six significant digits.
+
+    Counts and None are unchanged.
+    """
     if isinstance(value, tuple):
         return [_rounded(number) for number in value]
     return float(f"{value:.6g}") if isinstance(value, float) else value
@@ -343,22 +388,30 @@ def event_table(answers: Sequence[Detected]) -> Table:
 
 
 def load_table(answers: Sequence[Detected]) -> Table:
-    """Return a table with a row for each attachment: probabilities, and figures of the touched cells."""
+    """Return a table with a row for each attachment.
+
+    It has probabilities, and figures of the touched cells.
+    """
     rows = []
-    for name, load in ((answer.recording, load) for answer in answers for load in answer.attachments):
+    for name, load in (
+        (answer.recording, load) for answer in answers for load in answer.attachments
+    ):
         area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
         conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
         chances = [f"{getattr(load, chance):.3f}" for chance in CHANCES]
         rows.append((name, f"{load.since_s:.1f}", *chances, str(load.cells), area, conductance))
     chances = [f"P({chance})" for chance in CHANCES]
-    return Table(("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows))
+    return Table(
+        ("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows)
+    )
 
 
 def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
-    """Write all answers into one HDF5 file atomically. Raises InputError where it cannot be written.
+    """Write all answers into one HDF5 file atomically.
 
-    Each recording has a group with the names of `Detected.content`. A number of an attachment is one dataset, a pair
-    two datasets, the second of which is `<name>_errors`.
+    Raises InputError where it cannot be written. Each recording has a group with the names of
+    `Detected.content`. A number of an attachment is one dataset, a pair two datasets, the second of
+    which is `<name>_errors`.
     """
     with hdf5.new_file(path := Path(path)) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
@@ -367,15 +420,25 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
         for order, answer in enumerate(answers):
             known = answer.content()
             rate = answer.frames_per_second
-            about = {name: known[name] for name in ("answer", "sentence", "why")} | {"probability": answer.probability}
-            about |= {"frames_per_second": np.nan if rate is None else rate, "notes": "\n".join(answer.notes)}
-            about |= {"start_time": answer.start_time or "", "end_s": np.nan if answer.end_s is None else answer.end_s}
+            about = {name: known[name] for name in ("answer", "sentence", "why")} | {
+                "probability": answer.probability
+            }
+            about |= {
+                "frames_per_second": np.nan if rate is None else rate,
+                "notes": "\n".join(answer.notes),
+            }
+            about |= {
+                "start_time": answer.start_time or "",
+                "end_s": np.nan if answer.end_s is None else answer.end_s,
+            }
             group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
                 _write_table(group, "attachments", _attachment_columns(known["attachments"]))
                 kinds, times, numbers = zip(*answer.events, strict=True)
-                columns = {"event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")}
+                columns = {
+                    "event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")
+                }
                 columns["time"] = np.array(times), "s", "when it was first seen"
                 columns["attachment"] = np.array(numbers), "1", "number of the attachment"
                 _write_table(group, "events", columns)
@@ -384,15 +447,24 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
 
 def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
     """Return the columns of the attachments: name → (values, units, text)."""
-    answers, reasons = (hdf5.ascii_array([load[name] for load in known]) for name in ("answer", "why"))
+    answers, reasons = (
+        hdf5.ascii_array([load[name] for load in known]) for name in ("answer", "why")
+    )
     columns: dict[str, tuple[Any, str, str]] = {"answer": (answers, "1", "what it is")}
     columns["why"] = reasons, "1", "why the answer is no more specific"
-    columns["probability"] = np.array([load["probability"] for load in known]), "1", "probability of the answer"
+    columns["probability"] = (
+        np.array([load["probability"] for load in known]),
+        "1",
+        "probability of the answer",
+    )
     for name, (units, text) in (CHANCES | NUMBERS).items():
         columns[name] = np.array([load[name] for load in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
         values, errors = np.array([load[name] or (None, None) for load in known], dtype=float).T
-        columns |= {name: (values, units, text), f"{name}{ERRORS}": (errors, units, f"standard deviation: {text}")}
+        columns |= {
+            name: (values, units, text),
+            f"{name}{ERRORS}": (errors, units, f"standard deviation: {text}"),
+        }
     return columns
 
 

@@ -37,7 +37,10 @@ from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
-NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
+NO_RESPONSE = (
+    "no pressures and forces, since the scene names no response; shapes are fitted with "
+    "the published one"
+)
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
 MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
 Frames = Iterator[tuple[Array, Array, float]]
@@ -101,9 +104,17 @@ class Known:
         layout = self.scene.panel.modules
         noise = self.noise
         if panel.network.crossings > MAX_CELLS:
-            raise ValueError(f"loads are recognised on panels and modules of up to {MAX_CELLS} cells")
-        common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
-        panelled = Panelled.of(self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm)
+            raise ValueError(
+                f"loads are recognised on panels and modules of up to {MAX_CELLS} cells"
+            )
+        common = (
+            None
+            if noise is None or layout
+            else lambda measured: noise.columns(measured[None], baseline=False)
+        )
+        panelled = Panelled.of(
+            self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm
+        )
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         return kind.begin(
             replace(panelled, common=common, explained=self.explained),
@@ -127,14 +138,20 @@ class Known:
                 watch = watch.push(value, sigma, time)
                 course.append((time, watch.stands_out))
             except (ArithmeticError, ValueError) as error:  # such a frame is left out
-                failed.append(f"the frame at {time:.1f} s is left out: {logged_reason(error, self.name)}")
+                failed.append(
+                    f"the frame at {time:.1f} s is left out: {logged_reason(error, self.name)}"
+                )
         if len(course) < 2:
-            return Detected.unknown(self.name, failed[0] if failed else "one frame shows no change; three are needed")
+            return Detected.unknown(
+                self.name, failed[0] if failed else "one frame shows no change; three are needed"
+            )
         answer = self.detected(watch.ended(), [time for time, _ in course], np.array(course).T)
         more = (f"so are {len(failed) - 1} more frames",) if len(failed) > 1 else ()
         return replace(answer, notes=(*answer.notes, *failed[:1], *more))
 
-    def detected(self, watch: Watch | ImageWatch, times: Sequence[float], course: Array | None = None) -> Detected:
+    def detected(
+        self, watch: Watch | ImageWatch, times: Sequence[float], course: Array | None = None
+    ) -> Detected:
         """Return the answer after the frames so far.
 
         Parameters
@@ -150,26 +167,42 @@ class Known:
         rate = frame_rate(times)
         time = times[-1] if times else None
         if watch.doubt and not attachments:
-            return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
+            return replace(
+                Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course
+            )
         if response is None:
             attachments = tuple(replace(load, suctions=()) for load in attachments)
-        faults = tuple(f"{line} is open in frames from {at:.1f} s on; these are left out" for line, at in watch.faults)
+        faults = tuple(
+            f"{line} is open in frames from {at:.1f} s on; these are left out"
+            for line, at in watch.faults
+        )
         brief = tuple(
-            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be recognised"
+            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be "
+            "recognised"
             for begin, end in watch.brief
         )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         doubts = filter(None, (slow, watch.doubt))
         notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
-        about: dict[str, Any] = {"notes": notes, "course": course, "change": watch.change, "panel": self.scene.panel}
+        about: dict[str, Any] = {
+            "notes": notes,
+            "course": course,
+            "change": watch.change,
+            "panel": self.scene.panel,
+        }
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         detected = Detected.of(self.name, attachments, rate, **about)
         return replace(detected, why=brief[-1]) if brief and not attachments else detected
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
-        """Return the values and σ of one frame, (rows, columns); σ is infinite where a reading is no value."""
+        """Return the values and σ of one frame, (rows, columns).
+
+        σ is infinite where a reading is no value.
+        """
         sigma = readings.sigma_of_values
-        return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
+        return readings.value, np.where(
+            readings.plain, self.sigma if sigma is None else sigma, np.inf
+        )
 
 
 def frame_rate(times: Sequence[float]) -> float:
@@ -185,7 +218,11 @@ def detect_results(
 ) -> list[Detected]:
     """Return the answer to every recording of a results file."""
     return list(
-        each_of(_of_case, [(results.of(name)[0], patch_mm, threshold) for name in results.recordings()], on_case)
+        each_of(
+            _of_case,
+            [(results.of(name)[0], patch_mm, threshold) for name in results.recordings()],
+            on_case,
+        )
     )
 
 
@@ -197,12 +234,16 @@ def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
 
 
 def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
-    """Return the knowledge of a recording from its results, and its measured frames, as of the recording itself."""
+    """Return the knowledge of a recording from its results, and its measured frames.
+
+    They are as of the recording itself.
+    """
     side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
     notes = tuple[str, ...]()
     noise = frame_noise_of(case.frame_noise, case.scene)
-    # Results of earlier versions have the number of unloaded frames beside the noise that frames share.
+    # Results of earlier versions have the number of unloaded frames beside the noise that frames
+    # share.
     count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
     if spread is None or case.sigma_baseline is None:
         deviation, notes = _scattered(side)
@@ -219,7 +260,8 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         case.scene,
         baseline,
         deviation,
-        np.repeat(baseline[None], count, axis=0),  # results hold the mean of the unloaded frames alone
+        # Results hold the mean of the unloaded frames alone.
+        np.repeat(baseline[None], count, axis=0),
         begin,
         case.reading_error,
         noise,
@@ -228,14 +270,16 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         explained=case.model_mark != "no",
         start_time=case.start_time,
     )
-    return known, zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
+    return known, zip(
+        side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True
+    )
 
 
 def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
-    """Return σ of one frame's readings by the σ of the mean of `count` frames, without errors that all frames share.
+    """Return σ of one frame's readings by the σ of the mean of `count` frames.
 
-    Averaging reduces neither the error of the model nor the one of each reading, see `scaled` and
-    `_with_reading_error` of `lampest.estimate`.
+    It is without errors that all frames share. Averaging reduces neither the error of the model nor
+    the one of each reading, see `scaled` and `_with_reading_error` of `lampest.estimate`.
     """
     shared = own_errors(value, case.scene, case.error_in_sigma)
     square = count * sigma**2 / (1 + count * (case.model_factor**2 - 1)) - count * shared**2
@@ -249,7 +293,9 @@ def detect_recording(
     threshold: float = MIN_PROBABILITY,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Detected:
-    """Return the answer to a recording, which is read part by part. Raises InputError where it cannot be read.
+    """Return the answer to a recording, which is read part by part.
+
+    Raises InputError where it cannot be read.
 
     Parameters
     ----------
@@ -290,7 +336,10 @@ def detect_recording(
 
 
 def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
-    """Return the knowledge from the first frames of a recording, or an answer with the reason why there is none."""
+    """Return the knowledge from the first frames of a recording, or an answer.
+
+    The answer has the reason why there is none.
+    """
     head = prepared.recording
     readings = head.readings()
     notes = tuple[str, ...]()
@@ -318,7 +367,16 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         sigma = seen.sigma_factor / seen.model_factor * specified
         readings = seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
-    before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
+    before = (
+        resting.value,
+        sigma,
+        readings.plain_values[unloaded],
+        begin,
+        error,
+        noise,
+        notes,
+        patch_mm,
+    )
     explained = prepared.check.explains is not False
     return Known(head.name, scene, *before, besides, explained)
 
@@ -347,16 +405,22 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of cells that have no value
+    # Of cells that have no value.
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         median = np.nanmedian(value, axis=0)
         relative = sigma_of_frames(np.log(value))
         size = float(np.nan_to_num(np.nanmedian(relative)))
-    message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
+    message = (
+        f"the noise is unknown: {100 * size:.2g} % a reading, from differences of "
+        "neighbouring frames"
+    )
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
 
 
 def recordings_in(paths: Sequence[Path]) -> list[Path]:
-    """Return the files, and of folders the recordings in them and in their folders, in the order of their names.
+    """Return the files, and of folders the recordings in them and in their folders.
+
+    They are in the order of their names.
 
     Raises InputError for a folder without a recording.
     """
@@ -365,7 +429,9 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
         if not path.is_dir():
             files.append(path)
             continue
-        inside = [file for file in sorted(path.rglob("*.h5")) if format_of(file).startswith("recording/")]
+        inside = [
+            file for file in sorted(path.rglob("*.h5")) if format_of(file).startswith("recording/")
+        ]
         if not inside:
             raise InputError(f"{path}: holds no recording (*.h5)")
         files += inside

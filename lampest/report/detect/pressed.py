@@ -1,4 +1,7 @@
-"""Loads of any kind on a panel: centre, area, peak and total force over time, from the cells' pressures."""
+"""Loads on a panel: centre, area, peak and total force over time, from the cells' pressures.
+
+The loads are of any kind.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +25,9 @@ HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force
 
 @dataclass(frozen=True, eq=False)
 class PressedCells:
-    """Centre, area, peak and force of one estimate; NaN where nothing presses or the frame was not solved.
+    """Centre, area, peak and force of one estimate.
+
+    NaN where nothing presses or the frame was not solved.
 
     Attributes
     ----------
@@ -30,8 +35,9 @@ class PressedCells:
     values, errors : array, shape (frames, 5)
         Figures in the order of HEADERS, and their standard deviations.
     saturated : integer array, shape (frames,)
-        Number of pressed cells whose pressure the response does not determine. With any, peak and force are lower
-        bounds, because such a cell counts with the largest pressure that the response determines.
+        Number of pressed cells whose pressure the response does not determine. With any, peak and
+        force are lower bounds, because such a cell counts with the largest pressure that the
+        response determines.
     """
 
     case: CaseResult
@@ -43,16 +49,24 @@ class PressedCells:
 def pressed_of(case: CaseResult) -> PressedCells | None:
     """Return the figures of the pressed cells of a case; None where the results have no pressures.
 
-    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the cells with `Pressure.pressing`, where a is the pitch squared. Own
-    errors of the cells are independent, common errors are fully correlated. Area and centre have further variances,
-    a²/12 and pitch²/12 for each cell on the outline, because the outline may lie anywhere within it. The pressure
-    between the films of two cells is not measured: a spot smaller than a cell has the force of one that fills it.
+    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the cells with `Pressure.pressing`, where a is the
+    pitch squared. Own errors of the cells are independent, common errors are fully correlated. Area
+    and centre have further variances, a²/12 and pitch²/12 for each cell on the outline, because the
+    outline may lie anywhere within it. The pressure between the films of two cells is not measured:
+    a spot smaller than a cell has the force of one that fills it.
     """
-    if case.pressure is None or case.pressure_own is None or case.pressure_common is None or case.pressing is None:
+    if (
+        case.pressure is None
+        or case.pressure_own is None
+        or case.pressure_common is None
+        or case.pressing is None
+    ):
         return None
     touched = case.pressing != 0
     known = determined(case.scene, case.pressure, case.pressure_own, case.pressure_common)
-    both = [_frame(case.scene.panel, frame, *maps) for frame, *maps in zip(touched, *known, strict=True)]
+    both = [
+        _frame(case.scene.panel, frame, *maps) for frame, *maps in zip(touched, *known, strict=True)
+    ]
     beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
     counts = np.sum(touched & (beyond != 0), axis=(1, 2))
@@ -67,7 +81,9 @@ def pressed(results: Results) -> tuple[PressedCells, ...]:
 def _frame(
     panel: Panel, touched: NDArray[np.bool_], pressure: Array, own_sd: Array, common_sd: Array
 ) -> tuple[Array, Array]:
-    """Return the figures of one frame and their standard deviations, (5,) each; NaN without touched cells.
+    """Return the figures of one frame and their standard deviations, (5,) each.
+
+    NaN without touched cells.
 
     Parameters
     ----------
@@ -85,17 +101,21 @@ def _frame(
     cell = pitch**2
     first, second, _ = panel.neighbours
     both = touched.flat[first] & touched.flat[second]
-    pressed_neighbours = np.bincount(np.concatenate([first[both], second[both]]), minlength=touched.size)
+    pressed_neighbours = np.bincount(
+        np.concatenate([first[both], second[both]]), minlength=touched.size
+    )
     outline = int(np.sum(touched.ravel() & (pressed_neighbours < SIDES)))
     force = p.sum()
     values = []
     variances = []
     for at in panel.places_mm[:, touched]:
-        # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position within cells
+        # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position
+        # within cells
         centre = float(p @ at / force)
         values.append(centre)
         variances.append(
-            sum_sd((at - centre) / force, own, common) ** 2 + pitch**2 * POSITION_VARIANCE * np.sum((p / force) ** 2)
+            sum_sd((at - centre) / force, own, common) ** 2
+            + pitch**2 * POSITION_VARIANCE * np.sum((p / force) ** 2)
         )
     peak = int(np.argmax(p))
     values += [len(p) * cell, p[peak], KPA_MM2 * cell * force]
@@ -112,18 +132,32 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
         force = cells.values[:, -1]
         if np.isfinite(force).any():
             at = int(np.nanargmax(force))
-            numbers = [figure(*pair) for pair in zip(cells.values[at], cells.errors[at], strict=True)]
+            numbers = [
+                figure(*pair) for pair in zip(cells.values[at], cells.errors[at], strict=True)
+            ]
             saturated = str(cells.saturated[at] or "")
             if saturated:
                 numbers[-2:] = [f"≥\N{NO-BREAK SPACE}{number}" for number in numbers[-2:]]
             rows.append(
-                (case.recording, case.estimator, str(case.frame[at]), f"{case.time[at]:g}", *numbers, saturated)
+                (
+                    case.recording,
+                    case.estimator,
+                    str(case.frame[at]),
+                    f"{case.time[at]:g}",
+                    *numbers,
+                    saturated,
+                )
             )
-    return Table(("recording", "from", "frame", "time [s]", *HEADERS, "saturated cells"), tuple(rows))
+    return Table(
+        ("recording", "from", "frame", "time [s]", *HEADERS, "saturated cells"), tuple(rows)
+    )
 
 
 def figure(value: float, error: float) -> str:
-    """Return 'value ± error' with two significant digits of the error; the value alone where the error is 0."""
+    """Return 'value ± error' with two significant digits of the error.
+
+    The value alone where the error is 0.
+    """
     if error == 0:
         return f"{value:.3g}"
     digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 and np.isfinite(error) else 1
@@ -131,12 +165,16 @@ def figure(value: float, error: float) -> str:
 
 
 def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path:
-    """Write every frame of every estimate as CSV atomically, with empty cells where nothing presses.
+    """Write every frame of every estimate as CSV atomically.
+
+    Cells are empty where nothing presses.
 
     Raises InputError where the place cannot be written.
     """
     named = [name for header in HEADERS for name in (header, f"standard deviation of {header}")]
-    lines: list[list[object]] = [["recording", "estimator", "frame", "time [s]", *named, "saturated cells"]]
+    lines: list[list[object]] = [
+        ["recording", "estimator", "frame", "time [s]", *named, "saturated cells"]
+    ]
     for cells in all_pressed:
         for number, (frame, time) in enumerate(zip(cells.case.frame, cells.case.time, strict=True)):
             pairs = np.column_stack([cells.values[number], cells.errors[number]]).ravel()

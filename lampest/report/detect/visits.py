@@ -1,4 +1,7 @@
-"""Visits: one row for each attachment, with clock times, over all recordings of a season; counts and a picture."""
+"""Visits over all recordings of a season; counts and a picture.
+
+Visits are one row for each attachment, with clock times.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -90,14 +93,17 @@ def visits_of(answers: Iterable[Detected]) -> list[Visit]:
     """Return the visits of all recordings, numbered in the order of time."""
     contents = ((answer.recording, answer.content()["attachments"], answer) for answer in answers)
     return numbered(
-        visit for name, loads, answer in contents for visit in rows_of(name, loads, answer.start_time, answer.end_s)
+        visit
+        for name, loads, answer in contents
+        for visit in rows_of(name, loads, answer.start_time, answer.end_s)
     )
 
 
 def numbered(rows: Iterable[Visit]) -> list[Visit]:
-    """Return visits with their numbers in the order of time, and with those that may be by the same animal.
+    """Return visits with their numbers in the order of time.
 
-    Those of recordings without a clock come last.
+    They are also with those that may be by the same animal. Those of recordings without a clock
+    come last.
     """
     visits = list(rows)
     clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
@@ -112,7 +118,9 @@ def _since_epoch(visit: Visit) -> float:
     return visit.clock.timestamp()
 
 
-def rows_of(recording: str, loads: Sequence[dict[str, Any]], begin: str | None, end: float | None) -> list[Visit]:
+def rows_of(
+    recording: str, loads: Sequence[dict[str, Any]], begin: str | None, end: float | None
+) -> list[Visit]:
     """Return the visits of one recording, without numbers.
 
     Parameters
@@ -161,7 +169,10 @@ def _with_error(name: str, load: dict[str, Any]) -> Any:
 
 
 def _clock(start: str | None, seconds: float) -> str | None:
-    """Return the date and time that many seconds after the start, to a tenth of a second; None without a start."""
+    """Return the date and time that many seconds after the start, to a tenth of a second.
+
+    None without a start.
+    """
     if not start:
         return None
     try:
@@ -172,16 +183,21 @@ def _clock(start: str | None, seconds: float) -> str | None:
 
 
 def _earlier(visit: Visit, visits: Sequence[Visit]) -> int | None:
-    """Return the number of the last earlier visit of a lamprey of about the same diameter, which had left.
+    """Return the number of the last earlier visit of a lamprey of about the same diameter.
 
-    About the same is within two standard deviations of the difference. Without a clock only visits of one recording
-    are compared.
+    This lamprey had left. About the same is within two standard deviations of the difference.
+    Without a clock only visits of one recording are compared.
     """
     if visit.answer != LAMPREY or visit.diameter_mm is None or visit.diameter_sd_mm is None:
         return None
     found = None
     for other in visits:
-        if other.visit >= visit.visit or other.answer != LAMPREY or other.left == "no" or other.duration_s is None:
+        if (
+            other.visit >= visit.visit
+            or other.answer != LAMPREY
+            or other.left == "no"
+            or other.duration_s is None
+        ):
             continue
         if other.diameter_mm is None or other.diameter_sd_mm is None:
             continue
@@ -189,22 +205,28 @@ def _earlier(visit: Visit, visits: Sequence[Visit]) -> int | None:
         if not both and visit.recording != other.recording:
             continue
         apart = _since_epoch(visit) - _since_epoch(other) if both else visit.begin_s - other.begin_s
-        alike = abs(visit.diameter_mm - other.diameter_mm) < 2 * hypot(visit.diameter_sd_mm, other.diameter_sd_mm)
+        alike = abs(visit.diameter_mm - other.diameter_mm) < 2 * hypot(
+            visit.diameter_sd_mm, other.diameter_sd_mm
+        )
         if alike and 0 <= apart - other.duration_s < REVISIT_H * HOUR_S:
             found = other.visit
     return found
 
 
 def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
-    """Write one row for each visit as CSV atomically. Raises InputError where the place cannot be written."""
+    """Write one row for each visit as CSV atomically.
+
+    Raises InputError where the place cannot be written.
+    """
     write_whole(Path(path), comma_separated([list(COLUMNS), *(visit.row for visit in visits)]))
     return Path(path)
 
 
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
-    """Return the visits of lampreys, and of what may be one, for each day, by day and by night, and for each hour.
+    """Return the visits of lampreys, and of what may be one.
 
-    The hours are those that were recorded. Recordings without a clock are one row.
+    They are for each day, by day and by night, and for each hour. The hours are those that were
+    recorded. Recordings without a clock are one row.
     """
     hours = dict[str, list[float]]()
     for answer in answers:
@@ -216,7 +238,9 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
         cells = [name]
         for night in (0, 1):
             these = [visit for visit in own if _is_night(visit.clock) == bool(night)]
-            lampreys, unsure = (sum(visit.answer == kind for visit in these) for kind in (LAMPREY, SUCKS))
+            lampreys, unsure = (
+                sum(visit.answer == kind for visit in these) for kind in (LAMPREY, SUCKS)
+            )
             rate = f"{lampreys / recorded[night]:.2g}" if recorded[night] > 0 else ""
             cells += [f"{recorded[night]:.2g}", str(lampreys), str(unsure), rate]
         rows.append(tuple(cells))
@@ -230,7 +254,10 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
 
 
 def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
-    """Generate the day, whether it is night, and the seconds of each hour that a recording covers."""
+    """Generate the day, whether it is night, and the seconds of each recorded hour.
+
+    A recorded hour is one that a recording covers.
+    """
     end = answer.end_s or 0.0
     begin = _clock(answer.start_time, 0.0)
     if begin is None:
@@ -259,7 +286,10 @@ def _is_night(clock: datetime | None) -> bool:
 
 
 def visits_in(path: Path) -> list[Visit]:
-    """Return the visits of a file of detections. Raises InputError where it is none or is damaged."""
+    """Return the visits of a file of detections.
+
+    Raises InputError where it is none or is damaged.
+    """
     visits = list[Visit]()
     with hdf5.existing_file(path) as file:
         names = hdf5.children(file, "entry", object)
@@ -267,8 +297,14 @@ def visits_in(path: Path) -> list[Visit]:
             group = f"entry/{name}"
             begin = hdf5.read_attribute(file, group, "start_time")
             end = hdf5.read_attribute(file, group, "end_s")
-            loads = _stored_loads(file, f"{group}/attachments") if hdf5.has(file, f"{group}/attachments") else []
-            visits += rows_of(name, loads, str(begin) or None, None if isnan(float(end)) else float(end))
+            loads = (
+                _stored_loads(file, f"{group}/attachments")
+                if hdf5.has(file, f"{group}/attachments")
+                else []
+            )
+            visits += rows_of(
+                name, loads, str(begin) or None, None if isnan(float(end)) else float(end)
+            )
     return numbered(visits)
 
 
@@ -277,7 +313,9 @@ def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
     texts = ("answer", "why")
     names = hdf5.children(file, group)
     count = hdf5.length_of(file, f"{group}/answer")
-    columns: dict[str, list[Any]] = {name: list(hdf5.read_texts(file, f"{group}/{name}", count)) for name in texts}
+    columns: dict[str, list[Any]] = {
+        name: list(hdf5.read_texts(file, f"{group}/{name}", count)) for name in texts
+    }
     for name in names:
         if name not in texts:
             values = hdf5.read_array(file, f"{group}/{name}", 1).tolist()

@@ -1,6 +1,7 @@
-"""Export of results for other programs. To add a format, write its `Export` into a file here and add it to EXPORTS.
+"""Export of results for other programs.
 
-A package adds formats by naming them in the entry point group `lampest.exports`, a script by handing one to
+To add a format, write its `Export` into a file here and add it to EXPORTS. A package adds formats
+by naming them in the entry point group `lampest.exports`, a script by handing one to
 `export_results`.
 """
 
@@ -14,14 +15,28 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
-from lampest.report.export.formats import CsvExport, ExcelExport, Export, MatlabExport, ParquetExport, ZarrExport
+from lampest.report.export.formats import (
+    CsvExport,
+    ExcelExport,
+    Export,
+    MatlabExport,
+    ParquetExport,
+    ZarrExport,
+)
 from lampest.report.export.nwb import NwbExport
 from lampest.report.export.visits import export_visits
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
 __all__ = ["EXPORTS", "Export", "export_results"]
-EXPORTS: tuple[Export, ...] = (CsvExport(), ExcelExport(), ParquetExport(), MatlabExport(), ZarrExport(), NwbExport())
+EXPORTS: tuple[Export, ...] = (
+    CsvExport(),
+    ExcelExport(),
+    ParquetExport(),
+    MatlabExport(),
+    ZarrExport(),
+    NwbExport(),
+)
 
 
 @typed
@@ -38,7 +53,8 @@ def export_results(
     Parameters
     ----------
     results : path
-        The results file, or detections.h5, of which csv, parquet and mat have one row for each visit.
+        The results file, or detections.h5, of which csv, parquet and mat have one row for each
+        visit.
     to : str or Export
         ``csv``, ``xlsx``, ``parquet``, ``mat``, ``zarr``, ``nwb``, or an own `Export`.
     out : path, optional
@@ -58,8 +74,8 @@ def export_results(
     Raises
     ------
     InputError
-        For damaged results, an unknown recording, results that do not fit the format, a missing library, or a place
-        that cannot be written.
+        For damaged results, an unknown recording, results that do not fit the format, a missing
+        library, or a place that cannot be written.
 
     Examples
     --------
@@ -85,14 +101,21 @@ def export_results(
 
 
 def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:
-    """Return the cases with a start time. Raises InputError for an invalid date or a different recorded start."""
+    """Return the cases with a start time.
+
+    Raises InputError for an invalid date or a different recorded start.
+    """
     if start is None:
         return tuple(cases)
     try:
         datetime.fromisoformat(start)
     except ValueError as error:
-        raise InputError(f"--start: '{start}' is no date and time such as 2026-05-04T09:30:00+02:00") from error
+        raise InputError(
+            f"--start: '{start}' is no date and time such as 2026-05-04T09:30:00+02:00"
+        ) from error
     for case in cases:
         if case.start_time not in ("", start):
-            raise InputError(f"--start: {case.recording} says itself that it began at {case.start_time}")
+            raise InputError(
+                f"--start: {case.recording} says itself that it began at {case.start_time}"
+            )
     return tuple(replace(case, start_time=start) for case in cases)

@@ -20,7 +20,8 @@ from lampest.runs.case import CaseResult, about, all_columns, places_of, series_
 from lampest.runs.columns import FRAMES, Series
 
 MAX_SHEET_ROWS = 1_048_576  # of Excel
-CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
+# Of XML Schema, by numpy's letter.
+CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}
 NAMES = ("recording", "estimator")
 Values = np.ma.MaskedArray[Any, Any]
 Table = Mapping[str, Values]  # name → values, masked where they are missing
@@ -49,32 +50,41 @@ class Export(ABC):
     beside: ClassVar[str] = ""
 
     @abstractmethod
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
         """Write the cases into the empty file `path`, and metadata into `beside`.
 
-        name : final name of `path`. Raises InputError for a missing library or cases that do not fit the format.
+        name : final name of `path`. Raises InputError for a missing library or cases that do not
+            fit the format.
         """
 
 
 class CsvExport(Export):
     """UTF-8, commas, one line of names; missing values are empty; see `no_formula`.
 
-    Metadata are in a second file, in JSON by the recommendation https://www.w3.org/TR/tabular-metadata/: units,
-    meanings, flags, and the configuration and scene of every case.
+    Metadata are in a second file, in JSON by the recommendation
+    https://www.w3.org/TR/tabular-metadata/: units, meanings, flags, and the configuration and scene
+    of every case.
     """
 
     kind: ClassVar[str] = "csv"
     suffix: ClassVar[str] = ".csv"
     beside: ClassVar[str] = "-metadata.json"
 
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
         """Write the table and its metadata."""
         assert beside is not None
         tables, meanings = long_tables(cases)
         with path.open("w", encoding="utf-8", newline="") as file:
             write_rows(file, [meanings])
             for table in tables:
-                known = [table[column].tolist() if column in table else repeat(None) for column in meanings]
+                known = [
+                    table[column].tolist() if column in table else repeat(None)
+                    for column in meanings
+                ]
                 write_rows(file, zip(*known, strict=False))  # the repeated ones have no end
         columns = [
             {"name": column, "datatype": CSV_KINDS.get(np.dtype(meaning.dtype).kind, "string")}
@@ -82,13 +92,19 @@ class CsvExport(Export):
             | ({"schema:valueReference": _words(meaning)} if meaning.flags else {})
             for column, meaning in meanings.items()
         ]
-        head = {"@context": "http://www.w3.org/ns/csvw", "url": name, "tableSchema": {"columns": columns}}
+        head = {
+            "@context": "http://www.w3.org/ns/csvw",
+            "url": name,
+            "tableSchema": {"columns": columns},
+        }
         content = head | {"notes": [about(case) for case in cases]}
         beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 class ExcelExport(Export):
-    """A sheet for each case: the table, with a line of names; a sheet `columns` has units, meanings and flags.
+    """A sheet for each case: the table, with a line of names.
+
+    A sheet `columns` has units, meanings and flags.
 
     Raises InputError for a case of more lines than a sheet of Excel holds.
     """
@@ -96,7 +112,9 @@ class ExcelExport(Export):
     kind: ClassVar[str] = "xlsx"
     suffix: ClassVar[str] = ".xlsx"
 
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
         """Write the book."""
         with extra("tables"):
             import openpyxl
@@ -104,7 +122,9 @@ class ExcelExport(Export):
         longest = max(len(next(iter(table.values()))) for table in tables)
         if longest >= MAX_SHEET_ROWS:
             limit = f"a sheet of Excel holds {MAX_SHEET_ROWS:,}"
-            raise InputError(f"{name}: {longest:,} lines, and {limit}; export fewer frames, or parquet")
+            raise InputError(
+                f"{name}: {longest:,} lines, and {limit}; export fewer frames, or parquet"
+            )
         book = openpyxl.Workbook(write_only=True)
         about_columns = book.create_sheet("columns")
         about_columns.append(["column", "unit", "meaning", "values"])
@@ -112,7 +132,9 @@ class ExcelExport(Export):
             flags = ", ".join(f"{value}: {word}" for value, word in _words(meaning).items())
             about_columns.append([column, meaning.units, meaning.long_name, flags])
         for number, (case, table) in enumerate(zip(cases, tables, strict=True), 1):
-            title = re.sub(r"[\[\]:*?/\\']", "_", f"{number} {case.recording} {case.estimator}")[:31]
+            title = re.sub(r"[\[\]:*?/\\']", "_", f"{number} {case.recording} {case.estimator}")[
+                :31
+            ]
             sheet = book.create_sheet(title)
             sheet.append(list(table))
             for values in zip(*(column.tolist() for column in table.values()), strict=True):
@@ -134,14 +156,21 @@ class ParquetExport(Export):
     kind: ClassVar[str] = "parquet"
     suffix: ClassVar[str] = ".parquet"
 
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
         """Write the table."""
         with extra("export"):
             import pyarrow
             from pyarrow import parquet
         tables, meanings = long_tables(cases)
         parts = [
-            pyarrow.table({name: pyarrow.array(v.data, mask=np.ma.getmaskarray(v)) for name, v in columns.items()})
+            pyarrow.table(
+                {
+                    name: pyarrow.array(v.data, mask=np.ma.getmaskarray(v))
+                    for name, v in columns.items()
+                }
+            )
             for columns in tables
         ]
         table = pyarrow.concat_tables(parts, promote_options="default")
@@ -149,7 +178,11 @@ class ParquetExport(Export):
         for field in table.schema:
             meaning = meanings[field.name]
             flags = {"flags": json.dumps(_words(meaning))} if meaning.flags else {}
-            fields.append(field.with_metadata({"units": meaning.units, "long_name": meaning.long_name} | flags))
+            fields.append(
+                field.with_metadata(
+                    {"units": meaning.units, "long_name": meaning.long_name} | flags
+                )
+            )
         known = {b"lampest": json.dumps([about(case) for case in cases]).encode()}
         parquet.write_table(table.cast(pyarrow.schema(fields, known)), path, compression="zstd")
 
@@ -160,24 +193,33 @@ def _words(meaning: Series) -> dict[str, str]:
 
 
 def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Series]]:
-    """Return a table of each case, with a line for every cell of every frame, and the meanings of all columns.
+    """Return a table of each case, and the meanings of all columns.
 
-    Names end in their unit: time_s, x_mm, cell_resistance_ohm; those of counts, flags and texts have none. So readings
-    in ohm and in volt are two columns. Whole numbers stay whole numbers where some are missing.
+    The table has a line for every cell of every frame. Names end in their unit: time_s, x_mm,
+    cell_resistance_ohm; those of counts, flags and texts have none. So readings in ohm and in volt
+    are two columns. Whole numbers stay whole numbers where some are missing.
     """
-    dtypes = {column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str}
+    dtypes = {
+        column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str
+    }
     tables = list[Table]()
     meanings = dict[str, Series]()
     for case in cases:
-        words = {word: Series(word, FRAMES, None, "1", f"name of the {word}", dtype=str) for word in NAMES}
+        words = {
+            word: Series(word, FRAMES, None, "1", f"name of the {word}", dtype=str)
+            for word in NAMES
+        }
         table: dict[str, Values] = {
-            word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object)) for word in NAMES
+            word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object))
+            for word in NAMES
         }
         meanings |= words
         for label, series in case.long_columns().items():
             name = label if series.units == "1" else f"{label}_{series.units}"
             values = np.asarray(series.values)
-            missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
+            missing = (
+                np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
+            )
             dtype = dtypes.get(label, values.dtype)
             filled = np.where(missing, 0, values) if missing.any() else values
             table[name] = np.ma.masked_array(filled.astype(dtype), missing)
@@ -187,16 +229,19 @@ def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Ser
 
 
 class MatlabExport(Export):
-    """`cases{1}.cell_resistance` is frames × rows × columns; `cases{1}.units.cell_resistance` is 'ohm'.
+    """`cases{1}.cell_resistance` is frames × rows × columns.
 
-    `long_name` contains the meanings in words, `flags.open_cell.values` and `.meanings` the values of a flag with their
-    meanings, and `y` and `x` the positions in mm of the lines in `row` and `column`. Texts of frames are cell arrays.
+    `cases{1}.units.cell_resistance` is 'ohm'. `long_name` contains the meanings in words,
+    `flags.open_cell.values` and `.meanings` the values of a flag with their meanings, and `y` and
+    `x` the positions in mm of the lines in `row` and `column`. Texts of frames are cell arrays.
     """
 
     kind: ClassVar[str] = "mat"
     suffix: ClassVar[str] = ".mat"
 
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
         """Write a cell array of structs, since cases may hold different columns."""
         from scipy.io import savemat
         from scipy.io.matlab import MatWriteError
@@ -213,9 +258,19 @@ def _struct(case: CaseResult) -> dict[str, Any]:
     held = series_of(case, all_columns())
     places = places_of(case)
     words = {name: zip(*series.flags, strict=True) for name, series in held.items() if series.flags}
-    flags = {name: {"values": np.array(numbers), "meanings": _cells(texts)} for name, (numbers, texts) in words.items()}
-    values = {name: _cells(series.values) if series.dtype is str else series.stored for name, series in held.items()}
-    units = {name: series.units for name, series in (held | places).items() if name not in ("row", "column")}
+    flags = {
+        name: {"values": np.array(numbers), "meanings": _cells(texts)}
+        for name, (numbers, texts) in words.items()
+    }
+    values = {
+        name: _cells(series.values) if series.dtype is str else series.stored
+        for name, series in held.items()
+    }
+    units = {
+        name: series.units
+        for name, series in (held | places).items()
+        if name not in ("row", "column")
+    }
     names = {name: series.long_name for name, series in held.items()}
     where = {name: series.values for name, series in places.items()}
     return about(case) | values | where | {"units": units, "long_name": names, "flags": flags}
@@ -229,30 +284,41 @@ def _cells(values: Sequence[Any]) -> NDArray[Any]:
 
 
 class ZarrExport(Export):
-    """`xarray.open_datatree(zarr.storage.ZipStore(path), engine="zarr")`: groups recording/estimator.
+    """Groups recording/estimator, as `xarray.open_datatree` reads them.
 
-    Version 2 of the format, which every library for zarr reads; one zip archive, because a folder of thousands of files
-    cannot appear whole.
+    The call is `xarray.open_datatree(zarr.storage.ZipStore(path), engine="zarr")`. Version 2 of the
+    format, which every library for zarr reads; one zip archive, because a folder of thousands of
+    files cannot appear whole.
     """
 
     kind: ClassVar[str] = "zarr"
     suffix: ClassVar[str] = ".zarr.zip"
 
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
         """Write the zip archive."""
         with extra("export"):
             from xarray import DataTree
             from zarr.storage import MemoryStore
-        tree = DataTree.from_dict({f"/{case.recording}/{case.estimator}": case.to_xarray() for case in cases})
-        held: dict[str, Any] = {}  # zarr writes some keys several times, and an archive would keep them all
+        tree = DataTree.from_dict(
+            {f"/{case.recording}/{case.estimator}": case.to_xarray() for case in cases}
+        )
+        # Zarr writes some keys several times, and an archive would keep them all.
+        held: dict[str, Any] = {}
         tree.to_zarr(MemoryStore(held), mode="w", zarr_format=2)
         with ZipFile(path, "w") as archive:
             for key in sorted(held):
                 archive.writestr(ZipInfo(key), held[key].to_bytes())
 
 
-def write_parquet(path: Path, columns: Mapping[str, Sequence[object]], meanings: Mapping[str, str]) -> None:
-    """Write columns of plain values, None where there is none, with meanings. Raises InputError without pyarrow."""
+def write_parquet(
+    path: Path, columns: Mapping[str, Sequence[object]], meanings: Mapping[str, str]
+) -> None:
+    """Write columns of plain values, None where there is none, with meanings.
+
+    Raises InputError without pyarrow.
+    """
     with extra("export"):
         import pyarrow
         from pyarrow import parquet

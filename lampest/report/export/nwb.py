@@ -18,37 +18,54 @@ from lampest.runs.columns import CELLS
 
 
 class NwbExport(Export):
-    """Neurodata Without Borders: measurements under acquisition, each estimator in a processing module.
+    """Neurodata Without Borders.
 
-    Maps and figures of frames are TimeSeries (time × rows × columns). Texts are in a table of frames. Maps without time
-    are in a table of cells with positions in mm. A file holds one session with a start time.
+    Measurements are under acquisition, each estimator is in a processing module. Maps and figures
+    of frames are TimeSeries (time × rows × columns). Texts are in a table of frames. Maps without
+    time are in a table of cells with positions in mm. A file holds one session with a start time.
     """
 
     kind: ClassVar[str] = "nwb"
     suffix: ClassVar[str] = ".nwb"
 
-    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """Write the session. Raises InputError also for several recordings and for an unknown start."""
+    def write(
+        self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None
+    ) -> None:
+        """Write the session.
+
+        Raises InputError also for several recordings and for an unknown start.
+        """
         with extra("export"):
             from pynwb import NWBHDF5IO
         recordings = dict.fromkeys(case.recording for case in cases)
         if len(recordings) > 1:
-            raise InputError(f"an NWB file is one session: choose with --recording one of {', '.join(recordings)}")
+            raise InputError(
+                "an NWB file is one session: choose with --recording one of "
+                f"{', '.join(recordings)}"
+            )
         session = _session(cases)
         for element in _elements(cases[0], shared=True):
             session.add_acquisition(element)
         for case in cases:
-            words = "\n".join(f"{name}: {text}" for name, text in about(case).items() if name != "scene")
+            words = "\n".join(
+                f"{name}: {text}" for name, text in about(case).items() if name != "scene"
+            )
             called = case.estimator.replace(":", "_").replace("/", "_")  # NWB allows neither
-            session.create_processing_module(name=called, description=words).add([*_elements(case, shared=False)])
+            session.create_processing_module(name=called, description=words).add(
+                [*_elements(case, shared=False)]
+            )
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", ".*does not end in '.nwb'")  # the temporary name does not
+            # The temporary name does not.
+            warnings.filterwarnings("ignore", ".*does not end in '.nwb'")
             with NWBHDF5IO(path, mode="w") as file:
                 file.write(session)
 
 
 def _session(cases: Sequence[CaseResult]) -> Any:
-    """Return subject, time and purpose of the session. Raises InputError without a start time in a time zone."""
+    """Return subject, time and purpose of the session.
+
+    Raises InputError without a start time in a time zone.
+    """
     from pynwb import NWBFile
     from pynwb.file import Subject
 
@@ -61,19 +78,22 @@ def _session(cases: Sequence[CaseResult]) -> Any:
     if start is None or start.tzinfo is None:
         message = f"at {first.start_time}, without a zone" if first.start_time else "nowhere"
         raise InputError(
-            f"an NWB file says when a session began; {first.recording} says it {message}: give it with "
+            f"an NWB file says when a session began; {first.recording} says it {message}: give it "
+            "with "
             "--start 2026-05-04T09:30:00+02:00"
         )
     celsius = experiment.water_temperature_celsius
     water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
     session_name = first.recording + "".join(case.case_id for case in cases)
     return NWBFile(
-        session_description=f"cells of a resistive panel estimated from its readings, recording {first.recording}",
+        session_description="cells of a resistive panel estimated from its readings, recording "
+        f"{first.recording}",
         identifier=hashlib.sha256(session_name.encode()).hexdigest()[:32],
         session_start_time=start,
         session_id=first.recording,
         notes=about(first)["scene"],
-        experiment_description="; ".join(filter(None, (experiment.title, water, experiment.note))) or None,
+        experiment_description="; ".join(filter(None, (experiment.title, water, experiment.note)))
+        or None,
         experimenter=(experiment.experimenter,) if experiment.experimenter else None,
         institution=experiment.institution or None,
         subject=None if subject is None else Subject(**_described(subject)),
@@ -91,7 +111,10 @@ def _described(subject: MeasuredSubject) -> dict[str, str | None]:
 
 
 def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
-    """Yield time series of numbers, a table of frames with texts, and a table of cells for columns without time."""
+    """Yield time series of numbers, a table of frames with texts, and a table of cells.
+
+    The table of cells is for columns without time.
+    """
     from hdmf.common import DynamicTable, VectorData
     from pynwb import TimeSeries
 
@@ -107,13 +130,26 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     time = [("time", "time of the frame, s", case.time)]
     for name, words, first, requested in (
-        ("frames", "what frames say in words", time, [series for series in held if series.dtype is str]),
+        (
+            "frames",
+            "what frames say in words",
+            time,
+            [series for series in held if series.dtype is str],
+        ),
         ("cells", "what has no time", places, [series for series in held if series.axes == CELLS]),
     ):
-        columns = [*first, *((series.name, f"{series.meaning}, {series.units}", series.values) for series in requested)]
+        columns = [
+            *first,
+            *(
+                (series.name, f"{series.meaning}, {series.units}", series.values)
+                for series in requested
+            ),
+        ]
         vectors = [
             VectorData(
-                name=called, description=text, data=list(values) if isinstance(values, tuple) else np.ravel(values)
+                name=called,
+                description=text,
+                data=list(values) if isinstance(values, tuple) else np.ravel(values),
             )
             for called, text, values in columns
         ]

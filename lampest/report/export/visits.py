@@ -13,7 +13,8 @@ from lampest.report.export.formats import Export, write_matlab, write_parquet
 def export_visits(path: Path, to: str | Export, out: str | Path | None) -> Path:
     """Write the visits of a file of detections in a format, atomically; return the file.
 
-    Raises InputError for a damaged file, a format that has no table, or a place that cannot be written.
+    Raises InputError for a damaged file, a format that has no table, or a place that cannot be
+    written.
     """
     kind = to if isinstance(to, str) else to.kind
     if kind not in WRITERS:
@@ -28,7 +29,9 @@ def export_visits(path: Path, to: str | Export, out: str | Path | None) -> Path:
 
 
 def _csv(path: Path, visits: Sequence[Visit]) -> None:
-    path.write_text(comma_separated([list(COLUMNS), *(visit.row for visit in visits)]), encoding="utf-8")
+    path.write_text(
+        comma_separated([list(COLUMNS), *(visit.row for visit in visits)]), encoding="utf-8"
+    )
 
 
 def _parquet(path: Path, visits: Sequence[Visit]) -> None:
@@ -43,4 +46,8 @@ def _columns(visits: Sequence[Visit]) -> dict[str, list[object]]:
     return {name: [getattr(visit, name) for visit in visits] for name in COLUMNS}
 
 
-WRITERS: dict[str, Callable[[Path, Sequence[Visit]], None]] = {"csv": _csv, "parquet": _parquet, "mat": _matlab}
+WRITERS: dict[str, Callable[[Path, Sequence[Visit]], None]] = {
+    "csv": _csv,
+    "parquet": _parquet,
+    "mat": _matlab,
+}

@@ -1,1 +1,4 @@
-"""Live estimation: frames as they arrive, shown on a page in the browser and published for other programs."""
+"""Live estimation of frames as they arrive.
+
+They are shown on a page in the browser and published for other programs.
+"""

@@ -1,4 +1,7 @@
-"""Live estimation: baseline from the first frames, then always the newest frame, in one solver thread."""
+"""Live estimation in one solver thread.
+
+Baseline from the first frames, then always the newest frame.
+"""
 
 import logging
 import time
@@ -15,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import frozen_readings, impossible_readings, without_outliers, without_readings
+from lampest.estimate.outliers import (
+    frozen_readings,
+    impossible_readings,
+    without_outliers,
+    without_readings,
+)
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
@@ -49,14 +57,17 @@ class FrameSource:
 
 
 class Engine:
-    """Live estimator: accepts frames from one thread and solves the newest in another; `shown` holds the current view.
+    """Live estimator: accepts frames from one thread and solves the newest in another.
 
-    A single thread solves, because CasADi solvers must not be shared between threads. With `beside`, a second process
-    computes weights, searches for lower minima, error bars and the check of the circuit, and a third recognises loads.
-    Otherwise every frame waits for these.
+    `shown` holds the current view. A single thread solves, because CasADi solvers must not be
+    shared between threads. With `beside`, a second process computes weights, searches for lower
+    minima, error bars and the check of the circuit, and a third recognises loads. Otherwise every
+    frame waits for these.
     """
 
-    def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, *, beside: bool = False) -> None:
+    def __init__(
+        self, name: str, method: str, estimator: Estimator, baseline: int, *, beside: bool = False
+    ) -> None:
         self.shown = Newest(View(name, method, "starting"))
         self._estimator = estimator
         self._baseline = baseline
@@ -67,7 +78,9 @@ class Engine:
         self._solving: Future[None] | None = None
         self._zero_asked = Event()
         self._found: SimpleQueue[Any] = SimpleQueue()
-        self._beside = Beside(methodcaller("run"), Errand.queued, self._take_answer) if beside else None
+        self._beside = (
+            Beside(methodcaller("run"), Errand.queued, self._take_answer) if beside else None
+        )
         self._watcher = watcher(name, self._take_detected) if beside else None
 
     def __enter__(self) -> "Engine":
@@ -81,7 +94,10 @@ class Engine:
                 process.close()
 
     def finish(self) -> None:
-        """Solve the waiting frame, watch all frames and accept no more. Raises the error that stopped the solver."""
+        """Solve the waiting frame, watch all frames and accept no more.
+
+        Raises the error that stopped the solver.
+        """
         self._arrivals.close()
         self._pool.shutdown()
         if self._solving is not None:
@@ -98,7 +114,10 @@ class Engine:
         self.show(state=sentence)
 
     def tare(self) -> None:
-        """Replace the baseline by the mean of the next frames, as many as the first one had. Thread-safe."""
+        """Replace the baseline by the mean of the next frames, as many as the first one had.
+
+        This is thread-safe.
+        """
         self._zero_asked.set()
         self._watch(self._baseline)
 
@@ -114,25 +133,37 @@ class Engine:
         self.shown.change(partial(with_detected, detected=detected))
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
-        """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
+        """Solve against the mean of unloaded frames without outliers.
+
+        Raises InputError where one has no readings.
+        """
         panel = Unloaded(source.scene, tuple(unloaded))
         try:
             recording = panel.recording()
             self._frozen = frozen_readings(recording)
             all_readings = without_readings(recording, self._frozen).readings()
         except InputError as error:
-            raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
+            raise InputError(
+                f"the unloaded panel is no baseline: {error}; check the scene's readout"
+            ) from error
         impossible = impossible_readings(source.scene.circuit, all_readings)
-        resting = without_outliers(impossible, all_readings, np.ones(len(unloaded), dtype=bool))[1].mean()
+        resting = without_outliers(impossible, all_readings, np.ones(len(unloaded), dtype=bool))[
+            1
+        ].mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(panel)
         self._solving = self._pool.submit(self._solve, panel, source.period, resting)
 
     def take(self, source: FrameSource, scan: Scan) -> None:
-        """Accept a frame without waiting for the solver. Raises the error that stopped the solver."""
+        """Accept a frame without waiting for the solver.
+
+        Raises the error that stopped the solver.
+        """
         if self._solving is not None and self._solving.done():
             self._solving.result()
-        self.shown.change(lambda view: replace(view, frames=view.frames + 1, lost=view.lost + scan.lost))
+        self.shown.change(
+            lambda view: replace(view, frames=view.frames + 1, lost=view.lost + scan.lost)
+        )
         if self._solving is not None:
             scan = replace(scan, recorded=np.where(self._frozen, np.nan, scan.recorded))
             self._arrivals.put(scan)
@@ -141,13 +172,21 @@ class Engine:
                 self.say(source.state)
             return
         self._unloaded.append(scan)
-        self.say(f"baseline: {len(self._unloaded)} of {self._baseline} unloaded frames; keep the panel free")
+        self.say(
+            f"baseline: {len(self._unloaded)} of {self._baseline} unloaded frames; keep the panel "
+            "free"
+        )
         if len(self._unloaded) == self._baseline:
             self.begin(source, self._unloaded)
 
     def _solve(self, unloaded: Unloaded, period: float, resting: Readings) -> None:
-        """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
-        state = PanelState.begin(self._estimator, unloaded.scene, period, resting, hasty=self._beside is not None)
+        """Solve the newest frame until no more come.
+
+        Check the circuit before and with the first loaded frames.
+        """
+        state = PanelState.begin(
+            self._estimator, unloaded.scene, period, resting, hasty=self._beside is not None
+        )
         self._check(unloaded)
         seen = 0
         looked = 0.0
@@ -165,10 +204,17 @@ class Engine:
             # Requests for error bars alone are rationed, since weights and searches come first.
             look = state.look
             now = time.monotonic()
-            if look is not None and self._beside is not None and (look.due or now - looked >= BARS_SECONDS):
+            if (
+                look is not None
+                and self._beside is not None
+                and (look.due or now - looked >= BARS_SECONDS)
+            ):
                 looked = now
                 self._beside.ask(Errand("look", look.findings, look.due))
-            if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT:
+            if (
+                len(loaded) < LOADED_FRAMES
+                and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT
+            ):
                 loaded = (*loaded, news.item)
                 if len(loaded) == LOADED_FRAMES:
                     self._check(unloaded, loaded)
@@ -176,7 +222,10 @@ class Engine:
             self._check(unloaded, loaded)
 
     def _with_findings(self, state: PanelState) -> PanelState:
-        """Return the state with the findings of second looks, or without second looks if their process died."""
+        """Return the state with the findings of second looks.
+
+        It is without second looks if their process died.
+        """
         while not self._found.empty():
             findings = self._found.get()
             if isinstance(findings, Exception):
@@ -184,7 +233,9 @@ class Engine:
             state = replace(state, stream=findings.apply_to(state.stream))
         if self._beside is not None and self._beside.gone and state.stream.keeps_weights:
             track = state.track or state.stream.track
-            return replace(state, stream=replace(state.stream, keeps_weights=False, track=track), track=None)
+            return replace(
+                state, stream=replace(state.stream, keeps_weights=False, track=track), track=None
+            )
         return state
 
     def _check(self, unloaded: Unloaded, loaded: tuple[Scan, ...] = ()) -> None:
@@ -213,11 +264,18 @@ def _warnings(unloaded: Unloaded, loaded: tuple[Scan, ...]) -> tuple[str, ...]:
 
 
 def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
-    """Return the view with a new picture and its force in the history; `zeroed` is the reason of a new zero, or ''."""
+    """Return the view with a new picture and its force in the history.
+
+    `zeroed` is the reason of a new zero, or ''.
+    """
     point = Point(picture.number, picture.time, picture.force.newton)
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
     skipped = view.skipped + picture.skipped
     history = (*view.history, point)[-HISTORY_FRAMES:]
     view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
     known = not np.isnan(picture.force.deviation)
-    return replace(view, deviation=picture.force.deviation, deviation_of=picture.number) if known else view
+    return (
+        replace(view, deviation=picture.force.deviation, deviation_of=picture.number)
+        if known
+        else view
+    )

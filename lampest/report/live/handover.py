@@ -16,7 +16,10 @@ T = TypeVar("T")
 
 
 class News(NamedTuple, Generic[T]):
-    """Item and its number in the series, from 1 on; a reader that saw n before skipped number − n − 1 items."""
+    """Item and its number in the series, from 1 on.
+
+    A reader that saw n before skipped number − n − 1 items.
+    """
 
     number: int
     item: T
@@ -52,16 +55,20 @@ class Newest(Generic[T]):
         return self._news.item
 
     def after(self, number: int, timeout: float | None = None) -> News[T] | None:
-        """Wait for an item newer than that number; return None after `timeout` s or at the end of the series."""
+        """Wait for an item newer than that number.
+
+        Return None after `timeout` s or at the end of the series.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._news.number > number or self.closed, timeout)
             return self._news if self._news.number > number else None
 
 
 class Beside(Generic[T]):
-    """Process of low priority that answers tasks one after the other, with a thread that waits for the answers.
+    """Process of low priority that answers tasks one after the other.
 
-    If the process dies, its tasks are lost, `gone` becomes True and `on_gone` is called.
+    It has a thread that waits for the answers. If the process dies, its tasks are lost, `gone`
+    becomes True and `on_gone` is called.
 
     Parameters
     ----------
@@ -130,7 +137,10 @@ class Beside(Generic[T]):
 
 
 def _open_desk(desk: Callable[[Any], Any]) -> None:
-    """Lower the priority of this process, and keep the function that answers tasks with what it remembers."""
+    """Lower the priority of this process, and keep the function that answers tasks.
+
+    The function is kept with what it remembers.
+    """
     with suppress(AttributeError, OSError):  # available on Linux only
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     DESK.set(desk)
@@ -141,7 +151,10 @@ def _at_desk(task: Any) -> Any:
 
 
 class Errand(NamedTuple):
-    """Task of a kind; the newest of each kind waits, and an urgent one is replaced by urgent ones only."""
+    """Task of a kind.
+
+    The newest of each kind waits, and an urgent one is replaced by urgent ones only.
+    """
 
     kind: str
     run: Callable[[], Any]
@@ -152,4 +165,8 @@ class Errand(NamedTuple):
         replaced = [errand for errand in waiting if errand.kind == self.kind]
         if any(errand.urgent and not self.urgent for errand in replaced):
             return waiting
-        return [self if errand in replaced else errand for errand in waiting] if replaced else [*waiting, self]
+        return (
+            [self if errand in replaced else errand for errand in waiting]
+            if replaced
+            else [*waiting, self]
+        )

@@ -21,7 +21,14 @@ COMPACT: dict[str, Any] = {"allow_nan": False, "separators": (",", ":")}
 HISTORY_FRAMES = 1800  # frames of the page's history, one minute at 30 frames a second
 PAIRS = {"x_mm": "millimetre", "y_mm": "millimetre", "diameter_mm": "millimetre"}
 PAIRS |= {"suction_kpa": "kilopascal", "breathing_hz": "hertz"}
-ANSWER = {"answer": "1", "probability": "1", "alarm": "1", "since_s": "second", "until_s": "second", **PAIRS}
+ANSWER = {
+    "answer": "1",
+    "probability": "1",
+    "alarm": "1",
+    "since_s": "second",
+    "until_s": "second",
+    **PAIRS,
+}
 VERDICTS = "nothing", "pressing", "sucking", "pressing and sucking", "unsolved"
 NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
@@ -59,7 +66,8 @@ class Picture:
     open_cell : boolean array, shape (rows, columns)
         Cells that cannot be distinguished from open ones.
     force : Force
-        Total force, unknown if the frame failed or the scene has no response; its deviation may follow later.
+        Total force, unknown if the frame failed or the scene has no response; its deviation may
+        follow later.
     status : str
         Outcome of the solve.
     seconds : float
@@ -148,7 +156,10 @@ class View:
 
 
 def with_detected(view: View, detected: Detected) -> View:
-    """Return the view with a new answer; an attached lamprey raises an alarm that stays until acknowledged."""
+    """Return the view with a new answer.
+
+    An attached lamprey raises an alarm that stays until acknowledged.
+    """
     raised = any(since not in view.acknowledged for since in alarming(detected))
     return replace(view, detected=detected, alarm=detected.sentence if raised else view.alarm)
 
@@ -178,7 +189,11 @@ class Message:
     @classmethod
     def of(cls, view: View) -> "Message | None":
         """Return the newest frame of a view, or None."""
-        return None if view.panel is None or view.picture is None else cls(view.panel, view.picture, view)
+        return (
+            None
+            if view.panel is None or view.picture is None
+            else cls(view.panel, view.picture, view)
+        )
 
     @property
     def signature(self) -> tuple[int, str, str]:
@@ -191,7 +206,10 @@ class Message:
         """Maps (rows, columns) in the order of MAP_UNITS, NaN if the frame failed."""
         known = self.picture.relative_change, self.picture.pressure, self.picture.cell_resistance
         failed = np.full(self.panel.shape, np.nan)
-        return {name: failed if values is None else values for name, values in zip(MAP_UNITS, known, strict=True)}
+        return {
+            name: failed if values is None else values
+            for name, values in zip(MAP_UNITS, known, strict=True)
+        }
 
     @property
     def solved(self) -> bool:
@@ -203,7 +221,12 @@ class Message:
         picture = self.picture
         detected = self.view.detected
         answer = dict[str, float]()
-        head = [float(picture.number), picture.force.newton, float(VERDICTS.index(picture.verdict)), float(self.solved)]
+        head = [
+            float(picture.number),
+            picture.force.newton,
+            float(VERDICTS.index(picture.verdict)),
+            float(self.solved),
+        ]
         if detected is not None:
             answer = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
             answer["alarm"] = bool(self.view.alarm)
@@ -217,18 +240,35 @@ class Message:
 
     def channels(self) -> list[Channel]:
         """Return the descriptions of the numbers of `row`."""
-        head = [Channel("sequence", "1"), Channel("force", "newton"), Channel("verdict", "1"), Channel("solved", "1")]
+        head = [
+            Channel("sequence", "1"),
+            Channel("force", "newton"),
+            Channel("verdict", "1"),
+            Channel("solved", "1"),
+        ]
         places = self.panel.places_mm / 1000
         present = self.panel.present
         cells = [
-            Channel(f"{name}_{row}_{column}", MAP_UNITS[name], (x, y) if present[row, column] else None)
+            Channel(
+                f"{name}_{row}_{column}", MAP_UNITS[name], (x, y) if present[row, column] else None
+            )
             for name in self.maps
-            for (row, column), x, y in zip(np.ndindex(self.panel.shape), *places.reshape(2, -1).tolist(), strict=True)
+            for (row, column), x, y in zip(
+                np.ndindex(self.panel.shape), *places.reshape(2, -1).tolist(), strict=True
+            )
         ]
-        return [*head, *cells, Channel("force_sd", "newton"), *(Channel(name, unit) for name, unit in ANSWER.items())]
+        return [
+            *head,
+            *cells,
+            Channel("force_sd", "newton"),
+            *(Channel(name, unit) for name, unit in ANSWER.items()),
+        ]
 
     def content(self, sent_at: float) -> dict[str, Any]:
-        """Return the content by docs/reference/stream.schema.json; sent_at : s since 1970-01-01 UTC."""
+        """Return the content by docs/reference/stream.schema.json.
+
+        sent_at : s since 1970-01-01 UTC.
+        """
         picture = self.picture
         view = self.view
         maps = self.maps
@@ -238,7 +278,10 @@ class Message:
             "sequence": picture.number,
             "time": picture.time,
             "panel": _panel(self.panel),
-            **{name: _numbers(maps[name], digits) for name, digits in (("cells", 2), ("change", 3), ("pressure", 4))},
+            **{
+                name: _numbers(maps[name], digits)
+                for name, digits in (("cells", 2), ("change", 3), ("pressure", 4))
+            },
             "force": _number(picture.force.newton, 4),
             "force_saturated": picture.force.saturated,
             "force_sd": _number(view.deviation, 4),
@@ -255,7 +298,10 @@ class Message:
                 "leaps": picture.outliers,
                 "open": np.flatnonzero(picture.open_cell).tolist(),
                 "saturated": saturated,
-                **{name: getattr(view, name) for name in ("lost", "skipped", "state", "model", "zero")},
+                **{
+                    name: getattr(view, name)
+                    for name in ("lost", "skipped", "state", "model", "zero")
+                },
             },
         }
 
@@ -267,8 +313,9 @@ class Message:
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
     """Return a line of JSON for the page: view, message, and history after frame `known`.
 
-    The message is that of other programs without `cells` and `pressure`, with `measured` (percent), `passed` (frames
-    skipped for this one), `centre`, and `board` (percent) where the board estimated; `detection` and `alarm` stand in
+    The message is that of other programs without `cells` and `pressure`, with `measured` (percent),
+    `passed` (frames skipped for this one), `centre`, and `board` (percent) where the board
+    estimated; `detection` and `alarm` stand in
     the view. sent_at : s since 1970-01-01 UTC.
     """
     first = bisect_right(view.history, known, key=lambda point: point.number)
@@ -276,12 +323,27 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     picture = None
     if message and message.picture.number > known:
         elsewhere = ("cells", "pressure", "detection", "alarm")
-        picture = {name: value for name, value in message.content(sent_at).items() if name not in elsewhere}
-        picture |= {"measured": _numbers(message.picture.measured_change, 2), "passed": message.picture.skipped}
+        picture = {
+            name: value for name, value in message.content(sent_at).items() if name not in elsewhere
+        }
+        picture |= {
+            "measured": _numbers(message.picture.measured_change, 2),
+            "passed": message.picture.skipped,
+        }
         picture["centre"] = _centre(message)
         if (board := message.picture.board_change) is not None:
             picture["board"] = _numbers(board, 2)
-    as_they_are = ("source", "method", "state", "model", "zero", "frames", "lost", "skipped", "alarm")
+    as_they_are = (
+        "source",
+        "method",
+        "state",
+        "model",
+        "zero",
+        "frames",
+        "lost",
+        "skipped",
+        "alarm",
+    )
     content = {name: getattr(view, name) for name in as_they_are} | {
         "deviation": _number(view.deviation, 4),
         "detection": view.detected and view.detected.content(),
@@ -300,15 +362,27 @@ def _centre(message: Message) -> list[float] | None:
     if picture.pressure is None or "pressing" not in picture.verdict:
         return None
     pressing = np.maximum(np.nan_to_num(picture.pressure), 0.0)
-    return [round(float(np.nansum(pressing * at) / pressing.sum()), 1) for at in message.panel.places_mm]
+    return [
+        round(float(np.nansum(pressing * at) / pressing.sum()), 1) for at in message.panel.places_mm
+    ]
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
-    about: dict[str, Any] = {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm}
+    about: dict[str, Any] = {
+        "rows": panel.rows,
+        "columns": panel.columns,
+        "pitch_mm": panel.pitch_mm,
+    }
     if panel.modules is not None:
-        about |= {"modules": [panel.modules.each.rows, panel.modules.each.columns], "seam_mm": panel.modules.seam_mm}
+        about |= {
+            "modules": [panel.modules.each.rows, panel.modules.each.columns],
+            "seam_mm": panel.modules.seam_mm,
+        }
     if panel.cells is not None:
-        about |= {name: _numbers(at, 3) for name, at in zip(("x_mm", "y_mm"), panel.places_mm, strict=True)}
+        about |= {
+            name: _numbers(at, 3)
+            for name, at in zip(("x_mm", "y_mm"), panel.places_mm, strict=True)
+        }
     return about
 
 

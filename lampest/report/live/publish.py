@@ -28,7 +28,8 @@ from lampest.report.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_nam
 
 LATEST_SECONDS = 0.2  # longest confirmation time of a broker before following messages are left out
 MAX_DATAGRAM = 65507  # bytes: the largest payload of UDP over IPv4, 2¹⁶ − 1 less its headers
-BUNDLE_HEAD = 16  # bytes of a bundle's name and time, before its messages with four bytes each for their length
+# bytes of a bundle's name and time, before its messages with four bytes each for their length
+BUNDLE_HEAD = 16
 NO_PREFIX = set(" #*,?[]{}")  # of OSC's addresses, which receivers would take for patterns
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 Send = Callable[[Message], None]
@@ -37,9 +38,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Publish(ABC):
-    """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`; token : required of listeners.
+    """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`.
 
-    Subclasses have their own defaults for missing parts of the address.
+    token : required of listeners. Subclasses have their own defaults for missing parts of the
+    address.
     """
 
     kind: ClassVar[str]
@@ -52,10 +54,20 @@ class Publish(ABC):
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        """Return the protocol with the parts of an address. Raises InputError for an invalid one."""
+        """Return the protocol with the parts of an address.
+
+        Raises InputError for an invalid one.
+        """
         user, password = (part and unquote(part) for part in (where.username, where.password))
         port = cls.port if where.port is None else where.port
-        return cls(where.hostname or cls.host, port, where.path.strip("/") or cls.path, user, password, token)
+        return cls(
+            where.hostname or cls.host,
+            port,
+            where.path.strip("/") or cls.path,
+            user,
+            password,
+            token,
+        )
 
     @property
     def where(self) -> str:
@@ -66,7 +78,8 @@ class Publish(ABC):
     def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
         """Yield the public address and a function that sends a message.
 
-        Sending never waits for listeners: slow ones miss messages. say : receives sentences about the connection.
+        Sending never waits for listeners: slow ones miss messages. say : receives sentences about
+        the connection.
         Raises InputError for a missing library and an unreachable peer.
         """
 
@@ -79,8 +92,8 @@ def _detection(message: Message) -> Any:
 class LslPublish(Publish):
     """`lsl://NAME`: the numbers of each frame with the arrival time of its last byte.
 
-    Announced by name in the local network at the first frame, when its size is known. `NAME-answer` has a line of JSON
-    whenever the answer or the alarm changes.
+    Announced by name in the local network at the first frame, when its size is known. `NAME-answer`
+    has a line of JSON whenever the answer or the alarm changes.
     """
 
     kind: ClassVar[str] = "lsl"
@@ -115,7 +128,9 @@ class LslPublish(Publish):
                 outlets.extend(map(pylsl.StreamOutlet, (numbers, answers)))
             sent.append(message.signature)
             if message.picture.number != frame:
-                outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
+                outlets[0].push_sample(
+                    row, pylsl.local_clock() - (time.time() - message.picture.arrived)
+                )
             if [*message.signature[1:]] != before:
                 content = {"detection": _detection(message), "alarm": message.view.alarm}
                 outlets[1].push_sample([json.dumps(content, **COMPACT)])
@@ -163,7 +178,8 @@ class OscPublish(Publish):
             from pythonosc.udp_client import UDPClient
         if NO_PREFIX & set(self.path) or not (self.path.isascii() and self.path.isprintable()):
             raise InputError(
-                f"--publish: osc: {self.path!r} is no prefix: it has ASCII letters, and none of # * , ? [ ] {{ }} "
+                f"--publish: osc: {self.path!r} is no prefix: it has ASCII letters, and none of # "
+                "* , ? [ ] { } "
                 "and spaces"
             )
         if self.port == 0:
@@ -172,7 +188,9 @@ class OscPublish(Publish):
             known = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
             client = UDPClient(socket.getnameinfo(known[0][4], socket.NI_NUMERICHOST)[0], self.port)
         except UnicodeError as error:
-            raise InputError(f"--publish: {self.where}: '{self.host}' is no name of a computer") from error
+            raise InputError(
+                f"--publish: {self.where}: '{self.host}' is no name of a computer"
+            ) from error
         except OSError as error:
             raise InputError(f"--publish: {self.where}: {error.strerror or error}") from error
         large = set[str]()
@@ -190,7 +208,10 @@ class OscPublish(Publish):
             yield self.where, send
 
     def _bundles(self, message: Message) -> tuple[list[Any], dict[str, int]]:
-        """Return bundles that fit a datagram each, and the sizes of messages that fit none by their names."""
+        """Return bundles that fit a datagram each, and the sizes of messages that fit none.
+
+        The sizes are by the names of the messages.
+        """
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 
         groups = list[list[Any]]()
@@ -220,12 +241,22 @@ class OscPublish(Publish):
 
         picture = message.picture
         view = message.view
-        parts: dict[str, Any] = {"sequence": picture.number, "time": picture.time, "size": message.panel.shape}
+        parts: dict[str, Any] = {
+            "sequence": picture.number,
+            "time": picture.time,
+            "size": message.panel.shape,
+        }
         parts |= {name: values.ravel().tolist() for name, values in message.maps.items()}
-        parts |= {"force": picture.force.newton, "force_sd": view.deviation, "verdict": picture.verdict}
+        parts |= {
+            "force": picture.force.newton,
+            "force_sd": view.deviation,
+            "verdict": picture.verdict,
+        }
         parts |= {"solved": message.solved, "status": picture.status, "alarm": view.alarm}
         if (detected := view.detected) is not None:
-            parts |= {name: getattr(detected, name) for name in ("answer", "probability", "sentence")}
+            parts |= {
+                name: getattr(detected, name) for name in ("answer", "probability", "sentence")
+            }
             parts["detection"] = json.dumps(_detection(message), **COMPACT)
         for name, values in parts.items():
             built = OscMessageBuilder(f"/{self.path}/{name}")
@@ -236,9 +267,10 @@ class OscPublish(Publish):
 
 @dataclass(frozen=True)
 class MqttPublish(Publish):
-    """`mqtt://USER:PASSWORD@HOST:PORT/TOPIC`: the message as JSON to a topic of a broker, quality of service 1.
+    """`mqtt://USER:PASSWORD@HOST:PORT/TOPIC`: the message as JSON to a topic of a broker.
 
-    A message is lost rather than late: none is sent while another has not been confirmed for 0.2 s.
+    The quality of service is 1. A message is lost rather than late: none is sent while another has
+    not been confirmed for 0.2 s.
     """
 
     kind: ClassVar[str] = "mqtt"
@@ -252,10 +284,16 @@ class MqttPublish(Publish):
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         if set(self.path) & set("+#"):
-            raise InputError(f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for others")
+            raise InputError(
+                f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for "
+                "others"
+            )
         client: Any = Client(CallbackAPIVersion.VERSION2)
-        # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s later (RFC 1122).
-        client.on_socket_open = lambda *event: event[2].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s
+        # later (RFC 1122).
+        client.on_socket_open = lambda *event: event[2].setsockopt(
+            socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
+        )
         client.reconnect_delay_set(1, 10)  # s
         client.username_pw_set(self.user, self.password)
         # not confirmed, and when sent
@@ -268,7 +306,8 @@ class MqttPublish(Publish):
             time_now = time.monotonic()
             if client.is_connected() and (not waiting or time_now - waiting[0][1] < LATEST_SECONDS):
                 info = client.publish(self.path, message.text(), qos=1)
-                if info.rc == 0:  # else the connection has just ended; such a message is never confirmed
+                # Else the connection has just ended; such a message is never confirmed.
+                if info.rc == 0:
                     waiting.append((info, time_now))
 
         try:
@@ -290,7 +329,8 @@ class MqttPublish(Publish):
         finally:
             client.on_disconnect = None
             client.disconnect()
-            waited(lambda: client.socket() is None, FAREWELL_SECONDS)  # the library would wait for ever
+            # The library would wait for ever.
+            waited(lambda: client.socket() is None, FAREWELL_SECONDS)
             with suppress(OSError, AttributeError):  # the connection may be closed meanwhile
                 client.socket().shutdown(socket.SHUT_RDWR)
             client.loop_stop()
@@ -298,9 +338,10 @@ class MqttPublish(Publish):
 
 @dataclass(frozen=True)
 class WebsocketPublish(Publish):
-    """`websocket://ADDRESS:PORT`: a server that sends each message as a line of JSON to all listeners.
+    """`websocket://ADDRESS:PORT`: a server that sends each message to all listeners.
 
-    Pages of this computer and programs may listen; from elsewhere a token is needed. port : 0 is any that is free.
+    A message is sent as a line of JSON. Pages of this computer and programs may listen; from
+    elsewhere a token is needed. port : 0 is any that is free.
     """
 
     kind: ClassVar[str] = "websocket"
@@ -314,22 +355,33 @@ class WebsocketPublish(Publish):
             from websockets.sync.server import serve
         host = ip_named(self.host)
         if host is None:
-            raise InputError(f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0")
+            raise InputError(
+                f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0"
+            )
         newest = Newest("")
         access = Access.of(self.token, self.port, local=host.is_loopback)
-        listeners = dict[Any, float]()  # send time of the oldest message that each has not taken; else infinite
+        # Send time of the oldest message that each has not taken; else infinite.
+        listeners = dict[Any, float]()
 
         def cut_off(before: float) -> None:
-            for connection in [listener for listener, sent in tuple(listeners.items()) if sent <= before]:
+            for connection in [
+                listener for listener, sent in tuple(listeners.items()) if sent <= before
+            ]:
                 with suppress(OSError):
                     connection.socket.shutdown(socket.SHUT_RDWR)
 
         def admitted(connection: Any, request: Any) -> Any:
-            if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
+            if access.token and not access.shown_by(
+                request.path, request.headers.get("Authorization", "")
+            ):
                 return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
             cut_off(time.monotonic() - TURN_SECONDS)
             full = len(listeners) >= MAX_STREAMS
-            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n") if full else None
+            return (
+                connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n")
+                if full
+                else None
+            )
 
         def listening(connection: Any) -> None:
             seen, listeners[connection] = 0, math.inf
@@ -340,7 +392,11 @@ class WebsocketPublish(Publish):
                     listeners[connection] = math.inf
             del listeners[connection]
 
-        settings: dict[str, Any] = {"max_size": 1024, "compression": None, "process_request": admitted}
+        settings: dict[str, Any] = {
+            "max_size": 1024,
+            "compression": None,
+            "process_request": admitted,
+        }
         settings |= dict.fromkeys(("open_timeout", "close_timeout"), FAREWELL_SECONDS)
         settings |= {"origins": [None, LOCAL_PAGES] if host.is_loopback else None}
         settings |= {"family": socket.AF_INET6 if host.version == 6 else socket.AF_INET}
@@ -348,7 +404,9 @@ class WebsocketPublish(Publish):
             server = serve(listening, str(host), self.port, **settings)
         except OSError as error:
             sentence = error.strerror or error
-            raise InputError(f"--publish: websocket: cannot listen at {host}:{self.port} ({sentence})") from error
+            raise InputError(
+                f"--publish: websocket: cannot listen at {host}:{self.port} ({sentence})"
+            ) from error
         thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
         thread.start()
         where = f"{f'[{host}]' if host.version == 6 else host}:{server.socket.getsockname()[1]}"
@@ -366,7 +424,9 @@ WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, Websocke
 
 
 def publish_at(where: str, token: str | None = None) -> Publish:
-    """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`. token : required of listeners.
+    """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`.
+
+    token : required of listeners.
 
     Raises InputError for an unknown protocol and an invalid address.
     """
@@ -393,14 +453,19 @@ def waited(done: Callable[[], bool], seconds: float) -> bool:
 
 @contextmanager
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
-    """Send new pictures, answers and alarms by each protocol, in a thread of its own, until the series ends.
+    """Send new pictures, answers and alarms by each protocol, until the series ends.
 
-    Yields the public addresses. say : receives a sentence at the first failure of a protocol. Raises InputError if one
-    cannot be opened.
+    Each protocol has a thread of its own.
+
+    Yields the public addresses. say : receives a sentence at the first failure of a protocol.
+    Raises InputError if one cannot be opened.
     """
     with ExitStack() as opened:
         outlets = [opened.enter_context(way.opened(say)) for way in ways]
-        threads = [Thread(target=_forward, args=(shown, send, where, say), daemon=True) for where, send in outlets]
+        threads = [
+            Thread(target=_forward, args=(shown, send, where, say), daemon=True)
+            for where, send in outlets
+        ]
         for thread in threads:
             thread.start()
         try:
@@ -412,7 +477,10 @@ def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterat
 
 
 def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
-    """Send the newest picture, skipping older ones; report a failure once until sending works again."""
+    """Send the newest picture, skipping older ones.
+
+    Report a failure once until sending works again.
+    """
     seen = 0
     failed = False
     sent = None
@@ -427,5 +495,8 @@ def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
             failed = False
         except OSError as error:
             if not failed:
-                say(f"{where}: frames do not get through ({error.strerror or error}); it is tried again with each")
+                say(
+                    f"{where}: frames do not get through ({error.strerror or error}); it is tried "
+                    "again with each"
+                )
             failed = True

@@ -11,7 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    GradientOfRelativeChange,
+    Misfit,
+    RelativeChange,
+    Term,
+)
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
@@ -38,7 +45,9 @@ PENALTIES: dict[str, tuple[Term, ...]] = {
     "relative_change": (RelativeChange(),),
 }
 # With weights that the data choose, under other names than the paper's.
-METHODS = {name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name, terms in PENALTIES.items()}
+METHODS = {
+    name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name, terms in PENALTIES.items()
+}
 
 
 @dataclass(frozen=True)
@@ -48,7 +57,8 @@ class LiveBoard:
     Attributes
     ----------
     ports : tuple of str
-        Serial ports or pyserial URLs, one for each module; by default the only port that looks like an Arduino.
+        Serial ports or pyserial URLs, one for each module; by default the only port that looks like
+        an Arduino.
     scene : Scene or None
         Expected scene.
     baseline : int
@@ -68,7 +78,10 @@ class LiveBoard:
 
 @dataclass(frozen=True)
 class Replay:
-    """A recording as the source, replayed at `speed` times its rate; `baseline` as above if no frame is unloaded."""
+    """A recording as the source, replayed at `speed` times its rate.
+
+    `baseline` as above if no frame is unloaded.
+    """
 
     path: Path
     speed: float = 1.0
@@ -84,7 +97,8 @@ class Outlets:
     http : str
         HOST:PORT of the page; port 0 for any free one.
     token : str or None
-        Required of visitors of the page, by default a generated one; of WebSocket listeners from elsewhere.
+        Required of visitors of the page, by default a generated one; of WebSocket listeners from
+        elsewhere.
     publish : sequence of str
         Addresses such as ``mqtt://localhost:1883/lampest``.
     """
@@ -102,7 +116,9 @@ def live(
     on_url: Callable[[str], None] = lambda url: None,
     on_trouble: Callable[[str], None] = lambda sentence: None,
 ) -> Recorded | None:
-    """Reconstruct frames as they arrive and show them in the browser, until `frames` have come or Ctrl-C.
+    """Reconstruct frames as they arrive and show them in the browser.
+
+    It ends when `frames` have come or with Ctrl-C.
 
     Parameters
     ----------
@@ -113,7 +129,8 @@ def live(
     frames : int, optional
         Number of frames; by default all.
     on_url : callable
-        Receives the address of the page once it can be opened, then the addresses of published frames.
+        Receives the address of the page once it can be opened, then the addresses of published
+        frames.
     on_trouble : callable
         Receives sentences on failures of publishing.
 
@@ -134,7 +151,13 @@ def live(
     port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
     ways = [publish_at(where, outlets.token) for where in outlets.publish]
     with (
-        Engine(port if recording is None else recording.name, name, method, source.baseline, beside=True) as engine,
+        Engine(
+            port if recording is None else recording.name,
+            name,
+            method,
+            source.baseline,
+            beside=True,
+        ) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
         recorder_of(source, engine) as (recorder, actions),
         serving(*address(outlets.http), engine.shown, outlets.token, actions) as server,
@@ -161,7 +184,10 @@ def _pass_frames(
     recorder: Recorder | None,
     frames: int | None,
 ) -> Recorded | None:
-    """Pass `frames` frames, or all, of a replayed recording or of a board; return the recording if one was written."""
+    """Pass `frames` frames, or all, of a replayed recording or of a board.
+
+    Return the recording if one was written.
+    """
     if isinstance(source, Replay):
         assert recording is not None
         from_recording(engine, recording, source.speed, frames)
@@ -173,7 +199,9 @@ def _pass_frames(
 
 
 @contextmanager
-def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, PageActions]]:
+def recorder_of(
+    source: LiveBoard | Replay, engine: Engine
+) -> Iterator[tuple[Recorder | None, PageActions]]:
     """Yield the recorder of the page's button, or None, and the requests that the page may send."""
     actions = PageActions(engine.tare, lambda: engine.shown.change(acknowledged))
     if isinstance(source, Replay) or source.out is not None:
@@ -192,8 +220,13 @@ def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Re
         yield recorder, replace(actions, tare=tare, record=recorder.ask)
 
 
-def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:
-    """Return the name and the estimator, the first one by default. Raises InputError for an unknown name."""
+def chosen(
+    name: str | None, config: Path | None, settings: tuple[str, ...] = ()
+) -> tuple[str, Estimator]:
+    """Return the name and the estimator, the first one by default.
+
+    Raises InputError for an unknown name.
+    """
     if config is None:
         known = tuple(METHODS)
         where = "there are"
@@ -205,17 +238,23 @@ def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()
     name = name or known[0]
     if name not in known:
         close = meant(name, known)
-        raise InputError(f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}{close}")
+        raise InputError(
+            f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}{close}"
+        )
     return name, METHODS[name] if config is None else resolve(document, run, name)
 
 
-def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]) -> None:
+def from_board(
+    engine: Engine, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]
+) -> None:
     """Pass `frames` frames of a board, or all, to the engine and to `on_sample`.
 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
-    arriving = samples_of(board.ports, board.scene, board.period, engine.say, baseline=board.baseline)
+    arriving = samples_of(
+        board.ports, board.scene, board.period, engine.say, baseline=board.baseline
+    )
     with closing(arriving) as samples:
         for sample in islice((sample for batch in samples for sample in batch), frames):
             take_sample(engine, sample)
@@ -223,7 +262,10 @@ def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: 
 
 
 def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) -> Recorded:
-    """Record frames of a board into `board.out` and pass them to the engine. Raises InputError as `record`."""
+    """Record frames of a board into `board.out` and pass them to the engine.
+
+    Raises InputError as `record`.
+    """
     assert board.out is not None
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
 
@@ -240,16 +282,29 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
 def take_sample(engine: Engine, sample: Sample) -> None:
     """Pass a frame of a board to the engine, in the form of a recording."""
     source = FrameSource(sample.scene, sample.hello.period, "receiving")
-    scan = Scan(sample.recorded, None, sample.time, sample.host_time, sample.lost, sample.frame.log_change)
+    scan = Scan(
+        sample.recorded, None, sample.time, sample.host_time, sample.lost, sample.frame.log_change
+    )
     engine.take(source, scan)
 
 
 def from_recording(
-    engine: Engine, recording: Recording, speed: float, frames: int | None, wait: Callable[[float], None] = time.sleep
+    engine: Engine,
+    recording: Recording,
+    speed: float,
+    frames: int | None,
+    wait: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Replay the measured frames of a recording at `speed` times its rate, against its unloaded frames."""
-    source = FrameSource(recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed")
-    unloaded = [scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)]
+    """Replay the measured frames of a recording at `speed` times its rate.
+
+    They are replayed against its unloaded frames.
+    """
+    source = FrameSource(
+        recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed"
+    )
+    unloaded = [
+        scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)
+    ]
     if unloaded:
         engine.begin(source, unloaded)
     measured = recording.measured_frames()[:frames]

@@ -1,4 +1,7 @@
-"""HTTP server of the live page and its views (server-sent events): GET of two paths, POST of three requests."""
+"""HTTP server of the live page and its views (server-sent events).
+
+GET of two paths, POST of three requests.
+"""
 
 import os
 import re
@@ -22,14 +25,16 @@ from lampest.report.live.message import View, view_text
 
 MAX_STREAMS = 16  # simultaneous pages, each with a thread
 HEARTBEAT_SECONDS = 2.0  # between messages without content
-TURN_SECONDS = 60.0  # after which a page, or a listener that takes nothing, is replaced by a waiting one
+# After which a page, or a listener that takes nothing, is replaced by a waiting one.
+TURN_SECONDS = 60.0
 MIN_TOKEN_LENGTH = 16  # characters, 10²⁸ possible tokens
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
 # Required header: a browser lets a foreign page send it only after a preflight, which is refused.
 REQUEST_HEADER = "X-Lampest"
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; "
+    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src "
+    "'unsafe-inline'; "
     "style-src 'unsafe-inline'; img-src data:",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -59,12 +64,16 @@ class Access:
     def __post_init__(self) -> None:
         if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},}}", self.token):
             raise InputError(
-                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ (or none: one is made up)"
+                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ (or "
+                "none: one is made up)"
             )
 
     @classmethod
     def of(cls, token: str | None, port: int, *, local: bool) -> "Access":
-        """Return access by the given token; without one, visitors from elsewhere need a generated token."""
+        """Return access by the given token.
+
+        Without one, visitors from elsewhere need a generated token.
+        """
         return cls(token or ("" if local else secrets.token_urlsafe(24)), f"lampest-{port}")
 
     @property
@@ -75,17 +84,23 @@ class Access:
     def shown_by(self, target: str, authorization: str) -> bool:
         """Return whether the requested address or the header Authorization has the token."""
         kind, _, word = authorization.partition(" ")
-        brought = [value for name, value in _query(target) if name == "token"] + [word] * (kind in ("Bearer", "token"))
+        brought = [value for name, value in _query(target) if name == "token"] + [word] * (
+            kind in ("Bearer", "token")
+        )
         return bool(self.token) and any(_same(text, self.token) for text in brought)
 
     def remembered_by(self, cookie: str) -> bool:
         """Return whether the header Cookie has the secret."""
-        return any(_same(crumb.strip(), f"{self.name}={self.secret}") for crumb in cookie.split(";"))
+        return any(
+            _same(crumb.strip(), f"{self.name}={self.secret}") for crumb in cookie.split(";")
+        )
 
 
 def _same(first: str, second: str) -> bool:
     """Compare two texts in constant time."""
-    return compare_digest(first.encode("utf-8", "surrogatepass"), second.encode("utf-8", "surrogatepass"))
+    return compare_digest(
+        first.encode("utf-8", "surrogatepass"), second.encode("utf-8", "surrogatepass")
+    )
 
 
 def _query(target: str) -> list[tuple[str, str]]:
@@ -107,7 +122,8 @@ class PageActions:
     acknowledge : callable
         End the alarm.
     record : callable or None
-        Begin a recording of the given name, or end it; raises InputError for an invalid name. None without a board.
+        Begin a recording of the given name, or end it; raises InputError for an invalid name. None
+        without a board.
     """
 
     tare: Callable[[], None] = lambda: None
@@ -138,9 +154,12 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     request_queue_size = 64
-    allow_reuse_address = os.name == "posix"  # on Windows it would share the port with another server
+    # On Windows it would share the port with another server.
+    allow_reuse_address = os.name == "posix"
 
-    def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, actions: PageActions) -> None:
+    def __init__(
+        self, host: str, port: int, shown: Newest[View], token: str | None, actions: PageActions
+    ) -> None:
         self.shown = shown
         self.actions = actions
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
@@ -174,7 +193,10 @@ class PageHandler(BaseHTTPRequestHandler):
     sys_version = ""
 
     def parse_request(self) -> bool:
-        """Refuse other methods, requests of foreign pages, and on the loopback address host names of theirs."""
+        """Refuse other methods, requests of foreign pages, and host names of theirs.
+
+        The host names are refused on the loopback address.
+        """
         if not super().parse_request():
             return False
         if self.command not in ("GET", "POST"):
@@ -194,7 +216,10 @@ class PageHandler(BaseHTTPRequestHandler):
         return True
 
     def _is_of_foreign_page(self) -> bool:
-        """Return whether a browser says that another page makes the request; a link to the page itself is none."""
+        """Return whether a browser says that another page makes the request.
+
+        A link to the page itself is none.
+        """
         origin = self.headers.get("Origin")
         site = self.headers.get("Sec-Fetch-Site", "none")
         if origin is not None and urlsplit(origin).netloc != self.headers.get("Host", ""):
@@ -221,9 +246,10 @@ class PageHandler(BaseHTTPRequestHandler):
                 self.server.seats.release()
 
     def do_POST(self) -> None:
-        """Renew the zero at /zero, end the alarm at /acknowledge, begin or end a recording at /record.
+        """Renew the zero, end the alarm, begin or end a recording.
 
-        Requires the header REQUEST_HEADER, which pages from elsewhere cannot send.
+        The paths are /zero, /acknowledge and /record, in this order. Requires the header
+        REQUEST_HEADER, which pages from elsewhere cannot send.
         """
         actions = self.server.actions
         action = urlsplit(self.path).path.removeprefix("/")
@@ -233,7 +259,10 @@ class PageHandler(BaseHTTPRequestHandler):
         callables |= {"record": lambda: record(name)} if record else {}
         if action not in callables:
             self.send_error(HTTPStatus.NOT_FOUND)
-        elif self.headers.get(REQUEST_HEADER) != action or self.headers.get("Content-Length", "0") != "0":
+        elif (
+            self.headers.get(REQUEST_HEADER) != action
+            or self.headers.get("Content-Length", "0") != "0"
+        ):
             self.send_error(HTTPStatus.FORBIDDEN)
         else:
             try:
@@ -253,7 +282,9 @@ class PageHandler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(text)
 
-    def _start(self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK, **further: str) -> None:
+    def _start(
+        self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK, **further: str
+    ) -> None:
         headers = {"Content-Type": kind} | HEADERS | further
         headers |= {} if length is None else {"Content-Length": str(length)}
         if status is HTTPStatus.OK and self.introduced:
@@ -287,31 +318,48 @@ class PageHandler(BaseHTTPRequestHandler):
 
 
 def is_local_name(host: str) -> bool:
-    """Return whether a Host header names this computer: localhost or a loopback address, with or without a port."""
+    """Return whether a Host header names this computer.
+
+    It does by localhost or a loopback address, with or without a port.
+    """
     ip = ip_named(host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host)
     return ip is not None and ip.is_loopback
 
 
 def ip_named(name: str) -> IPv4Address | IPv6Address | None:
-    """Return the address of localhost or of an IP literal, in brackets or not; None for other names."""
+    """Return the address of localhost or of an IP literal, in brackets or not.
+
+    None for other names.
+    """
     try:
-        return ip_address("127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]"))
+        return ip_address(
+            "127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]")
+        )
     except ValueError:
         return None
 
 
 def address(text: str) -> tuple[str, int]:
-    """Parse HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137. Raises InputError for other texts."""
+    """Parse HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137.
+
+    Raises InputError for other texts.
+    """
     host, separator, port = text.rpartition(":")
     ip = ip_named(host)
     if ip is None or not separator or not (port.isascii() and port.isdigit() and int(port) < 65536):
-        raise InputError(f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137")
+        raise InputError(
+            f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137"
+        )
     return str(ip), int(port)
 
 
 @contextmanager
 def serving(
-    host: str, port: int, shown: Newest[View], token: str | None = None, actions: PageActions | None = None
+    host: str,
+    port: int,
+    shown: Newest[View],
+    token: str | None = None,
+    actions: PageActions | None = None,
 ) -> Iterator[PageServer]:
     """Run a server in a thread; at the end all clients get the last view.
 
@@ -334,9 +382,16 @@ def serving(
     try:
         server = PageServer(host, port, shown, token, actions or PageActions())
     except OSError as error:
-        raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
+        raise InputError(
+            f"--http: cannot listen at {host}:{port} ({error.strerror or error})"
+        ) from error
     with server:
-        thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, name="lampest-http", daemon=True)
+        thread = Thread(
+            target=server.serve_forever,
+            kwargs={"poll_interval": 0.1},
+            name="lampest-http",
+            daemon=True,
+        )
         thread.start()
         try:
             yield server

@@ -23,8 +23,10 @@ from lampest.report.strongest import as_recorded, percent_change
 from lampest.solvers.multistart import SAME_MINIMUM
 
 ASKED = "it was asked for"
-NOTICED_PERCENT = 1.0  # change of a reading: far above the noise of any readout, and less than that by a finger
-# Share of the strongest |ln r/r₀|: residues of penalties beside a load are smaller, the inside of a mouth is larger.
+# Change of a reading: far above the noise of any readout, and less than that by a finger.
+NOTICED_PERCENT = 1.0
+# Share of the strongest |ln r/r₀|: residues of penalties beside a load are smaller, the inside of a
+# mouth is larger.
 MIN_SHARE = 0.3
 
 
@@ -58,7 +60,9 @@ class Findings:
 
 @dataclass(frozen=True, eq=False)
 class SecondLook:
-    """A frame that is to be solved again with its own weights, from all starts, and with error bars.
+    """A frame that is to be solved again.
+
+    It is solved with its own weights, from all starts, and with error bars.
 
     Attributes
     ----------
@@ -89,9 +93,15 @@ class SecondLook:
         force = None
         if cells is not None:
             same_weights = stream.weights == self.stream.weights
-            lower = None if same_weights and step.solution.objective > self.objective * (1 - SAME_MINIMUM) else cells
+            lower = (
+                None
+                if same_weights and step.solution.objective > self.objective * (1 - SAME_MINIMUM)
+                else cells
+            )
             if step.bars is not None and not np.isnan(stream.baseline_resistance).any():
-                force = read_load(self.load, cells / stream.baseline_resistance, step.bars, self.time)[1]
+                force = read_load(
+                    self.load, cells / stream.baseline_resistance, step.bars, self.time
+                )[1]
         return Findings(self.number, stream.weights, stream.weighed_at, lower, force)
 
 
@@ -128,33 +138,53 @@ class PanelState:
 
     @classmethod
     def begin(
-        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, *, hasty: bool = False
+        cls,
+        estimator: Estimator,
+        scene: Scene,
+        period: float,
+        resting: Readings,
+        *,
+        hasty: bool = False,
     ) -> "PanelState":
-        """Return the state for unloaded readings; `hasty` as in `in_haste`. Raises InputError as `Stream.begin`.
+        """Return the state for unloaded readings; `hasty` as in `in_haste`.
 
-        Modules are solved together and without second looks; they get error bars on request only.
+        Raises InputError as `Stream.begin`. Modules are solved together and without second looks;
+        they get error bars on request only.
         """
         if scene.panel.modules is not None and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
-        start = cls(begin_stream(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
+        start = cls(
+            begin_stream(estimator, scene, period, resting),
+            PressureTrack.begin(scene, tare=estimator.tare),
+        )
         return start.in_haste() if hasty and not start.stream.modules else start
 
     def in_haste(self) -> "PanelState":
-        """Return a state that solves frames as fast as possible and leaves error bars and weights to second looks.
+        """Return a state that solves frames as fast as possible.
 
-        The first weights are those of the baseline.
+        It leaves error bars and weights to second looks. The first weights are those of the
+        baseline.
         """
         stream = self.stream
         baseline = self.stream.baseline
-        if stream.weights is None and baseline is not None and len(baseline.weights) == len(stream.estimator.terms):
+        if (
+            stream.weights is None
+            and baseline is not None
+            and len(baseline.weights) == len(stream.estimator.terms)
+        ):
             stream = replace(stream, weights=baseline.weights if baseline.solution.solved else None)
         track = None if stream.estimator.relative else stream.track
         return replace(
-            self, stream=replace(stream, keeps_weights=True, track=None if track else stream.track), track=track
+            self,
+            stream=replace(stream, keeps_weights=True, track=None if track else stream.track),
+            track=track,
         )
 
     def after(self, readings: Readings, ratio: Array | None, time: float) -> "PanelState":
-        """Return the state after a solved frame; a requested zero, or an untouched panel, renews the zero."""
+        """Return the state after a solved frame.
+
+        A requested zero, or an untouched panel, renews the zero.
+        """
         tare = self.stream.estimator.tare
         most = max(0 if tare is None else tare.frames, len(self.recent) + 1 if self.missing else 0)
         state = replace(self, zeroed="", recent=(*self.recent, readings)[-most:] if most else ())
@@ -166,25 +196,42 @@ class PanelState:
             return state
         return state._zeroed(state.recent[: tare.frames // 2], time, state.load.tared)
 
-    def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
-        """Return the second look at a frame that was solved in haste, or None if nothing is open."""
+    def second_look(
+        self, number: int, time: float, readings: Readings, step: Step
+    ) -> SecondLook | None:
+        """Return the second look at a frame that was solved in haste.
+
+        None if nothing is open.
+        """
         stream = self.stream
         due = self.stream.weights_due(readings)
-        if not stream.keeps_weights or not step.solution.solved or not (due or self.track is not None):
+        if (
+            not stream.keeps_weights
+            or not step.solution.solved
+            or not (due or self.track is not None)
+        ):
             return None
         baseline = None if stream.baseline is None else stream.baseline.bare()
-        stream = replace(stream, keeps_weights=False, prepared=None, track=self.track, baseline=baseline)
+        stream = replace(
+            stream, keeps_weights=False, prepared=None, track=self.track, baseline=baseline
+        )
         return SecondLook(number, time, stream, self.load, readings, step.solution.objective, due)
 
     def ratio(self, step: Step) -> Array | None:
-        """Return r/r_baseline (rows, columns) of a frame, or None without a solution or a baseline."""
+        """Return r/r_baseline (rows, columns) of a frame.
+
+        None without a solution or a baseline.
+        """
         baseline = self.stream.baseline_resistance
         if not step.solution.solved or np.isnan(baseline[~self.stream.scene.broken]).any():
             return None
         return np.asarray(step.solution.cell_resistance[-1] / baseline)
 
     def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "PanelState":
-        """Return the state with the mean of some frames as its zero, unchanged if they have too few readings."""
+        """Return the state with the mean of some frames as its zero.
+
+        It is unchanged if they have too few readings.
+        """
         first, *following = frames
         zero = first.together(*following).mean()
         if not zero.enough(self.stream.scene):
@@ -194,8 +241,12 @@ class PanelState:
         return start.in_haste() if stream.keeps_weights else start
 
 
-def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:
-    """Solve a frame without its outliers; return the next state and the picture, with NaN and the reason of a failure.
+def solved_scan(
+    state: PanelState, scan: Scan, number: int, skipped: int
+) -> tuple[PanelState, Picture]:
+    """Solve a frame without its outliers; return the next state and the picture.
+
+    The picture has NaN and the reason of a failure.
 
     Parameters
     ----------
@@ -209,17 +260,35 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
     before = state.previous
     unknown = np.full(scene.panel.shape, np.nan)
     flags = np.zeros(scene.panel.shape, dtype=bool)
-    board = None if scan.board_log_change is None else 100 * np.expm1(scan.board_log_change.astype(float))
+    board = (
+        None
+        if scan.board_log_change is None
+        else 100 * np.expm1(scan.board_log_change.astype(float))
+    )
     picture = Picture(
-        number, time, scan.arrived, unknown, unknown, flags, UNKNOWN, "", 0.0, skipped, board_change=board
+        number,
+        time,
+        scan.arrived,
+        unknown,
+        unknown,
+        flags,
+        UNKNOWN,
+        "",
+        0.0,
+        skipped,
+        board_change=board,
     )
     try:
         readings = Readings.of(scene, scan.recorded, scan.sigma)
-        change = percent_change(*(as_recorded(frame.shown, scene) for frame in (readings, stream.resting)))
+        change = percent_change(
+            *(as_recorded(frame.shown, scene) for frame in (readings, stream.resting))
+        )
         picture = replace(picture, measured_change=change)
         if not stream.modules:
             state = replace(state, previous=before.after(readings))
-            readings, outliers = before.without_outliers(readings, scene, stream.resting, stream.baseline_resistance)
+            readings, outliers = before.without_outliers(
+                readings, scene, stream.resting, stream.baseline_resistance
+            )
             picture = replace(picture, outliers=outliers)
         stream, step = stream.push(readings)
     except InputError as error:
@@ -231,7 +300,9 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
     ratio = state.ratio(step)
     if ratio is not None:
         pressed, force = read_load(state.load, ratio, step.bars, time)
-        verdict = verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool))
+        verdict = verdict_of(
+            readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool)
+        )
         if step.bars is None and pressed is not None and "pressing" not in verdict:
             force = Force(0.0, np.nan)
         picture = replace(
@@ -250,10 +321,13 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
     return state.after(readings, ratio, time), picture
 
 
-def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:
-    """Return pressures of the cells of a frame and their total force, or None and NaN without a response.
+def read_load(
+    load: PressureTrack, ratio: Array, bars: Bars | None, time: float
+) -> tuple[Pressure | None, Force]:
+    """Return pressures of the cells of a frame and their total force.
 
-    Cells are saturated regardless of the errors of the estimate.
+    Without a response, None and NaN are returned. Cells are saturated regardless of the errors of
+    the estimate.
 
     Parameters
     ----------
@@ -275,12 +349,15 @@ def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float)
     return pressure, total_force(load.scene, replace(barred, saturated=pressure.saturated))
 
 
-def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:
+def verdict_of(
+    readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]
+) -> str:
     """Return the verdict on a solved frame, one of `message.VERDICTS`.
 
-    NOTHING: no reading differs from its unloaded value by more than OUTLIER_THRESHOLD standard deviations, after the
-    median difference, which a drift of the supply causes, is subtracted. Otherwise PRESSING or SUCKING: the lowest or
-    the highest ln r/r₀ exceeds MIN_SHARE of the strongest.
+    NOTHING: no reading differs from its unloaded value by more than OUTLIER_THRESHOLD standard
+    deviations, after the median difference, which a drift of the supply causes, is subtracted.
+    Otherwise PRESSING or SUCKING: the lowest or the highest ln r/r₀ exceeds MIN_SHARE of the
+    strongest.
 
     Parameters
     ----------

@@ -19,7 +19,8 @@ from lampest.report.detect.detection import HEAD_FRAMES, Known, known_of
 from lampest.report.live.handover import Beside
 
 MAX_REMEMBERED = 200  # former attachments that are kept: those of a day with eight visits an hour
-MAX_WAITING = 2000  # waiting frames beyond which every second one is dropped: a fit on 32 × 32 cells takes a minute
+# Waiting frames beyond which every second one is dropped: a fit on 32 × 32 cells takes a minute.
+MAX_WAITING = 2000
 WAITING = "waiting for frames of the unloaded panel"
 DIED = "the process that recognises loads has died; restart lampest live"
 
@@ -58,16 +59,22 @@ class Unloaded:
     scans: tuple[Scan, ...]
 
     def recording(self, loaded: tuple[Scan, ...] = (), name: str = "") -> Recording:
-        """Return these frames, and loaded ones after them, as a recording; σ is None unless all frames have it."""
+        """Return these frames, and loaded ones after them, as a recording.
+
+        σ is None unless all frames have it.
+        """
         scans = self.scans + loaded
         known = [scan.sigma for scan in scans if scan.sigma is not None]
         sigma = np.stack(known) if len(known) == len(scans) else None
         role = np.repeat([UNLOADED, MEASURED], [len(self.scans), len(loaded)]).astype(np.uint8)
         times = np.arange(float(len(scans))) if loaded else np.array([scan.time for scan in scans])
-        return Recording(self.scene, np.stack([scan.recorded for scan in scans]), times, role, sigma, name=name)
+        return Recording(
+            self.scene, np.stack([scan.recorded for scan in scans]), times, role, sigma, name=name
+        )
 
 
-News = Unloaded | Scan | int  # a number requests that so many of the next frames become the new zero
+# a number requests that so many of the next frames become the new zero
+News = Unloaded | Scan | int
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +122,11 @@ class Watched:
         except (ArithmeticError, ValueError) as error:
             return replace(start, why=logged_reason(error, self.name))
         zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, news))
-        return zeroed if zeroed.missing or self.scene is None else zeroed.after(Unloaded(self.scene, zeroed.zero))
+        return (
+            zeroed
+            if zeroed.missing or self.scene is None
+            else zeroed.after(Unloaded(self.scene, zeroed.zero))
+        )
 
     @property
     def detected(self) -> Detected:
@@ -125,14 +136,20 @@ class Watched:
         return self.known.detected(self.watch, self.times)
 
     def _begun(self, start: "Watched", news: Unloaded) -> "Watched":
-        """Return the state `start` with the watch of new unloaded frames; previous attachments have ended."""
+        """Return the state `start` with the watch of new unloaded frames.
+
+        Previous attachments have ended.
+        """
         known = known_of(Prepared(news.recording(name=self.name)))
         if isinstance(known, Detected):
             return replace(start, why=known.why)
         watch = known.watch()
         before = () if self.watch is None else self.watch.attachments
         end = news.scans[0].time
-        closed = tuple(replace(attachment, until_s=end) if attachment.present else attachment for attachment in before)
+        closed = tuple(
+            replace(attachment, until_s=end) if attachment.present else attachment
+            for attachment in before
+        )
         return replace(start, known=known, watch=replace(watch, attachments=closed))
 
     def _seen(self, scan: Scan) -> "Watched":
@@ -140,8 +157,14 @@ class Watched:
             return self
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
         watch = self.watch.push(*self.known.values(readings), scan.time)
-        ended = [attachment for attachment in watch.attachments if not attachment.present][-MAX_REMEMBERED:]
-        remembered = (attachment for attachment in watch.attachments if attachment.present or attachment in ended)
+        ended = [attachment for attachment in watch.attachments if not attachment.present][
+            -MAX_REMEMBERED:
+        ]
+        remembered = (
+            attachment
+            for attachment in watch.attachments
+            if attachment.present or attachment in ended
+        )
         watch = replace(watch, attachments=tuple(remembered))
         return replace(self, why="", watch=watch, times=(*self.times[-HEAD_FRAMES:], scan.time))
 
@@ -163,15 +186,28 @@ def watcher(name: str, on_answer: Callable[[Detected], None]) -> Beside[list[New
     """Return a process that watches lists of news; answers come from a thread of its own."""
 
     def answered(batch: list[News], answer: Any) -> None:
-        on_answer(answer if isinstance(answer, Detected) else Detected.unknown(name, logged_reason(answer, name)))
+        on_answer(
+            answer
+            if isinstance(answer, Detected)
+            else Detected.unknown(name, logged_reason(answer, name))
+        )
 
-    return Beside(Desk(name), in_one_batch, answered, lambda: on_answer(Detected.unknown(name, DIED)))
+    return Beside(
+        Desk(name), in_one_batch, answered, lambda: on_answer(Detected.unknown(name, DIED))
+    )
 
 
 def in_one_batch(more: list[News], waiting: list[list[News]]) -> list[list[News]]:
-    """Merge waiting news into one batch; beyond MAX_WAITING every second frame is dropped, except the last."""
+    """Merge waiting news into one batch.
+
+    Beyond MAX_WAITING every second frame is dropped, except the last.
+    """
     batch = [*(waiting[0] if waiting else []), *more]
     if len(batch) > MAX_WAITING:
         odd = len(batch) % 2
-        batch = [news for number, news in enumerate(batch, odd) if number % 2 or not isinstance(news, Scan)]
+        batch = [
+            news
+            for number, news in enumerate(batch, odd)
+            if number % 2 or not isinstance(news, Scan)
+        ]
     return [batch]

@@ -17,8 +17,9 @@ from lampest.report.words import digits, listed, median_text
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
-# Successive parts of a recording whose means are taken as independent. Intervals of 20, 60 and 200 frames of an
-# autoregression with 0.8 hold the mean in 77, 91 and 94 %, with parts as long as the correlation in 71, 80 and 81 %.
+# Successive parts of a recording whose means are taken as independent. Intervals of 20, 60 and 200
+# frames of an autoregression with 0.8 hold the mean in 77, 91 and 94 %, with parts as long as the
+# correlation in 71, 80 and 81 %.
 MAX_PARTS = 5
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
@@ -89,8 +90,8 @@ def first_of(cases: Mapping[str, CaseResult]) -> CaseResult:
 def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
     """Return the cases of all files, grouped by recording.
 
-    If two files use a name for different cases, the number of the file is added: 'LSM [2]'. frames : as in
-    `read_results`. Raises InputError for unreadable, repeated and empty files.
+    If two files use a name for different cases, the number of the file is added: 'LSM [2]'. frames
+    : as in `read_results`. Raises InputError for unreadable, repeated and empty files.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a results file is named twice")
@@ -106,8 +107,15 @@ def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> Cas
     """Return the case under names that no earlier case has."""
     same_recording = [second for second in before if second.recording == case.recording]
     given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
-    pairs = [(getattr(case, name), getattr(same_recording[0], name)) for name in given] if same_recording else []
-    if not all(np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None) for pair in pairs):
+    pairs = (
+        [(getattr(case, name), getattr(same_recording[0], name)) for name in given]
+        if same_recording
+        else []
+    )
+    if not all(
+        np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None)
+        for pair in pairs
+    ):
         return replace(case, recording=f"{case.recording} [{number}]")
     if any(second.estimator == case.estimator for second in same_recording):
         return replace(case, estimator=f"{case.estimator} [{number}]")
@@ -117,42 +125,57 @@ def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> Cas
 def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
     """Return the recordings without copies, and a sentence on each copy.
 
-    In a copy, more than half of the frames have the readings of an earlier recording in single precision. Its frames
-    would count twice.
+    In a copy, more than half of the frames have the readings of an earlier recording in single
+    precision. Its frames would count twice.
     """
     seen: dict[str, set[bytes]] = {}
     copies: list[str] = []
     for name, cases in recordings.items():
-        frames = [np.float32(frame).tobytes() for frame in first_of(cases).measured if np.isfinite(frame).any()]
-        copied = (earlier for earlier, held in seen.items() if sum(frame in held for frame in frames) > len(frames) / 2)
+        frames = [
+            np.float32(frame).tobytes()
+            for frame in first_of(cases).measured
+            if np.isfinite(frame).any()
+        ]
+        copied = (
+            earlier
+            for earlier, held in seen.items()
+            if sum(frame in held for frame in frames) > len(frames) / 2
+        )
         before = next(copied, None)
         if before is None:
             seen[name] = set(frames)
         else:
-            copies.append(f"{name}, whose readings are those of {before}: a copy does not count again")
+            copies.append(
+                f"{name}, whose readings are those of {before}: a copy does not count again"
+            )
     return {name: recordings[name] for name in seen}, copies
 
 
 def matched(recordings: Recordings) -> Matched:
     """Match estimators with recordings so that the number of paired differences is largest.
 
-    An estimator that failed in more than 5 % of the frames is left out, since it would profit from skipping hard ones.
-    Of the remaining ones, frames count that all solved.
+    An estimator that failed in more than 5 % of the frames is left out, since it would profit from
+    skipping hard ones. Of the remaining ones, frames count that all solved.
     """
     originals, left_out = without_copies(recordings)
     often = Counter(name for cases in originals.values() for name in cases)
-    # Sets of estimators with at least `least` recordings each; the number of paired differences is (estimators − 1) ·
-    # recordings.
+    # Sets of estimators with at least `least` recordings each; the number of paired differences is
+    # (estimators − 1) · recordings.
     options = []
     for least in sorted(set(often.values()), reverse=True):
         known = [name for name, count in often.items() if count >= least]
-        options.append((known, {name: cases for name, cases in originals.items() if {*known} <= cases.keys()}))
+        options.append(
+            (known, {name: cases for name, cases in originals.items() if {*known} <= cases.keys()})
+        )
     names, common = max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
     fewer = [name for name in often if name not in names]
     if fewer:
         left_out.append(f"{listed(fewer)}, without results of the same recordings")
     if len(common) < len(originals):
-        left_out.append(f"{len(originals) - len(common)} of {len(originals)} recordings lack some of the estimators")
+        left_out.append(
+            f"{len(originals) - len(common)} of {len(originals)} recordings lack some of the "
+            "estimators"
+        )
     for name in tuple(names) if common else ():
         solved = np.concatenate([cases[name].solved for cases in common.values()])
         if np.mean(solved) < 0.95:
@@ -177,13 +200,18 @@ class Interval:
 
 
 def mean_interval(values: Array, parts: int) -> Interval:
-    """Return the mean of values, shape (units,), with the interval x̄ ± t·s/√n of the means of n successive parts.
+    """Return the mean of values, shape (units,), with its interval x̄ ± t·s/√n.
 
-    Infinite for a single part. Source: Schmeiser, Oper. Res. 30, 1982 (batch means).
+    The interval is that of the means of n successive parts. Infinite for a single part. Source:
+    Schmeiser, Oper. Res. 30, 1982 (batch means).
     """
     mean = float(np.mean(values))
     means = [part.mean() for part in np.array_split(values, parts)]
-    reach = float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts)) if parts > 1 else np.inf
+    reach = (
+        float(student_two_sided(parts - 1) * np.std(means, ddof=1) / np.sqrt(parts))
+        if parts > 1
+        else np.inf
+    )
     return Interval(mean, mean - reach, mean + reach)
 
 
@@ -280,18 +308,21 @@ class Comparison:
 
 
 def log_error(case: CaseResult) -> Array:
-    """Return 100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN for failed frames. Requires the truth."""
+    """Return 100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN for failed frames.
+
+    Requires the truth.
+    """
     assert case.truth is not None
     return np.asarray(100 * np.abs(np.log(case.cell_resistance / case.truth)))
 
 
 def predicted(case: CaseResult) -> Array:
-    """Return Mallows' C, min(z², 25) + 2·resolution with z = (model − measured)/σ, (frames, rows, columns).
+    """Return Mallows' C, min(z², 25) + 2·resolution with z = (model − measured)/σ.
 
-    Its mean is the expected squared deviation of new readings from the model in units of σ²: 1 for the right model, 2
-    for one that follows every reading. The trace of the averaging kernel equals that of the readings' influence on
-    their own prediction. |z| is limited to 5, so that few outliers do not decide. Source: Mallows, Technometrics 15,
-    1973.
+    Shape (frames, rows, columns). Its mean is the expected squared deviation of new readings from
+    the model in units of σ²: 1 for the right model, 2 for one that follows every reading. The trace
+    of the averaging kernel equals that of the readings' influence on their own prediction. |z| is
+    limited to 5, so that few outliers do not decide. Source: Mallows, Technometrics 15, 1973.
     """
     assert case.resolution is not None
     return np.asarray(np.minimum(weighted_residual(case) ** 2, 25.0) + 2 * case.resolution)
@@ -307,7 +338,8 @@ CELL_ERROR = Criterion(
 PREDICTION = Criterion(
     "prediction error",
     "σ²",
-    "expected squared deviation of new readings from those of the estimated cells, in units of their variance "
+    "expected squared deviation of new readings from those of the estimated cells, in units of "
+    "their variance "
     "(Mallows' C); the truth is unknown",
     predicted,
     np.nanmean,
@@ -317,9 +349,9 @@ PREDICTION = Criterion(
 def comparison_of(batch: Batch) -> Comparison | None:
     """Compare estimators by the best criterion that the results allow.
 
-    This is the error against the truth, or else the predicted error of new readings, which requires their noise and the
-    resolution. None if neither is known, since the data error grows with every penalty, good or bad; or if no two
-    estimators share a frame.
+    This is the error against the truth, or else the predicted error of new readings, which requires
+    their noise and the resolution. None if neither is known, since the data error grows with every
+    penalty, good or bad; or if no two estimators share a frame.
     """
     known = {
         name: cases
@@ -339,7 +371,11 @@ def comparison_of(batch: Batch) -> Comparison | None:
     values = _values(match, criterion.per_cell, criterion.average)
     parts = min(len(values), MAX_PARTS) if single else len(values)
     # geometric mean over the units of the median time per frame
-    times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
+    times = np.exp(
+        _values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(
+            axis=0
+        )
+    )
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins = np.sum(values == values.min(axis=1, keepdims=True), axis=0)
     standings = []
@@ -347,28 +383,40 @@ def comparison_of(batch: Batch) -> Comparison | None:
         chosen_values = values[:, number]
         best = values[:, order[0]]
         intervals = mean_interval(chosen_values, parts), mean_interval(chosen_values - best, parts)
-        standings.append(Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number])))
+        standings.append(
+            Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number]))
+        )
     return Comparison(criterion, match, units, values, tuple(standings))
 
 
-def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Array:
+def _values(
+    match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]
+) -> Array:
     """Return averages over the cells of the matched frames, shape (units, estimators)."""
     columns = []
     for name in match.estimators:
         pairs_of = zip(match.cases(name), match.chosen, strict=True)
-        chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
+        chosen = [
+            per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of
+        ]
         single = average(chosen[0], axis=1)
         columns.append(single if len(chosen) == 1 else np.array([average(part) for part in chosen]))
     return np.stack(columns, axis=1)
 
 
 def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
-    """Return the weights of the penalties, such as 'gradient λ = 0.001', as median and range if they differ."""
+    """Return the weights of the penalties, such as 'gradient λ = 0.001'.
+
+    If they differ, they are given as median and range.
+    """
     by_term: dict[str, list[Array]] = {}
     for weights in cases:
         for term, values in weights.items():
             by_term.setdefault(term.replace("_", " "), []).append(values)
-    texts = {term: median_text(np.concatenate(arrays), "{:.3g}".format) for term, arrays in by_term.items()}
+    texts = {
+        term: median_text(np.concatenate(arrays), "{:.3g}".format)
+        for term, arrays in by_term.items()
+    }
     parts = [f"{term} λ = {text or NONE}" for term, text in texts.items() if term != "misfit"]
     return ", ".join(parts) or ("no penalty" if by_term else "")
 
@@ -386,7 +434,8 @@ class Advice:
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     """Recommend the fastest of the estimators whose criterion is within 5 % of the smallest one.
 
-    This margin does not depend on the significance of the difference. A larger error is not outweighed by speed.
+    This margin does not depend on the significance of the difference. A larger error is not
+    outweighed by speed.
     """
     match = comparison.match if comparison else matched(batch.recordings)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
@@ -394,7 +443,10 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         headline = "These results cannot rank the estimators."
         gap = "No two estimators solved the same frames."
         if len(match.estimators) > 1 and match.recordings:
-            gap = "A ranking needs the true cells, or the noise of the readings and the resolution. Neither is known."
+            gap = (
+                "A ranking needs the true cells, or the noise of the readings and the "
+                "resolution. Neither is known."
+            )
         return Advice(None, headline, (gap,), left_out)
     warnings = left_out
     if comparison.over_frames:
@@ -402,7 +454,9 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         warnings = (only, *left_out)
     best = comparison.standings[0]
     # Differences of 5 % are invisible in maps and forces.
-    similar = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
+    similar = [
+        row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value
+    ]
     taken = min(similar, key=lambda row: row.milliseconds)
     if best.milliseconds < 1.1 * taken.milliseconds:  # no practical gain
         taken = best
@@ -421,11 +475,20 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     criterion = comparison.criterion
     units = len(comparison.units)
     points = criterion.difference_unit
-    basis = f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
+    basis = (
+        f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
+    )
     if comparison.over_frames:
         basis = f"mean over {counted(units, 'frame')} of one recording"
-    yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
-    differences = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
+    yield (
+        f"{best.estimator} has the smallest {criterion.name}: "
+        f"{between(best.mean, criterion.unit)}, {basis}."
+    )
+    differences = [
+        f"{row.estimator} ({between(row.difference, points, '+')})"
+        for row in alike
+        if row is not best
+    ]
     if differences:
         yield f"Within 5 % of it: {listed(differences)}."
     if taken is not best:
@@ -437,10 +500,17 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
         yield f"The error is larger, in {points}, with {listed(texts)}."
     for row in worse:
         if not row.told_apart:
-            ends = f"95 % interval {digits(row.difference.lower)} to {digits(row.difference.upper)} {points}"
-            yield f"The difference between {row.estimator} and {best.estimator} is not significant ({ends})."
+            ends = (
+                f"95 % interval {digits(row.difference.lower)} to "
+                f"{digits(row.difference.upper)} {points}"
+            )
+            yield (
+                f"The difference between {row.estimator} and {best.estimator} is not significant "
+                f"({ends})."
+            )
     if criterion is PREDICTION:
         yield (
-            "The truth is unknown. The ranking uses the error with which new readings would be predicted, which "
+            "The truth is unknown. The ranking uses the error with which new readings would be "
+            "predicted, which "
             "depends on the noise that the results state."
         )

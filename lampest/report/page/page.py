@@ -14,7 +14,14 @@ from lampest.files.errors import counted
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.compare import MAX_SHOWN, MIN_DIFFERENCE, Table, figures_of, statistics, weighted_residual
+from lampest.report.compare import (
+    MAX_SHOWN,
+    MIN_DIFFERENCE,
+    Table,
+    figures_of,
+    statistics,
+    weighted_residual,
+)
 from lampest.report.page import compared
 from lampest.report.page.compared import HARD, NONE, Batch, Comparison, between, weights_text
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Plot, ResidualPlot
@@ -37,7 +44,8 @@ def write_report(
 ) -> None:
     """Write the report of some results files; the same files give the same bytes.
 
-    Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be written.
+    Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be
+    written.
 
     Parameters
     ----------
@@ -53,18 +61,26 @@ def write_report(
     write_whole(out, report(compared.read_batch(paths, frames), on_recording))
 
 
-def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
+def report(
+    batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None
+) -> str:
     """Return the page as HTML; on_recording : as in `write_report`."""
     distinct, _ = compared.without_copies(batch.recordings)
     comparison = compared.comparison_of(batch)
     advice = compared.advise(batch, comparison)
-    by_estimator = {name: [cases[name] for cases in distinct.values() if name in cases] for name in batch.estimators}
+    by_estimator = {
+        name: [cases[name] for cases in distinct.values() if name in cases]
+        for name in batch.estimators
+    }
     if advice.estimator is not None:
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
     drawn = [*dict.fromkeys((*first, *batch.estimators))][:MAX_SHOWN]
-    tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(batch.recordings.items())]
+    tasks = [
+        (name, cases, number, drawn)
+        for number, (name, cases) in enumerate(batch.recordings.items())
+    ]
     sections = each_of(_section, tasks, on_recording)
     return filled(
         "lampest.report.page",
@@ -77,21 +93,32 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         whole=sections[:MAX_SHOWN],
         others=sections[MAX_SHOWN:],
         most=MAX_SHOWN,
-        origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
+        origins={
+            name: case
+            for cases in [*batch.recordings.values()][::-1]
+            for name, case in cases.items()
+        },
         counted=counted,
         digits=digits,
     )
 
 
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
-    """Return the content of a recording's section: contours and a table; for the first ones, all figures."""
+    """Return the content of a recording's section: contours and a table.
+
+    For the first recordings it has all figures.
+    """
     name, by_estimator, number, drawn = task
     in_full = number < MAX_SHOWN
-    cases = [case for estimator, case in by_estimator.items() if estimator in drawn] or [*by_estimator.values()][:1]
+    cases = [case for estimator, case in by_estimator.items() if estimator in drawn] or [
+        *by_estimator.values()
+    ][:1]
     place = strongest_index(cases)
     pairs = disagreements(cases) if in_full else ()
     with verbatim():
-        words = f"Maps of relative change of {name}: measured, by every estimator, and true where known"
+        words = (
+            f"Maps of relative change of {name}: measured, by every estimator, and true where known"
+        )
         shown = wide(ContourPlot(), cases, words)
         if in_full:
             frame = int(cases[0].frame[place])
@@ -145,12 +172,19 @@ def wide(plot: Plot, cases: Sequence[CaseResult], words: str) -> list[Illustrati
     return [Illustration(plot.kind, data_uri(plot.draw(drawable)), words)] if drawable else []
 
 
-def differences(cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]) -> list[Illustration]:
+def differences(
+    cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]
+) -> list[Illustration]:
     """Draw maps of the pairs that differ most, of half the width."""
-    tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in pairs[:9]]
+    tiles = [
+        Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %")
+        for pair in pairs[:9]
+    ]
     if not tiles:
         return []
-    scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
+    scale = signed_scale(
+        values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0
+    )
     uri = data_uri(maps_figure(tiles, cases[0].scene.panel, scale, width=WIDTH_INCH / 2))
     return [Illustration("differences", uri, "Maps of significant differences", len(pairs))]
 
@@ -163,10 +197,16 @@ def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
     known = [[figures(case) for case in cases] for cases in groups.values()]
     rows = [
         ("frames at a verified optimum", *map(_optima, groups.values())),
-        ("weights", *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values())),
+        (
+            "weights",
+            *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values()),
+        ),
     ]
     for line in dict.fromkeys(line for column in known for case in column for line in case):
-        values = [[case[line] for case in column if isinstance(case.get(line), int | float)] for column in known]
+        values = [
+            [case[line] for case in column if isinstance(case.get(line), int | float)]
+            for column in known
+        ]
         rows.append((line, *map(_figure, values)))
     return Table(("", *groups), tuple(row for row in rows if set(row[1:]) != {NONE}))
 
@@ -181,7 +221,10 @@ def _figure(values: Sequence[float]) -> str:
 
 
 def _optima(cases: Sequence[CaseResult]) -> str:
-    """Return the number of frames at a verified optimum, such as '21 of 22 (1 to 7 starts each)'."""
+    """Return the number of frames at a verified optimum.
+
+    An example is '21 of 22 (1 to 7 starts each)'.
+    """
     known = [case.local_optima for case in cases if case.local_optima is not None]
     if not known:
         return NONE
@@ -227,13 +270,18 @@ def standing_table(comparison: Comparison) -> Table:
             ratio = digits(first.milliseconds / row.milliseconds, 2)
             verdict = "significant" if row.told_apart else "not significant"
         speed = digits(row.milliseconds)
-        rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio))
+        rows.append(
+            (row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio)
+        )
     return Table(headers, tuple(rows))
 
 
 def unit_table(comparison: Comparison) -> Table:
     """Return a table of the criterion by unit, with the smallest values highlighted."""
-    rows = [(unit, *map(digits, values)) for unit, values in zip(comparison.units, comparison.values, strict=True)]
+    rows = [
+        (unit, *map(digits, values))
+        for unit, values in zip(comparison.units, comparison.values, strict=True)
+    ]
     smallest = np.argwhere(comparison.values == comparison.values.min(axis=1, keepdims=True))
     best = frozenset((int(row), int(column) + 1) for row, column in smallest)
     return Table(("", *comparison.match.estimators), tuple(rows), best=best)
@@ -241,9 +289,10 @@ def unit_table(comparison: Comparison) -> Table:
 
 @np.errstate(over="ignore")
 def figures(case: CaseResult) -> dict[str, Any]:
-    """Map lines of a table to figures of a case: those of `lampest compare`, of noise and of intervals.
+    """Map lines of a table to figures of a case.
 
-    Counts are int; None if unknown.
+    The figures are those of `lampest compare`, of noise and of intervals. Counts are int; None if
+    unknown.
     """
     residual = weighted_residual(case)
     lower = case.cell_resistance_lower
@@ -256,67 +305,91 @@ def figures(case: CaseResult) -> dict[str, Any]:
         known |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")
         known["95 % intervals with an open end"] = int(np.sum(np.isinf(widths)))
         if case.truth is not None:
-            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved][np.isfinite(case.truth[case.solved])]
+            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved][
+                np.isfinite(case.truth[case.solved])
+            ]
             known[COVERED] = 100 * float(np.mean(within)) if within.size else None
-    known |= statistics(case.data_share, "share of an estimate that comes from the data, {} [1]", "median")
+    known |= statistics(
+        case.data_share, "share of an estimate that comes from the data, {} [1]", "median"
+    )
     known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
     known["saturated cells"] = None if case.saturated is None else int(np.sum(case.saturated != 0))
     return known | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
 
 
 def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return warnings about the recommended estimator: residuals beyond the noise and wrong error bars.
+    """Return warnings about the recommended estimator.
+
+    They concern residuals beyond the noise and wrong error bars.
 
     recordings : its `figures` of each recording.
     """
     lines = SPREAD, COVERED
-    spreads, coverages = ([by_line[line] for by_line in recordings if by_line.get(line) is not None] for line in lines)
+    spreads, coverages = (
+        [by_line[line] for by_line in recordings if by_line.get(line) is not None] for line in lines
+    )
     spread = float(np.median(spreads or [1.0]))
     coverage = float(np.mean(coverages or [100.0]))
     sentences = []
     if spread > 1.5:
         sentences.append(
-            f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
-            "larger than the scene states, an effect is missing in the model, or the penalty is too strong."
+            f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the "
+            "readings: the noise is "
+            "larger than the scene states, an effect is missing in the model, or the penalty is "
+            "too strong."
         )
     if coverage < 90:
         sentences.append(
-            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of the cells: an effect "
+            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of "
+            "the cells: an effect "
             "is missing in the scene, or the penalty does not suit these loads."
         )
     return tuple(sentences)
 
 
 def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
-    """Return the significant differences of each pair of cases with error bars, the largest share first.
+    """Return the significant differences of each pair of cases with error bars.
 
-    For a > b the difference is significant if a − b > √((a − a_low)² + (b_high − b)²), which is exact for independent
-    errors. Source: Zou and Donner, Stat. Med. 27, 2008.
+    The largest share comes first. For a > b the difference is significant if a − b > √((a − a_low)²
+    + (b_high − b)²), which is exact for independent errors. Source: Zou and Donner, Stat. Med. 27,
+    2008.
     """
     known = []
     for case in cases:
         lower = case.relative_change_lower
         upper = case.relative_change_upper
-        if lower is not None and upper is not None:  # distances to the ends of the interval, never negative
-            arms = np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)
+        # Distances to the ends of the interval, never negative.
+        if lower is not None and upper is not None:
+            arms = (
+                np.maximum(case.relative_change - lower, 0.0),
+                np.maximum(upper - case.relative_change, 0.0),
+            )
             known.append((case, arms))
     pairs = []
-    for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
+    for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(
+        known, 2
+    ):
         both = first.solved & second.solved
         difference = first.relative_change - second.relative_change
         # half width of the interval of the difference towards zero
-        reach = np.where(difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below))
+        reach = np.where(
+            difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below)
+        )
         significant = np.where(np.abs(difference) > reach, difference, np.nan)
         if np.any(both):
             share = 100 * float(np.mean(np.isfinite(significant[both])))
-            pairs.append(Disagreement(f"{first.estimator} − {second.estimator}", significant, share))
+            pairs.append(
+                Disagreement(f"{first.estimator} − {second.estimator}", significant, share)
+            )
     return tuple(sorted(pairs, key=lambda pair: -pair.share))
 
 
 def frames_text(frames: Sequence[int]) -> str:
     """Return frame numbers such as '3, 5 to 7'."""
     runs = np.split(np.asarray(frames), np.flatnonzero(np.diff(frames) != 1) + 1)
-    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+    return ", ".join(
+        f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs
+    )
 
 
 def filled(package: str, **values: Any) -> str:
@@ -327,6 +400,10 @@ def filled(package: str, **values: Any) -> str:
         return files(home).joinpath(name).read_text(encoding="utf-8")
 
     environment = Environment(
-        loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FunctionLoader(source),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     return environment.get_template("page.html").render(**values)

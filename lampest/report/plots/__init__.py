@@ -1,6 +1,7 @@
-"""Pictures of results, without any solve. To add one, write its `Plot` into a file here and add it to PLOTS.
+"""Pictures of results, without any solve.
 
-A package adds plots by naming them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
+To add one, write its `Plot` into a file here and add it to PLOTS. A package adds plots by naming
+them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +30,14 @@ from lampest.report.plots.contours import (
     SweepPlot,
     swept_numbers,
 )
-from lampest.report.plots.maps import MapPainter, Tile, banded_scale, limited, log_scale, maps_figure
+from lampest.report.plots.maps import (
+    MapPainter,
+    Tile,
+    banded_scale,
+    limited,
+    log_scale,
+    maps_figure,
+)
 from lampest.report.plots.style import PICTURES, SUFFIXES, WIDTH_INCH, save, verbatim, write_all
 from lampest.report.strongest import mean_reading, percent_change, strongest_readings
 from lampest.runs.columns import Column
@@ -47,7 +55,10 @@ PLOTS: tuple[Plot, ...] = (
 
 
 def plot_of(kind: str) -> Plot:
-    """Return the plot of a kind, of lampest or an installed package. Raises InputError for none and for two."""
+    """Return the plot of a kind, of lampest or an installed package.
+
+    Raises InputError for none and for two.
+    """
     plots: tuple[Plot, ...] = (*PLOTS, *installed("lampest.plots", Plot))
     return of_kind(kind, "plot", plots)
 
@@ -74,7 +85,8 @@ def plot_results(
     out : path, optional
         Folder, by default that of the results, or a .png, .svg or .pdf file for a single picture.
     show : str or Plot, optional
-        Kind of plot; by default ``sweep`` after a sweep of numbers, unless a frame is named, and else ``contours``.
+        Kind of plot; by default ``sweep`` after a sweep of numbers, unless a frame is named, and
+        else ``contours``.
     columns : sequence of Column
         As in `read_results`.
     on_picture : callable
@@ -94,8 +106,8 @@ def plot_results(
     Raises
     ------
     InputError
-        For an unknown plot, frame, recording or estimator, unreadable results, nothing to draw, or a place that cannot
-        be written.
+        For an unknown plot, frame, recording or estimator, unreadable results, nothing to draw, or
+        a place that cannot be written.
 
     Examples
     --------
@@ -112,17 +124,24 @@ def plot_results(
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     if plot is None:
-        plot = _chosen("sweep" if frame is None and swept_numbers(results.cases) else "contours", frame)
-    pictures = {name: cases for name in results.recordings() if (cases := plot.drawable(results.of(name)))}
+        plot = _chosen(
+            "sweep" if frame is None and swept_numbers(results.cases) else "contours", frame
+        )
+    pictures = {
+        name: cases for name in results.recordings() if (cases := plot.drawable(results.of(name)))
+    }
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
     if single is not None and len(pictures) > 1:
         names = ", ".join([*pictures][:3]) + ", …" * (len(pictures) > 3)
         raise InputError(
-            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose a recording, or name a folder"
+            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose a recording, or "
+            "name a folder"
         )
     ending = "" if frame is None else f"_frame{frame}"
-    files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}.png" for name in pictures]
+    files = [
+        single or (target or path.parent) / f"{plot.kind}_{name}{ending}.png" for name in pictures
+    ]
     drawn = [
         partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
         for cases in pictures.values()
@@ -131,7 +150,10 @@ def plot_results(
 
 
 def _picture_file(target: Path) -> Path | None:
-    """Return the file of a single picture; None for a folder. Raises InputError for a picture of another format."""
+    """Return the file of a single picture; None for a folder.
+
+    Raises InputError for a picture of another format.
+    """
     if target.suffix in SUFFIXES:
         return target
     kind = guess_type(target)[0] or ""
@@ -141,8 +163,15 @@ def _picture_file(target: Path) -> Path | None:
 
 
 def _frames_to_read(path: Path, frame: int | None, frames: range | None) -> range | None:
-    """Return the frames of results that are read: of recordings too long for memory the drawn one alone."""
-    if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
+    """Return the frames of results that are read.
+
+    Of recordings too long for memory this is the drawn one alone.
+    """
+    if (
+        frames is None
+        and frame is not None
+        and any(too_long(case.frames, case.cells) for case in stored_cases(path))
+    ):
         return range(frame, frame + 1)
     return frames
 
@@ -150,7 +179,8 @@ def _frames_to_read(path: Path, frame: int | None, frames: range | None) -> rang
 def plot_file(path: Path, picture: Path) -> Path:
     """Draw the strongest frame of a recording or of results; return the file of the picture.
 
-    Raises InputError for an unreadable file, a recording without unloaded frames, or a place that cannot be written.
+    Raises InputError for an unreadable file, a recording without unloaded frames, or a place that
+    cannot be written.
     """
     if hdf5.format_of(path) == FORMAT:
         return plot_results(path, picture, recordings=[stored_cases(path)[0].recording])[0]
@@ -213,7 +243,10 @@ def picture(
 
 
 def drawable_axes(ax: Axes, figsize: tuple[float, float] | None) -> Axes:
-    """Return given axes. Raises InputError for anything else, and beside a size, which their figure has."""
+    """Return given axes.
+
+    Raises InputError for anything else, and beside a size, which their figure has.
+    """
     if not isinstance(ax, Axes):
         raise InputError(f"ax must be Matplotlib's Axes, not {in_words(ax)}")
     if figsize is not None:
@@ -246,19 +279,24 @@ def recording_picture(
     vmin: float | None = None,
     vmax: float | None = None,
 ) -> Figure:
-    """Draw a map of a frame's readings: their change against the unloaded ones, or, without these, the readings.
+    """Draw a map of a frame's readings.
 
-    Arguments are those of `picture`; by default the frame of strongest change, or the first. Raises InputError for an
-    unknown frame.
+    It shows their change against the unloaded ones, or, without these, the readings. Arguments are
+    those of `picture`; by default the frame of strongest change, or the first. Raises InputError
+    for an unknown frame.
     """
     if frame is not None and not 0 <= frame < len(recording.time):
-        raise InputError(f"{recording.name}: there is no frame {frame}; there are 0 to {len(recording.time) - 1}")
+        raise InputError(
+            f"{recording.name}: there is no frame {frame}; there are 0 to {len(recording.time) - 1}"
+        )
     strongest = strongest_readings(recording)
     number = frame if frame is not None else 0 if strongest is None else strongest[0]
     values = recording.recorded[number]
     note = f"readings of frame {number} at {recording.time[number]:g} s"
     if strongest is None:
-        scale = log_scale([values], f"reading [{recording.scene.circuit.unit}]", (1e-3, 1e12), "viridis_r")
+        scale = log_scale(
+            [values], f"reading [{recording.scene.circuit.unit}]", (1e-3, 1e12), "viridis_r"
+        )
     else:
         resting = mean_reading(recording.recorded[recording.role == UNLOADED])
         values = percent_change(values, resting)
@@ -267,7 +305,9 @@ def recording_picture(
     tile = Tile(recording.name, values, note)
     with verbatim():
         if ax is None:
-            return sized(maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), figsize)
+            return sized(
+                maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), figsize
+            )
         painter = MapPainter(recording.scene.panel, scale)
         painter.draw(drawable_axes(ax, figsize), tile)
         painter.bar(ax.figure, ax, "right")

@@ -42,7 +42,8 @@ class Plot(Validated):
     frame : int or None
         Index into the recording; None for the frame chosen by `strongest_index`.
     vmin, vmax : float or None
-        Ends of the colour scale, or of the vertical axis, in its unit; None for those of the values.
+        Ends of the colour scale, or of the vertical axis, in its unit; None for those of the
+        values.
 
     Examples
     --------
@@ -62,12 +63,17 @@ class Plot(Validated):
         """Draw the cases of a recording that have the needed columns."""
 
     def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
-        """Draw the first case into given axes. Raises InputError if the plot has no single picture."""
+        """Draw the first case into given axes.
+
+        Raises InputError if the plot has no single picture.
+        """
         raise InputError(f"the plot {self.kind} has no picture for single axes")
 
     def drawable(self, cases: Sequence[CaseResult]) -> tuple[CaseResult, ...]:
         """Return the cases that have the needed columns."""
-        return tuple(case for case in cases if all(case.column(name) is not None for name in self.needs))
+        return tuple(
+            case for case in cases if all(case.column(name) is not None for name in self.needs)
+        )
 
     def shown(self, cases: Sequence[CaseResult]) -> tuple[int, str]:
         """Return the index of the shown frame among those of the cases, and a title.
@@ -87,24 +93,38 @@ class Plot(Validated):
 
 @dataclass(frozen=True)
 class MapsPlot(Plot):
-    """Maps of one frame: the measurement, each estimator, the truth; or rows of quantities of each estimator."""
+    """Maps of one frame: the measurement, each estimator, the truth.
+
+    Alternatively, rows of quantities of each estimator.
+    """
 
     @abstractmethod
-    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
-        """Return the maps of the cases' frame at that index, and one scale, one a row, or one a map."""
+    def maps(
+        self, cases: Sequence[CaseResult], index: int
+    ) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
+        """Return the maps of the cases' frame at that index, and their scales.
+
+        There is one scale, one a row, or one a map.
+        """
 
     contoured: ClassVar[bool] = False
     about: ClassVar[str] = ""
     main: ClassVar[int] = 0  # the map of the first case, which is drawn into given axes
 
     def _limited(self, scale: Scales) -> Scales:
-        """Return the scale, or all scales but a first one of the readings, between vmin and vmax."""
+        """Return the scale, or all scales but a first one of readings, between vmin and vmax."""
         if isinstance(scale, maps.Scale):
             return maps.limited(scale, self.vmin, self.vmax)
-        return [maps.limited(level, self.vmin, self.vmax) if n == self.main else level for n, level in enumerate(scale)]
+        return [
+            maps.limited(level, self.vmin, self.vmax) if n == self.main else level
+            for n, level in enumerate(scale)
+        ]
 
     def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
-        """Draw the map of the first case, with its colour bar. Raises InputError if the frame has no results."""
+        """Draw the map of the first case, with its colour bar.
+
+        Raises InputError if the frame has no results.
+        """
         index, _ = self.shown(cases[:1])
         scale, tiles = self.maps(cases[:1], index)
         level = self._limited(scale)
@@ -124,23 +144,31 @@ class MapsPlot(Plot):
         panel = cases[0].scene.panel
         title = "\n".join(filter(None, (title, misfit_text(cases))))
         scale = self._limited(scale)
-        return maps.maps_figure(tiles, panel, scale, title, contoured=self.contoured, about=self.about)
+        return maps.maps_figure(
+            tiles, panel, scale, title, contoured=self.contoured, about=self.about
+        )
 
 
 def misfit_text(cases: Sequence[CaseResult]) -> str:
-    """Return a sentence for the picture where the check of the circuit said no; '' where it did not."""
+    """Return a sentence for the picture where the check of the circuit said no.
+
+    '' where it did not.
+    """
     names = [case.estimator for case in cases if case.model_mark == "no"]
     whose = "" if len(names) == len(cases) else f" of {', '.join(names)}"
-    return f"wrong circuit: it does not explain the readings{whose}; see lampest info" if names else ""
+    return (
+        f"wrong circuit: it does not explain the readings{whose}; see lampest info" if names else ""
+    )
 
 
 @dataclass(frozen=True)
 class ChangePlot(MapsPlot):
-    """Maps of the change against the unloaded panel in percent: measured readings, each estimator's cells, the truth.
+    """Maps of the change against the unloaded panel in percent.
 
-    All have one scale, on which halves and doubles are equally strong. Each cell is a square. Where the truth is known,
-    a line surrounds the cells that changed, and each map names its error in ln(r/r_unloaded) as a part of the true
-    change: 100 % is that of a map without any change.
+    They show measured readings, each estimator's cells, the truth. All have one scale, on which
+    halves and doubles are equally strong. Each cell is a square. Where the truth is known, a line
+    surrounds the cells that changed, and each map names its error in ln(r/r_unloaded) as a part of
+    the true change: 100 % is that of a map without any change.
 
     >>> lampest.ChangePlot(frame=2).kind
     'change'
@@ -156,12 +184,17 @@ class ChangePlot(MapsPlot):
         if first.truth is not None and first.truth_baseline is not None:
             truth = percent_change(first.truth[index], first.truth_baseline)
 
-        def tile(name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None) -> maps.Tile:
+        def tile(
+            name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None
+        ) -> maps.Tile:
             note = _range(change) if truth is None or change is truth else _error(change, truth)
             outlined = None if truth is None else np.abs(truth) > CHANGED
             return maps.Tile(name, change, note, crosses, outlined=outlined)
 
-        readings = (as_recorded(value, first.scene) for value in (first.measured[index], first.measured_baseline))
+        readings = (
+            as_recorded(value, first.scene)
+            for value in (first.measured[index], first.measured_baseline)
+        )
         tiles = [tile("measured", percent_change(*readings))]
         for case in cases:
             change = case.relative_change[index] if case.solved[index] else None
@@ -172,7 +205,9 @@ class ChangePlot(MapsPlot):
 
 @dataclass(frozen=True)
 class ContourPlot(ChangePlot):
-    """The maps of `ChangePlot` with contours that interpolate between the cells. Source: paper, figure 8.
+    """The maps of `ChangePlot` with contours that interpolate between the cells.
+
+    Source: paper, figure 8.
 
     >>> lampest.ContourPlot(frame=2).kind
     'contours'
@@ -193,12 +228,19 @@ def _range(change: Array | None) -> str:
     if change is None:
         return ""
     known = change[np.isfinite(change)]
-    ends = [style.change_text(float(value), 10.0) for value in (known.min(), known.max())] if known.size else []
+    ends = (
+        [style.change_text(float(value), 10.0) for value in (known.min(), known.max())]
+        if known.size
+        else []
+    )
     return f"{' … '.join(ends)} %" if ends else "no number"
 
 
 def _error(change: Array | None, truth: Array) -> str:
-    """Return ‖x − x_true‖/‖x_true‖ of x = ln(r/r_unloaded) over the cells in words, such as 'error 7.2 %'."""
+    """Return ‖x − x_true‖/‖x_true‖ of x = ln(r/r_unloaded) over the cells in words.
+
+    An example is 'error 7.2 %'.
+    """
     if change is None:
         return ""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -210,9 +252,10 @@ def _error(change: Array | None, truth: Array) -> str:
 
 @dataclass(frozen=True)
 class ResistancePlot(MapsPlot):
-    """Maps of the resistance: measured readings, each estimator's cells, the truth; bright where it is low.
+    """Maps of the resistance: measured readings, each estimator's cells, the truth.
 
-    For recordings without unloaded frames. Each map has its own scale, since crosstalk lowers all readings.
+    They are bright where it is low. For recordings without unloaded frames. Each map has its own
+    scale, since crosstalk lowers all readings.
 
     >>> lampest.ResistancePlot().kind
     'resistance'
@@ -222,7 +265,9 @@ class ResistancePlot(MapsPlot):
     main: ClassVar[int] = 1
     about: ClassVar[str] = "bright: low resistance, loaded"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
+    def maps(
+        self, cases: Sequence[CaseResult], index: int
+    ) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return the maps, and a scale for each."""
         first = cases[0]
         named = [("measured", as_recorded(first.measured[index], first.scene))]
@@ -230,17 +275,26 @@ class ResistancePlot(MapsPlot):
         named += [] if first.truth is None else [("truth", first.truth[index])]
         relative = getattr(first.scene.readout, "reference_ohm", None) == 1
         unit = "in reference resistors" if relative else f"[{first.scene.circuit.unit}]"
-        tiles = [maps.Tile(name, values if np.isfinite(values).any() else None) for name, values in named]
-        label = [f"reading {unit}", *(f"resistance {unit.replace('volt', 'ohm')}" for _ in tiles[1:])]
+        tiles = [
+            maps.Tile(name, values if np.isfinite(values).any() else None) for name, values in named
+        ]
+        label = [
+            f"reading {unit}",
+            *(f"resistance {unit.replace('volt', 'ohm')}" for _ in tiles[1:]),
+        ]
         shown = zip(label, tiles, strict=True)
-        return [maps.log_scale(maps.values_of([tile]), text, (1e-3, 1e12), "viridis_r") for text, tile in shown], tiles
+        return [
+            maps.log_scale(maps.values_of([tile]), text, (1e-3, 1e12), "viridis_r")
+            for text, tile in shown
+        ], tiles
 
 
 @dataclass(frozen=True)
 class ResidualPlot(MapsPlot):
-    """Maps of the residuals: readings of each estimator's cells less the measured ones, in standard deviations.
+    """Maps of the residuals, in standard deviations.
 
-    In percent of the reading where the noise is unknown. Cells that explain the readings leave noise of about 1. A
+    Residuals are the readings of each estimator's cells less the measured ones. In percent of the
+    reading where the noise is unknown. Cells that explain the readings leave noise of about 1. A
     pattern names a model that is wrong, or a penalty that is too strong.
 
     >>> lampest.ResidualPlot().kind
@@ -266,7 +320,9 @@ class ResidualPlot(MapsPlot):
             shown = residual[index] if case.solved[index] else None
             rms = np.nan if shown is None else float(np.sqrt(np.nanmean(shown**2)))
             size = f"< {MIN_DIFFERENCE}" if rms < MIN_DIFFERENCE else digits(rms, 2)
-            tiles.append(maps.Tile(case.estimator, shown, "" if shown is None else f"rms {size} {unit}"))
+            tiles.append(
+                maps.Tile(case.estimator, shown, "" if shown is None else f"rms {size} {unit}")
+            )
         return maps.signed_scale(maps.values_of(tiles), label, least), tiles
 
 
@@ -282,9 +338,13 @@ class CertaintyPlot(MapsPlot):
 
     kind: ClassVar[str] = "certainty"
     needs: ClassVar[tuple[str, ...]] = ("cell_resistance_errors", "resolution")
-    about: ClassVar[str] = "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
+    about: ClassVar[str] = (
+        "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
+    )
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
+    def maps(
+        self, cases: Sequence[CaseResult], index: int
+    ) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return rows of standard deviations, resolutions, and errors."""
         cases = cases[:MAX_ACROSS]
         cells = [case.cell_resistance[index] for case in cases]
@@ -297,8 +357,12 @@ class CertaintyPlot(MapsPlot):
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 logs = [100 * np.log(estimate / truth[index]) for estimate in cells]
-                ratios = [error / deviation for error, deviation in zip(logs, deviations, strict=True)]
-            scales.append(maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0))
+                ratios = [
+                    error / deviation for error, deviation in zip(logs, deviations, strict=True)
+                ]
+            scales.append(
+                maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0)
+            )
             values += ratios
         titles = [case.estimator for case in cases] + [""] * (len(values) - len(cases))
         return scales, [maps.Tile(title, tile) for title, tile in zip(titles, values, strict=True)]
@@ -308,7 +372,8 @@ class CertaintyPlot(MapsPlot):
 class PressurePlot(MapsPlot):
     """Maps of pressure and of half its 95 % interval of every estimator.
 
-    Crosses mark cells whose pressure the response cannot determine. The scales are the same for all recordings.
+    Crosses mark cells whose pressure the response cannot determine. The scales are the same for all
+    recordings.
 
     >>> lampest.PressurePlot().kind
     'pressure'
@@ -316,14 +381,20 @@ class PressurePlot(MapsPlot):
 
     kind: ClassVar[str] = "pressure"
     needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
-    hint: ClassVar[str] = "add the film's response to the scene, such as response: {kind: published}, and run again"
+    hint: ClassVar[str] = (
+        "add the film's response to the scene, such as response: {kind: published}, and run again"
+    )
     about: ClassVar[str] = "grey: no number"
 
-    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
+    def maps(
+        self, cases: Sequence[CaseResult], index: int
+    ) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return rows of pressures and half widths of their intervals."""
         steps = (0.5, 1, 2, 5, 10, 20, 40)
         ticks = (-40, -10, -2, -0.5, 1, 5, 20)
-        signed = maps.stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING)
+        signed = maps.stepped_scale(
+            steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING
+        )
         label = "half the 95 % interval [kPa]"
         decades = (0.1, 1.0, 10.0, 100.0)
         widths = maps.Scale(LogNorm(0.1, 100), colormaps["YlGnBu"], label, decades)
@@ -331,7 +402,8 @@ class PressurePlot(MapsPlot):
         halves = []
         for case in cases[:MAX_ACROSS]:
             pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
-            half = np.clip((upper - lower) / 2, 0.05, 200)  # none and infinite: beyond the scale, not missing
+            # None and infinite: beyond the scale, not missing.
+            half = np.clip((upper - lower) / 2, 0.05, 200)
             pressures.append(maps.Tile(case.estimator, pressure, "", saturated != 0, "saturated"))
             halves.append(replace(pressures[-1], title="", values=half))
         return [signed, widths], pressures + halves
@@ -346,10 +418,11 @@ DECADE = 10.0  # ratio of swept values from which their axis is logarithmic
 
 @dataclass(frozen=True)
 class SweepPlot(Plot):
-    """Errors of cells (where the truth is known) and of readings over each swept number, a line for each estimator.
+    """Errors of cells and of readings over each swept number, a line for each estimator.
 
-    An estimator that was swept over further keys has a line for each of their values. Dashed: estimators without
-    swept numbers. Errors below 0.001 % are drawn there. Of all solved frames.
+    Errors of cells are drawn where the truth is known. An estimator that was swept over further
+    keys has a line for each of their values. Dashed: estimators without swept numbers. Errors below
+    0.001 % are drawn there. Of all solved frames.
 
     >>> lampest.SweepPlot().kind
     'sweep'
@@ -365,13 +438,21 @@ class SweepPlot(Plot):
         """Draw a column for each swept key and a row for each quantity."""
         keys = swept_numbers(cases)
         figures = [figures_of(case, case.solved) for case in cases]
-        quantities = [name for name in QUANTITIES if any(figure[name] is not None for figure in figures)]
+        quantities = [
+            name for name in QUANTITIES if any(figure[name] is not None for figure in figures)
+        ]
         figure = style.new_figure(0.7 + 2.1 * len(quantities))
-        grid = figure.subplots(len(quantities), len(keys), squeeze=False, sharex="col", sharey="row")
+        grid = figure.subplots(
+            len(quantities), len(keys), squeeze=False, sharex="col", sharey="row"
+        )
         for axes_row, name in zip(grid, quantities, strict=True):
             for axes, key in zip(axes_row, keys, strict=True):
                 _draw_lines(axes, key, cases, [values[name] for values in figures])
-                style.dressed(axes, key if name == quantities[-1] else "", QUANTITIES[name] if key == keys[0] else "")
+                style.dressed(
+                    axes,
+                    key if name == quantities[-1] else "",
+                    QUANTITIES[name] if key == keys[0] else "",
+                )
                 axes.set_ylim(self.vmin, self.vmax)
         style.shared_legend(figure, grid, "lower center", ncols=3)
         return style.labelled(figure, "", "", cases[0].recording)
@@ -379,7 +460,9 @@ class SweepPlot(Plot):
     def draw_on(self, axes: Axes, cases: Sequence[CaseResult]) -> None:
         """Draw the first quantity over the first swept key."""
         figures = [figures_of(case, case.solved) for case in cases]
-        name = next(name for name in QUANTITIES if any(figure[name] is not None for figure in figures))
+        name = next(
+            name for name in QUANTITIES if any(figure[name] is not None for figure in figures)
+        )
         key = swept_numbers(cases)[0]
         _draw_lines(axes, key, cases, [values[name] for values in figures])
         style.dressed(axes, key, QUANTITIES[name])
@@ -397,8 +480,13 @@ def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
     return tuple(key for key, values in numbers.items() if len(values) > 1)
 
 
-def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Sequence[float | None]) -> None:
-    """Draw the errors of cases over the values of a key; a dashed line for an estimator without swept numbers."""
+def _draw_lines(
+    axes: Axes, key: str, cases: Sequence[CaseResult], errors: Sequence[float | None]
+) -> None:
+    """Draw the errors of cases over the values of a key.
+
+    An estimator without swept numbers has a dashed line.
+    """
     estimators = list(dict.fromkeys(case.unswept_name for case in cases))
     keys = swept_numbers(cases)
     lines: dict[tuple[str, ...], list[tuple[Any, float]]] = {}
@@ -409,7 +497,11 @@ def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Seque
                 (case.swept.get(key), max(error, MIN_DIFFERENCE))
             )
     for name, points in lines.items():
-        look: dict[str, Any] = {"color": f"C{estimators.index(name[0]) % 10}", "lw": 1, "label": ", ".join(name)}
+        look: dict[str, Any] = {
+            "color": f"C{estimators.index(name[0]) % 10}",
+            "lw": 1,
+            "label": ", ".join(name),
+        }
         if points[0][0] is None:
             axes.axhline(points[0][1], ls="--", **look)
         else:

@@ -55,9 +55,15 @@ class Scale:
 
 
 def log_scale(
-    values: Sequence[Array], label: str, ends: tuple[float, float] = (0.1, 500.0), colours: str = "viridis"
+    values: Sequence[Array],
+    label: str,
+    ends: tuple[float, float] = (0.1, 500.0),
+    colours: str = "viridis",
 ) -> Scale:
-    """Return a logarithmic scale between the round numbers about the 1st and 99th percentile, within `ends`."""
+    """Return a logarithmic scale between round numbers, within `ends`.
+
+    These are the round numbers about the 1st and 99th percentile.
+    """
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
     low, high = np.percentile(numbers, [1, 99]) if numbers.size else (1.0, 10.0)
@@ -82,26 +88,38 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
     """
     limit = next((step for step in style.round_numbers(1, 100) if step >= _reach(values)), 100.0)
     ticks = np.linspace(-limit, limit, 11).tolist()
-    return stepped_scale((np.arange(1, 11) * limit / 10).tolist(), f"{label} (ends at ±{limit:g} %)", ticks)
+    return stepped_scale(
+        (np.arange(1, 11) * limit / 10).tolist(), f"{label} (ends at ±{limit:g} %)", ticks
+    )
 
 
 def change_scale(values: Sequence[Array], label: str) -> Scale:
     """Return bands of relative change in percent that show falls and rises alike.
 
-    Small changes have those of `banded_scale`. From 50 % on, where a fall ends at −100 % and a rise does not end, bands
-    are factors: the colour of half the value, −50 %, is as strong as that of twice the value, +100 %.
+    Small changes have those of `banded_scale`. From 50 % on, where a fall ends at −100 % and a rise
+    does not end, bands are factors: the colour of half the value, −50 %, is as strong as that of
+    twice the value, +100 %.
     """
     if _reach(values) <= 50:
         return banded_scale(values, label)
     factors = np.array(FACTORS)
     bounds = np.concatenate([100 / factors[::-1] - 100, 100 * factors - 100]).round()
-    return Scale(BoundaryNorm(bounds, colormaps[SIGNED].N, extend="both"), colormaps[SIGNED], label, bounds.tolist())
+    return Scale(
+        BoundaryNorm(bounds, colormaps[SIGNED].N, extend="both"),
+        colormaps[SIGNED],
+        label,
+        bounds.tolist(),
+    )
 
 
-def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
+def stepped_scale(
+    steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED
+) -> Scale:
     """Return a scale of bands between ±steps, white within the first."""
     bounds = np.concatenate([np.negative(steps)[::-1], steps])
-    return Scale(BoundaryNorm(bounds, colormaps[colours].N, extend="both"), colormaps[colours], label, ticks)
+    return Scale(
+        BoundaryNorm(bounds, colormaps[colours].N, extend="both"), colormaps[colours], label, ticks
+    )
 
 
 def limited(scale: Scale, low: float | None, high: float | None) -> Scale:
@@ -122,9 +140,15 @@ def limited(scale: Scale, low: float | None, high: float | None) -> Scale:
         return Scale(LogNorm(first, last), scale.colours, label, style.round_numbers(first, last))
     if isinstance(scale.norm, BoundaryNorm):
         ticks = np.linspace(first, last, 11)
-        white = np.linspace(first, last, 21)[[9, 11]] if first == -last else ticks[5:6]  # the band about zero
+        # The band about zero.
+        white = np.linspace(first, last, 21)[[9, 11]] if first == -last else ticks[5:6]
         bounds = np.sort([*ticks[:5], *white, *ticks[6:]]).tolist()
-        return Scale(BoundaryNorm(bounds, scale.colours.N, extend="both"), scale.colours, label, ticks.tolist())
+        return Scale(
+            BoundaryNorm(bounds, scale.colours.N, extend="both"),
+            scale.colours,
+            label,
+            ticks.tolist(),
+        )
     return Scale(Normalize(first, last), scale.colours, label)
 
 
@@ -166,7 +190,8 @@ class Tile:
 class MapPainter:
     """Painter of maps of a panel on a scale.
 
-    contoured : whether interpolated bands are drawn, with dots at the cells, instead of one patch for each cell.
+    contoured : whether interpolated bands are drawn, with dots at the cells, instead of one patch
+        for each cell.
     """
 
     panel: Panel
@@ -179,36 +204,65 @@ class MapPainter:
         title = "\n".join(filter(None, (tile.title, tile.note)))
         axes.set_title(title, fontsize=style.SMALL_POINT + 0.5, linespacing=1.3)
         if tile.values is None:
-            axes.annotate("not solved", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=style.SMALL_POINT)
+            axes.annotate(
+                "not solved",
+                (0.5, 0.5),
+                xycoords="axes fraction",
+                ha="center",
+                fontsize=style.SMALL_POINT,
+            )
             return
         if self.contoured and self.panel.cells is None and min(self.panel.shape) > 1:
-            logs = np.log1p(np.maximum(self._cut(tile.values), -99.9) / 100)  # of percent: factors, as rises and falls
+            # Of percent: factors, as rises and falls.
+            logs = np.log1p(np.maximum(self._cut(tile.values), -99.9) / 100)
             *places, logs = _refined(self.panel, logs)
             axes.contourf(*places, 100 * np.expm1(logs), **self._bands())
         else:
             self._patches(axes, tile.values)
         columns, rows = self.panel.places_mm
         if self.contoured:
-            axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
+            axes.plot(
+                columns.ravel(),
+                rows.ravel(),
+                ".",
+                color="0.35",
+                ms=1,
+                label="cell centre",
+                clip_on=False,
+            )
         if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
             # Ones and zeros on a grid so fine that the outline has the cells' corners.
             pitch = self.panel.pitch_mm
             fine = np.pad(np.kron(tile.outlined, np.ones((16, 16))), 8)
             lines = self.panel.centres_mm()
-            grid = (np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1)) for line in lines)
+            grid = (
+                np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1))
+                for line in lines
+            )
             edges = axes.contour(*grid, fine, levels=[0.5], colors="black", linewidths=1.3)
             edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
             axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
         if tile.marked is not None and np.any(tile.marked):
             size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
-            look: dict[str, Any] = {"color": "black", "ms": size, "mew": size / 4, "ls": "none", "clip_on": False}
-            (cross,) = axes.plot(columns[tile.marked], rows[tile.marked], marker="x", label=tile.mark, **look)
+            look: dict[str, Any] = {
+                "color": "black",
+                "ms": size,
+                "mew": size / 4,
+                "ls": "none",
+                "clip_on": False,
+            }
+            (cross,) = axes.plot(
+                columns[tile.marked], rows[tile.marked], marker="x", label=tile.mark, **look
+            )
             cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
 
-    def bar(self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28) -> None:
+    def bar(
+        self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28
+    ) -> None:
         """Draw the colour bar beside some axes of a figure."""
         ticks = self.scale.ticks
-        if ticks is not None and location == "bottom":  # numbers beside each other need more room than above each other
+        # Numbers beside each other need more room than above each other.
+        if ticks is not None and location == "bottom":
             ticks = ticks[:: ceil(len(ticks) / MAX_TICKS_ACROSS)]
         bar = figure.colorbar(
             ScalarMappable(self.scale.norm, self.scale.colours),
@@ -242,24 +296,34 @@ class MapPainter:
             axes.locator_params(axis="x", nbins=2 if broad < tall / 3 else 3)
 
     def _patches(self, axes: Axes, values: Array) -> None:
-        """Draw squares at the cells; listed cells have a dark outline, and contours between neighbours."""
+        """Draw squares at the cells, and contours between neighbours.
+
+        Listed cells have a dark outline.
+        """
         places = self.panel.places_mm[:, self.panel.present].T
         values = values[self.panel.present]
         corners = _squares(self.panel, places)
         centres = places[:, None]
         listed = self.panel.cells is not None
         outlines = list(centres + 1.3 * (corners - centres)) if listed else []
-        look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad=NO_NUMBER), "norm": self.scale.norm}
+        look: dict[str, Any] = {
+            "cmap": self.scale.colours.with_extremes(bad=NO_NUMBER),
+            "norm": self.scale.norm,
+        }
         patches = PolyCollection(list(corners), edgecolor="face", lw=0.2, **look)
         patches.set_array(np.ma.masked_invalid(values))
-        for collection in (PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5), patches):
+        for collection in (
+            PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5),
+            patches,
+        ):
             axes.add_collection(collection)
         flat = np.linalg.matrix_rank(places - places.mean(axis=0)) < 2
         if not (self.contoured and listed) or flat or not np.isfinite(values).all():
             return
         mesh = Triangulation(*places.T)
         sides = places[mesh.triangles] - places[np.roll(mesh.triangles, 1, axis=1)]
-        # The diagonal of a square and its rounding; between cells farther apart nothing was measured.
+        # The diagonal of a square and its rounding; between cells farther apart nothing was
+        # measured.
         far = np.hypot(*sides.T).T.max(axis=1) > 1.5 * self.panel.pitch_mm
         mesh.set_mask(far)
         if not far.all():
@@ -271,7 +335,10 @@ class MapPainter:
         return look | {"levels": self.scale.norm.boundaries}
 
     def _cut(self, values: Array) -> Array:
-        """Clip values to just beyond the scale, so that no cell spreads its colour over its neighbours."""
+        """Clip values to just beyond the scale.
+
+        Thus no cell spreads its colour over its neighbours.
+        """
         beyond = 1.1 * float(self.scale.norm.vmax or 0.0)
         return np.clip(values, -beyond, beyond)
 
@@ -292,14 +359,20 @@ def _squares(panel: Panel, places: Array) -> Array:
     way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / distance_mm)[nearest_last]
     across = np.stack([-way[:, 1], way[:, 0]], axis=1)
     half = panel.pitch_mm / 2
-    return np.stack([places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
+    return np.stack(
+        [places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
+        axis=1,
+    )
 
 
 def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     """Interpolate bilinearly at eight points a cell, constant beyond the outer centres."""
     x, y = panel.centres_mm()
     half = panel.pitch_mm / 2
-    fine = [np.linspace(positions[0] - half, positions[-1] + half, len(positions) * 8 + 1) for positions in (x, y)]
+    fine = [
+        np.linspace(positions[0] - half, positions[-1] + half, len(positions) * 8 + 1)
+        for positions in (x, y)
+    ]
     across = np.array([np.interp(fine[0], x, row) for row in values])
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
@@ -324,7 +397,9 @@ class Arrangement(NamedTuple):
     height: float
 
     @classmethod
-    def of(cls, count: int, panel: Panel, width: float, *, rows: int | None, own_bars: bool) -> "Arrangement":
+    def of(
+        cls, count: int, panel: Panel, width: float, *, rows: int | None, own_bars: bool
+    ) -> "Arrangement":
         """Return the arrangement with about the proportions 3 : 2 and few gaps.
 
         Parameters
@@ -340,7 +415,8 @@ class Arrangement(NamedTuple):
             Whether every map has a colour bar.
         """
         broad, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
-        beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)  # inches for the colour bars, and between maps
+        # Inches for the colour bars, and between maps.
+        beside, gap = (0.4, 0.9) if own_bars else (1.0, 0.2)
 
         def map_width(across: int) -> float:
             return (width - beside) / across - gap
@@ -355,10 +431,17 @@ class Arrangement(NamedTuple):
         most = min(count, int((width - 1.0) / 0.88))
         across = min(range(1, most + 1), key=unfit) if rows is None else count // rows
         down = ceil(count / across)
-        beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall  # of a tall panel: the maps get narrower
+        # Of a tall panel: the maps get narrower.
+        beyond = max(height(across) - MAX_ASPECT * width, 0.0) * broad / tall
         beyond = min(beyond, max(0.0, (map_width(across) - MIN_WIDE_INCH) * down))
         narrowed = map_width(across) - beyond / down
-        return cls(across, down, narrowed, width - beyond * across / down, min(height(across), MAX_ASPECT * width))
+        return cls(
+            across,
+            down,
+            narrowed,
+            width - beyond * across / down,
+            min(height(across), MAX_ASPECT * width),
+        )
 
 
 def maps_figure(
@@ -371,7 +454,9 @@ def maps_figure(
     contoured: bool = False,
     about: str = "",
 ) -> Figure:
-    """Draw maps side by side, in as many columns that the figure has about the proportions 3 : 2 with few gaps.
+    """Draw maps side by side.
+
+    They stand in as many columns that the figure has about the proportions 3 : 2 with few gaps.
 
     Parameters
     ----------
@@ -383,15 +468,23 @@ def maps_figure(
     scales = [scale] if isinstance(scale, Scale) else scale
     own_bars = len(scales) == len(tiles) > 1
     in_rows = 1 < len(scales) < len(tiles)
-    arrangement = Arrangement.of(len(tiles), panel, width, rows=len(scales) if in_rows else None, own_bars=own_bars)
+    arrangement = Arrangement.of(
+        len(tiles), panel, width, rows=len(scales) if in_rows else None, own_bars=own_bars
+    )
     figure = style.new_figure(arrangement.height, arrangement.width)
-    grid = figure.subplots(arrangement.down, arrangement.across, squeeze=False, sharex=True, sharey=True)
+    grid = figure.subplots(
+        arrangement.down, arrangement.across, squeeze=False, sharex=True, sharey=True
+    )
     for axes in grid.flat[len(tiles) :]:
         axes.set_visible(False)
     for axes in grid.flat[max(len(tiles) - arrangement.across, 0) : len(tiles)]:
         axes.tick_params(labelbottom=True)
     signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
-    painters = [MapPainter(panel, level, contoured) for level in scales for _ in range(len(tiles) // len(scales))]
+    painters = [
+        MapPainter(panel, level, contoured)
+        for level in scales
+        for _ in range(len(tiles) // len(scales))
+    ]
     for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
         name = tile.title.replace("paper's lambda", "paper's λ")
         painter.draw(axes, replace(tile, title=style.wrapped(style.short_title(name, 60), signs)))
@@ -405,4 +498,6 @@ def maps_figure(
         return style.labelled(figure, about, "", title)
     wide_text = int(16 * figure.get_figwidth())  # signs of the labels' size across the figure
     below = style.wrapped("; ".join(filter(None, (ACROSS_LABEL, about))), wide_text)
-    return style.labelled(figure, below, DOWN_LABEL, "\n".join(style.wrapped(t, wide_text) for t in title.split("\n")))
+    return style.labelled(
+        figure, below, DOWN_LABEL, "\n".join(style.wrapped(t, wide_text) for t in title.split("\n"))
+    )

@@ -19,28 +19,39 @@ MIN_BAR_H = 0.15  # so that a short visit is visible on a day
 
 def plot_season(path: str | Path, visits: Sequence[Visit]) -> Path:
     """Draw the visits into a file. Raises InputError where it cannot be written."""
-    (file,) = write_all([lambda: season(visits)], [Path(path)], lambda done, total: None, in_process=True)
+    (file,) = write_all(
+        [lambda: season(visits)], [Path(path)], lambda done, total: None, in_process=True
+    )
     return file
 
 
 def season(visits: Sequence[Visit]) -> Figure:
-    """Draw each visit as a bar at its day and hour, and the visits of lampreys by the hour of the day.
+    """Draw each visit as a bar at its day and hour, and visits of lampreys by hour of the day.
 
     Without a clock the hours are those since the begin of each recording.
     """
     figure = new_figure(3.4)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
-    rows = list(dict.fromkeys(_row(visit) for visit in sorted(visits, key=lambda visit: visit.visit)))
+    rows = list(
+        dict.fromkeys(_row(visit) for visit in sorted(visits, key=lambda visit: visit.visit))
+    )
     for visit in sorted(visits, key=lambda visit: visit.answer in SHOWN):
         length = max((visit.duration_s or 0.0) / HOUR_S, MIN_BAR_H)
         look: dict[str, Any] = {"color": COLOURS[visit.answer], "lw": 0, "width": 0.7}
         left.bar(rows.index(_row(visit)), length, bottom=_hour(visit), label=visit.answer, **look)
     left.set_xticks(range(len(rows)), rows, rotation=60 if len(rows) > 6 else 0)
     left.xaxis.set_major_locator(_sparse(len(rows)))
-    highest = max(24.0, max((_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits), default=24.0))
+    highest = max(
+        24.0,
+        max((_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits), default=24.0),
+    )
     left.set_ylim(min(highest, 48.0), 0)
     clocked = any(visit.clock is not None for visit in visits)
-    dressed(left, "day" if clocked else "recording", "hour of the day" if clocked else "hours since its begin")
+    dressed(
+        left,
+        "day" if clocked else "recording",
+        "hour of the day" if clocked else "hours since its begin",
+    )
     _legend(left)
     for name in SHOWN:
         hours = [_hour(visit) for visit in visits if visit.answer == name]
@@ -58,7 +69,10 @@ def _row(visit: Visit) -> str:
 
 
 def _hour(visit: Visit) -> float:
-    """Return the hour of the day of the arrival; without a clock that since the begin of the recording."""
+    """Return the hour of the day of the arrival.
+
+    Without a clock it is that since the begin of the recording.
+    """
     if visit.clock is None:
         return visit.begin_s / HOUR_S
     return visit.clock.hour + visit.clock.minute / 60 + visit.clock.second / HOUR_S

@@ -25,9 +25,11 @@ ORANGE = "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
 PICTURES = "pictures are written as .png, .svg or .pdf"
 PLAIN_NUMBER = "{x:g}"  # format of ticks without powers of ten
-# Spaces at which a text is not broken: about a sign between two words, before λ, and between a number and its unit.
+# Spaces at which a text is not broken: about a sign between two words, before λ, and between a
+# number and its unit.
 JOINED = re.compile(
-    r" (?=[×±=≥≤<>] )|(?<=[×±=≥≤<>]) |(?<=paper's) (?=λ)|(?<=\d) (?=(?:%|k?ohm|m?V|kPa|m?m|m?s|Hz|LSB|°C)(?!\w))"
+    r" (?=[×±=≥≤<>] )|(?<=[×±=≥≤<>]) |(?<=paper's) (?=λ)|(?<=\d) "
+    r"(?=(?:%|k?ohm|m?V|kPa|m?m|m?s|Hz|LSB|°C)(?!\w))"
 )
 HARD_SPACE = "\N{NO-BREAK SPACE}"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -63,14 +65,22 @@ def dressed(axes: Axes, x: str, y: str) -> None:
     axes.set_axisbelow(True)
 
 
-def shared_legend(figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any) -> None:
+def shared_legend(
+    figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any
+) -> None:
     """Add one legend for all axes, unless there are fewer labels than `least`."""
     handles: dict[str, Any] = {}
     for axes in grid.flat:
         handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
     if len(handles) >= least:
-        defaults: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
-        figure.legend(handles.values(), handles.keys(), **defaults | {"loc": f"outside {location}"} | look)
+        defaults: dict[str, Any] = {
+            "fontsize": SMALL_POINT,
+            "frameon": False,
+            "ncols": len(handles),
+        }
+        figure.legend(
+            handles.values(), handles.keys(), **defaults | {"loc": f"outside {location}"} | look
+        )
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -94,10 +104,13 @@ def write_all(
 ) -> list[Path]:
     """Draw figures into files, in processes unless `in_process`; return the files.
 
-    on_picture : receives the numbers of drawn and of all pictures. Raises InputError if a file cannot be written.
+    on_picture : receives the numbers of drawn and of all pictures. Raises InputError if a file
+        cannot be written.
     """
     tasks = list(zip(figures, files, strict=True))
-    for file, image in zip(files, each_of(_image, tasks, on_picture, Serial() if in_process else None), strict=True):
+    for file, image in zip(
+        files, each_of(_image, tasks, on_picture, Serial() if in_process else None), strict=True
+    ):
         with whole_file(file) as unfinished:
             unfinished.write_bytes(image)
     return list(files)
@@ -133,7 +146,12 @@ def verbatim() -> Iterator[None]:
 def round_numbers(low: float, high: float) -> list[float]:
     """Return the numbers 1, 2, 5 times powers of ten from low to high, both positive."""
     powers = range(floor(log10(low)), ceil(log10(high)) + 1)
-    return [step for power in powers for digit in (1, 2, 5) if low <= (step := float(f"{digit}e{power}")) <= high]
+    return [
+        step
+        for power in powers
+        for digit in (1, 2, 5)
+        if low <= (step := float(f"{digit}e{power}")) <= high
+    ]
 
 
 def short_title(name: str, longest: int = 22) -> str:
@@ -148,7 +166,9 @@ def wrapped(text: str, signs: int) -> str:
     """
     lines = [""]
     text = JOINED.sub(HARD_SPACE, text)
-    for part in re.findall(r"(?:[^ ._,;:/+-]|(?<=\d)[.,](?=\d)|(?<=\de)[+-](?=\d))+[ ._,;:/+-]*|[ ._,;:/+-]+", text):
+    for part in re.findall(
+        r"(?:[^ ._,;:/+-]|(?<=\d)[.,](?=\d)|(?<=\de)[+-](?=\d))+[ ._,;:/+-]*|[ ._,;:/+-]+", text
+    ):
         if lines[-1] and len((lines[-1] + part).rstrip()) > signs:
             lines.append("")
         lines[-1] += part
@@ -156,7 +176,10 @@ def wrapped(text: str, signs: int) -> str:
 
 
 def change_text(value: float, integer_from: float) -> str:
-    """Format a change, such as '+3.7', '−82', '+9.5·10⁹'; numbers from `whole` on are rounded to integers."""
+    """Format a change, such as '+3.7', '−82', '+9.5·10⁹'.
+
+    Numbers from `whole` on are rounded to integers.
+    """
     if abs(value) >= 1e5:
         digits, power = f"{value:+.1e}".split("e")
         text = f"{digits}·10{str(int(power)).translate(RAISED)}"

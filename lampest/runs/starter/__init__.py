@@ -1,4 +1,7 @@
-"""`lampest init`: commented starter files: a run, a scene, a simulation and its recording, and the schema."""
+"""`lampest init`: commented starter files.
+
+They are a run, a scene, a simulation and its recording, and the schema.
+"""
 
 import json
 from dataclasses import dataclass
@@ -29,7 +32,7 @@ MOUTH = """\
 """
 WEIGHT = """\
   - {kind: rod, centre_mm: {centre}, diameter_mm: 15, mass_g: 200}   # x along a row, y down, from cell (0, 0)
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True)
@@ -59,14 +62,22 @@ def circuit_called(word: str) -> StarterCircuit:
     document = parse_document(_template("circuits.yaml"), "circuits.yaml")
     known: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
     if word not in known:
-        raise InputError(f"--readout: there is no {word!r}; there are {', '.join(known)}{meant(word, known)}")
+        raise InputError(
+            f"--readout: there is no {word!r}; there are {', '.join(known)}{meant(word, known)}"
+        )
     return known[word]
 
 
 def write_starter(
-    folder: Path, circuit: str = "two_mux", rows: int = 10, columns: int = 10, purpose: str | None = None
+    folder: Path,
+    circuit: str = "two_mux",
+    rows: int = 10,
+    columns: int = 10,
+    purpose: str | None = None,
 ) -> tuple[Path, ...]:
-    """Write all files for a circuit and a panel into a folder, which is created if necessary, and return them.
+    """Write all files for a circuit and a panel into a folder, and return them.
+
+    The folder is created if necessary.
 
     Parameters
     ----------
@@ -78,14 +89,16 @@ def write_starter(
     purpose : str or None
         'mat' for a scene with contacts alone.
 
-    Raises InputError, before any file is written, where one of them exists, and where the folder cannot be written or
-    there is no such circuit or panel.
+    Raises InputError, before any file is written, where one of them exists, and where the folder
+    cannot be written or there is no such circuit or panel.
     """
     chosen = circuit_called(circuit)
     paths = {name: folder / name for name in FILES}
     for path in paths.values():
         if path.exists():
-            raise InputError(f"{path}: is there already; name another folder: existing files are never replaced")
+            raise InputError(
+                f"{path}: is there already; name another folder: existing files are never replaced"
+            )
     if purpose not in (None, MAT):
         raise InputError(f"--purpose: there is no {purpose!r}; there is {MAT}")
     wiring = {"sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
@@ -95,12 +108,21 @@ def write_starter(
     scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=readout, **wiring)
     scene = scene.replace("# purpose: mat  ", "purpose: mat    ") if purpose else scene
     centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"  # the middle of the panel
-    load = (MOUTH if min(rows, columns) >= 6 and not purpose else WEIGHT).replace("{centre}", centre)
-    simulation = _template(SIMULATION, load=load).replace("scene: {}\n", "scene:\n" + indent(scene, "  "))
+    load = (MOUTH if min(rows, columns) >= 6 and not purpose else WEIGHT).replace(
+        "{centre}", centre
+    )
+    simulation = _template(SIMULATION, load=load).replace(
+        "scene: {}\n", "scene:\n" + indent(scene, "  ")
+    )
     simulated: Simulation = validated(parse_document(simulation, SIMULATION), Simulation)
     simulate(simulated, paths[RECORDING].stem).save(paths[RECORDING])
     schema = json.dumps(json_schema(), indent=2) + "\n"
-    for name, text in {SCENE: scene, SIMULATION: simulation, SCHEMA: schema, RUN: _template(RUN)}.items():
+    for name, text in {
+        SCENE: scene,
+        SIMULATION: simulation,
+        SCHEMA: schema,
+        RUN: _template(RUN),
+    }.items():
         write_whole(paths[name], text)
     return tuple(paths.values())
 

@@ -1,6 +1,7 @@
-"""`lampest study paper`: the paper's figures and table compared with ours, as one HTML file, pictures and numbers.csv.
+"""`lampest study paper`: the paper's figures and table compared with ours.
 
-The shipped scenes are solved by the five methods. Figures show the published numbers as marks or in words beside ours.
+The comparison is written as one HTML file, pictures and numbers.csv. The shipped scenes are solved
+by the five methods. Figures show the published numbers as marks or in words beside ours.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,11 +33,14 @@ from lampest.studies import study
 from lampest.studies.study import OnStep, read_settings
 
 MEASURED = "measured"
-FASTEST = "formulation={kind: reduced, joint: true}"  # finds the optima that the files' formulations find, sooner
+# Finds the optima that the files' formulations find, sooner.
+FASTEST = "formulation={kind: reduced, joint: true}"
 FILE = Path(__file__).with_name("published.yaml")
-MOUTHS = {"lamprey_35mm": "paper_35mm", "lamprey_25mm": "paper_25mm"}  # shipped recording → as the paper's panel has it
+# Shipped recording → as the paper's panel has it.
+MOUTHS = {"lamprey_35mm": "paper_35mm", "lamprey_25mm": "paper_25mm"}
 CHANGE = "relative change of resistance [%]"
-# Quantity and unit, and where it is: the field of the published row, the header of the table of `lampest compare`.
+# Quantity and unit, and where it is: the field of the published row, the header of the table of
+# `lampest compare`.
 ERROR = ("data error", "%", "error_percent", "data error mean [%]")
 ERROR_SD = ("its standard deviation", "%", "error_sd_percent", "data error sd [%]")
 TIME = ("time", "s", "time_s", "solve time mean [s]")
@@ -93,7 +97,10 @@ class MouthMap(NamedTuple):
 
 
 class ErrorRow(NamedTuple):
-    """A row of table I: time of a step in s, and |f(r) − R_m|/R_m in percent, mean and standard deviation."""
+    """A row of table I: time of a step in s, and |f(r) − R_m|/R_m in percent.
+
+    Both have mean and standard deviation.
+    """
 
     method: str
     steps: Steps
@@ -132,10 +139,11 @@ class Side:
     mouths : sequence of Recording
         The large and the small one.
     loads : mapping
-        Letter of figure 6 → relative change in percent, and pressure of the film in kPa, (rows, columns) each.
+        Letter of figure 6 → relative change in percent, and pressure of the film in kPa, (rows,
+        columns) each.
     changes : mapping
-        (method, number of the mouth) → relative change in percent of the shown frame, (rows, columns). Measured ones
-        include the series resistance, as in the paper.
+        (method, number of the mouth) → relative change in percent of the shown frame, (rows,
+        columns). Measured ones include the series resistance, as in the paper.
     steps : mapping
         (method, steps) → row of `lampest compare` of the large mouth.
     """
@@ -159,10 +167,13 @@ class Side:
         return self.changes[method, number]
 
 
-def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnStep) -> tuple[Side, ...]:
+def all_sides(
+    folder: Path, published: Published, jobs: int | None, on_case: OnStep
+) -> tuple[Side, ...]:
     """Simulate and solve all scenes, reusing results in the folder.
 
-    Raises InputError for a missing shipped file, a failed case, and a folder that cannot be written.
+    Raises InputError for a missing shipped file, a failed case, and a folder that cannot be
+    written.
     """
     configs = shipped_folder() / "configs"
     data = shipped_folder() / "data"
@@ -182,44 +193,70 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnS
         cases = read_run(configs / run, (FASTEST, named))
         report = run_batch(cases, folder / word, local(jobs, len(cases.cases)), on_frames=on_case)
         if report.results is None or report.failed:
-            raise InputError(f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
+            raise InputError(
+                f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}"
+            )
         mouths = [Recording.load(file) for file in files]
-        loads = {load.letter: load_of(Recording.load(recorded(load.recording))) for load in published.loads}
+        loads = {
+            load.letter: load_of(Recording.load(recorded(load.recording)))
+            for load in published.loads
+        }
         return shown(Side(name, word, mouths, loads, *optima(read_results(report.results), mouths)))
 
     clean = side("clean scenes", "clean", "table1.yaml", lambda name: data / f"{name}.h5")
     return clean, side("paper's panel", "panel", "paper_run.yaml", made)
 
 
-def optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Array], dict[Any, Row]]:
-    """Return changes of all frames of both mouths, and the rows of `lampest compare` of the large one."""
+def optima(
+    results: Results, mouths: Sequence[Recording]
+) -> tuple[dict[Any, Array], dict[Any, Row]]:
+    """Return changes of all frames of both mouths, and rows of the large one.
+
+    The rows are those of `lampest compare`.
+    """
     numbers = {mouth.name: number for number, mouth in enumerate(mouths)}
-    changes = {(case.estimator, numbers[case.recording]): np.asarray(case.relative_change) for case in results.cases}
+    changes = {
+        (case.estimator, numbers[case.recording]): np.asarray(case.relative_change)
+        for case in results.cases
+    }
     rows = (row for row in compare(results) if numbers[row["recording"]] == 0)
     return changes, {(row["estimator"], row["steps"]): row for row in rows}
 
 
 def shown(side: Side) -> Side:
-    """Return the side with changes of its shown frame (clean: the strongest, else the first) and measured ones."""
+    """Return the side with changes of its shown frame and measured ones.
+
+    The shown frame of a clean side is the strongest, else the first.
+    """
     changes = dict(side.changes)
     for number, mouth in enumerate(side.mouths):
         measured = mouth.measured_frames()
         frame = shown_change(mouth)[0] if side.word == "clean" else measured[0]
         place = int(np.searchsorted(measured, frame))
-        changes |= {key: np.asarray(change[place]) for key, change in side.changes.items() if key[1] == number}
+        changes |= {
+            key: np.asarray(change[place])
+            for key, change in side.changes.items()
+            if key[1] == number
+        }
         changes[MEASURED, number] = percent_change(mouth.recorded[frame], unloaded(mouth))
     return replace(side, changes=changes)
 
 
 def shown_change(recording: Recording) -> tuple[int, Array]:
-    """Return the strongest frame of a recording with unloaded frames, and its change in percent as recorded."""
+    """Return the strongest frame of a recording with unloaded frames, and its change.
+
+    The change is in percent as recorded.
+    """
     change = strongest_readings(recording)
     assert change is not None
     return change
 
 
 def load_of(recording: Recording) -> tuple[Array, Array]:
-    """Return change in percent and pressure in kPa of the strongest frame of a simulated recording."""
+    """Return change in percent and pressure in kPa of a recording's strongest frame.
+
+    The recording is simulated.
+    """
     frame, change = shown_change(recording)
     assert recording.truth_pressure is not None
     return change, recording.truth_pressure[frame]
@@ -258,9 +295,15 @@ def paper_study(
         pictures = {"fig1e": response_figure(published), "fig2": bending_figure(published)}
         for side in sides:
             for name, tiles in tiles_of(side, published).items():
-                if name != "fig6" or side in sides[:2]:  # the loads of a third side are those of the paper's panel
+                # The loads of a third side are those of the paper's panel.
+                if name != "fig6" or side in sides[:2]:
                     pictures[f"{name}_{side.word}"] = tiles_figure(tiles, side.panel, side.name)
-        return Paper(published, tuple(side.name for side in sides), [*published_beside(sides, published)], pictures)
+        return Paper(
+            published,
+            tuple(side.name for side in sides),
+            [*published_beside(sides, published)],
+            pictures,
+        )
 
     return study.Study(
         "numbers",
@@ -277,7 +320,10 @@ def paper_study(
 def rows(paper: Paper) -> list[study.Row]:
     """Return every published number with ours, a column for each side."""
     names = ("figure", "quantity", "unit", "published", *paper.names)
-    return [study.Row(**dict(zip(names, (*number[:4], *number.ours), strict=True))) for number in paper.numbers]
+    return [
+        study.Row(**dict(zip(names, (*number[:4], *number.ours), strict=True)))
+        for number in paper.numbers
+    ]
 
 
 def page_of(paper: Paper) -> str:
@@ -298,7 +344,8 @@ def page_of(paper: Paper) -> str:
         places=paper.published.places,
         uris={word: style.data_uri(figure) for word, figure in paper.figures.items()},
         sheets=sheets | {"times": sheet(of("Table I", times=True), names)},
-        counts={figure: counts(of(figure), names) for figure in set_beside} | {"all": counts(checked, names)},
+        counts={figure: counts(of(figure), names) for figure in set_beside}
+        | {"all": counts(checked, names)},
     )
 
 
@@ -317,9 +364,11 @@ class PublishedNumber(NamedTuple):
 
 
 def published_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
-    """Yield every number: ranges of maps, cells that mouths cover, data errors, times, lampest's response read back.
+    """Yield every number.
 
-    Times are those of another program on another machine; the response is the same on every side.
+    These are ranges of maps, cells that mouths cover, data errors, times, and lampest's response
+    read back. Times are those of another program on another machine; the response is the same on
+    every side.
     """
 
     def row(place: str, name: str, unit: str, number: float, *ours: Any) -> PublishedNumber:
@@ -329,8 +378,20 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
     for extremes in published.ranges:
         place = f"Fig. 8-{extremes.letter}"
         changes = [side.change(extremes.method) for side in sides]
-        yield row(place, f"{extremes.method}, smallest change", "%", extremes.low, *map(np.nanmin, changes))
-        yield row(place, f"{extremes.method}, largest change", "%", extremes.high, *map(np.nanmax, changes))
+        yield row(
+            place,
+            f"{extremes.method}, smallest change",
+            "%",
+            extremes.low,
+            *map(np.nanmin, changes),
+        )
+        yield row(
+            place,
+            f"{extremes.method}, largest change",
+            "%",
+            extremes.high,
+            *map(np.nanmax, changes),
+        )
     for at, mouth in enumerate(published.mouths):
         seen = [covered(side.change(published.mouth_method, at)) for side in sides]
         for axis, ours in zip(("rows", "columns"), zip(*seen, strict=True), strict=True):
@@ -341,7 +402,13 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
             taken = [side.steps.get((step.method, step.steps), {}) for side in sides]
             for name, unit, theirs, header in kinds:
                 known = [np.nan if steps.get(header) is None else steps[header] for steps in taken]
-                yield row("Table I", f"{step.method}, {step.steps} steps: {name}", unit, getattr(step, theirs), *known)
+                yield row(
+                    "Table I",
+                    f"{step.method}, {step.steps} steps: {name}",
+                    unit,
+                    getattr(step, theirs),
+                    *known,
+                )
     for point in published.changes:
         name = f"ΔR/R₀ at {point.kpa:g} kPa".replace("-", "−")
         yield row("Fig. 1-e", name, "%", point.percent, 100 * _change(point.kpa))
@@ -365,7 +432,12 @@ def _change(kpa: float) -> float:
 def sheet(numbers: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
     """Return numbers as texts; ours within a quarter of the published one are highlighted."""
     cells = tuple(
-        (f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *(text_of(our) or "–" for our in row.ours))
+        (
+            f"{row.quantity} [{row.unit}]",
+            row.figure,
+            digits(row.published),
+            *(text_of(our) or "–" for our in row.ours),
+        )
         for row in numbers
     )
     places = np.ndindex(len(numbers), len(names))
@@ -375,9 +447,13 @@ def sheet(numbers: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
 
 
 def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
-    """Return the number of reproduced rows of each side in words, such as '13 of 19 (clean scenes)'."""
+    """Return the number of reproduced rows of each side in words.
+
+    An example is '13 of 19 (clean scenes)'.
+    """
     parts = [
-        f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})" for number, name in enumerate(names)
+        f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})"
+        for number, name in enumerate(names)
     ]
     return f"within a quarter of the published number: {', '.join(parts)}."
 
@@ -389,16 +465,23 @@ def _through(axes: Axes, x: Array, y: Array, points: Sequence[tuple[float, float
 
 
 def response_figure(published: Published) -> Figure:
-    """Draw figure 1-e with its inset: the response curve of lampest through the published numbers."""
+    """Draw figure 1-e with its inset.
+
+    It shows the response curve of lampest through the published numbers.
+    """
     figure = style.new_figure(3.2)
     axes = figure.subplots()
     pressures = np.linspace(-10.0, 235.0, 981)
     fine = np.linspace(0, 60, 601)
     _through(axes, pressures, 100 * relative_change_from_pressure(pressures), published.changes)
     style.dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
-    axes.legend(fontsize=style.SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))
+    axes.legend(
+        fontsize=style.SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0)
+    )
     inset = axes.inset_axes((0.42, 0.38, 0.55, 0.52))
-    inset.plot(fine, np.gradient(relative_change_from_pressure(fine), fine), color=style.BLUE, lw=1.1)
+    inset.plot(
+        fine, np.gradient(relative_change_from_pressure(fine), fine), color=style.BLUE, lw=1.1
+    )
     look: dict[str, Any] = {"color": style.ORANGE, "lw": 3, "alpha": 0.6, "solid_capstyle": "butt"}
     for part in published.slopes:
         inset.plot([part.from_kpa, part.to_kpa], [part.per_kpa] * 2, **look)
@@ -407,7 +490,10 @@ def response_figure(published: Published) -> Figure:
 
 
 def bending_figure(published: Published) -> Figure:
-    """Draw figures 2-a and 2-d: unloaded resistance over curvature, and the response of bent cells up to 40 kPa."""
+    """Draw figures 2-a and 2-d.
+
+    They show unloaded resistance over curvature, and the response of bent cells up to 40 kPa.
+    """
     figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
@@ -421,17 +507,27 @@ def bending_figure(published: Published) -> Figure:
     style.dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
     pressures = np.linspace(0.0, 40.0, 161)
     for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
-        change = 100 * (ratio_from_pressure(pressures) ** Film(curvature_per_m=cell.curvature_per_m).answer - 1)
+        change = 100 * (
+            ratio_from_pressure(pressures) ** Film(curvature_per_m=cell.curvature_per_m).answer - 1
+        )
         name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
         right.plot(pressures, change, color=colour, lw=1.1, label=name)
         right.plot(40, cell.percent, "o", color=colour, ms=4.5, clip_on=False)
-    right.legend(fontsize=style.SMALL_POINT, frameon=False, title="dots: published", title_fontsize=style.SMALL_POINT)
+    right.legend(
+        fontsize=style.SMALL_POINT,
+        frameon=False,
+        title="dots: published",
+        title_fontsize=style.SMALL_POINT,
+    )
     style.dressed(right, "pressure [kPa]", CHANGE)
     return figure
 
 
 def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
-    """Return the maps of each figure: 6, six measured loads; 8, six methods on one frame; 9, two mouths."""
+    """Return the maps of each figure.
+
+    Figure 6 has six measured loads; 8, six methods on one frame; 9, two mouths.
+    """
     tiles: dict[str, list[Tile]] = {"fig6": [], "fig8": [], "fig9": []}
     for load in published.loads:
         change, felt = side.loads[load.letter]
@@ -445,13 +541,19 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
     for number, mouth in enumerate(published.mouths):
         change = side.change(published.mouth_method, number)
         title = f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}"
-        note = f"ours {' × '.join(map(str, covered(change)))} cells, paper {mouth.cells} × {mouth.cells}"
+        note = (
+            f"ours {' × '.join(map(str, covered(change)))} cells, paper {mouth.cells} × "
+            f"{mouth.cells}"
+        )
         tiles["fig9"].append(Tile(title, change, note))
     return tiles
 
 
 def covered(change: Array) -> tuple[int, int]:
-    """Return the numbers of rows and columns with a cell that fell by more than half of the largest fall."""
+    """Return the numbers of rows and columns with a cell that fell strongly.
+
+    Such a cell fell by more than half of the largest fall.
+    """
     fallen = change < 0.5 * np.nanmin(change)
     return int(np.sum(fallen.any(axis=1))), int(np.sum(fallen.any(axis=0)))
 
@@ -464,4 +566,6 @@ def tiles_figure(tiles: Sequence[Tile], panel: Panel, title: str) -> Figure:
 
 
 def _span(values: Array) -> str:
-    return " … ".join(style.change_text(float(end(values)), 100.0) for end in (np.nanmin, np.nanmax))
+    return " … ".join(
+        style.change_text(float(end(values)), 100.0) for end in (np.nanmin, np.nanmax)
+    )

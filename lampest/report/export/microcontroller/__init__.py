@@ -1,1 +1,4 @@
-"""Estimators for microcontrollers: constants of the C library `lampest_estimate`, and what its budget buys."""
+"""Estimators for microcontrollers.
+
+Constants of the C library `lampest_estimate`, and what its budget buys.
+"""

@@ -33,7 +33,8 @@ LIMITS = {  # ranges that `constants_are_sound` allows, of numbers that are not 
     "plain sigma": (0.0, 1e12),
 }
 MAX_SUM = 65535  # sums are unsigned numbers of 16 bits
-# Kind of a penalty → what it compares, and how; its reference decides between baseline and previous frame.
+# Kind of a penalty → what it compares, and how; its reference decides between baseline and previous
+# frame.
 PENALTIES = {
     "log_gradient": ("LAMPEST_LOG", "LAMPEST_STEPS"),
     "gradient": ("LAMPEST_OHM", "LAMPEST_CENTRAL"),
@@ -83,7 +84,9 @@ class Penalty:
 
 @dataclass(frozen=True, eq=False)
 class CircuitLines:
-    """Circuit of driven lines: V_ij = gain_j Z_ij / ((drive_i + release_i Z_ii)(1 + load_j Z_jj) − …).
+    """Circuit of driven lines.
+
+    V_ij = gain_j Z_ij / ((drive_i + release_i Z_ii)(1 + load_j Z_jj) − …).
 
     Attributes
     ----------
@@ -92,7 +95,8 @@ class CircuitLines:
     drive, release : array, shape (driven lines,)
         Rd in ohm, and 1 − Rd/Rp.
     load, gain : array, shape (sensed lines,)
-        1/Rs − 1/Rq in siemens, and the supply times the share of the line's voltage at the converter, volt.
+        1/Rs − 1/Rq in siemens, and the supply times the share of the line's voltage at the
+        converter, volt.
     """
 
     tie: Array
@@ -103,15 +107,22 @@ class CircuitLines:
 
     @classmethod
     def of(cls, readout: DrivenCircuit, shape: tuple[int, int]) -> "CircuitLines":
-        """Return the circuit's numbers. Raises InputError for a circuit that is not of this form."""
+        """Return the circuit's numbers.
+
+        Raises InputError for a circuit that is not of this form.
+        """
         if getattr(readout, "diode", None) is not None:
-            raise InputError("the C library has no diodes: drive the lines without one, or estimate on a computer")
+            raise InputError(
+                "the C library has no diodes: drive the lines without one, or estimate on a "
+                "computer"
+            )
         equation = equation_of(readout, *shape)
         if len(equation.ties) > 1:
             raise InputError("the C library has no multiplexers in parallel (readout.groups)")
         if np.isinf(equation.ties).any():
             raise InputError(
-                "the C library has no lines that 0 ohm hold at ground while they are idle: give idle_ohm or "
+                "the C library has no lines that 0 ohm hold at ground while they are idle: give "
+                "idle_ohm or "
                 "idle_load_ohm of the switch"
             )
         by_rows = readout.driven == "rows"
@@ -125,9 +136,12 @@ class CircuitLines:
         drive, release = map(along_driven, equation.drive_terms)
         load = along_sensed(equation.load_terms[1])
         gain = along_sensed(equation.gain)
-        if np.any(np.abs(release) > MAX_RELEASE) or np.any(np.abs(load) * along_sensed(equation.load) > MAX_RELEASE):
+        if np.any(np.abs(release) > MAX_RELEASE) or np.any(
+            np.abs(load) * along_sensed(equation.load) > MAX_RELEASE
+        ):
             raise InputError(
-                "the C library has no lines that are held at ground while idle, and driven or loaded through a "
+                "the C library has no lines that are held at ground while idle, and driven or "
+                "loaded through a "
                 "resistor: single precision loses what differs"
             )
         tie = readout.ties(np.full(shape, readout.driving_volt / 2))
@@ -177,8 +191,8 @@ class Constants:
     def of(cls, case: CaseResult) -> "Constants":
         """Return the constants of a case.
 
-        Raises InputError for a term or circuit that C does not have, a configuration that lampest does not write, and
-        numbers beyond those that the library takes.
+        Raises InputError for a term or circuit that C does not have, a configuration that lampest
+        does not write, and numbers beyond those that the library takes.
         """
         try:
             constants = cls._of(case)
@@ -186,7 +200,8 @@ class Constants:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"{case.recording} × {case.estimator}: its stored configuration is none that lampest writes"
+                f"{case.recording} × {case.estimator}: its stored configuration is none that "
+                "lampest writes"
             ) from error
         constants.check()
         return constants
@@ -196,7 +211,11 @@ class Constants:
         scene = case.scene
         check_scene(scene)
         readout = scene.circuit
-        lines = CircuitLines.of(readout, scene.panel.shape) if isinstance(readout, DrivenCircuit) else None
+        lines = (
+            CircuitLines.of(readout, scene.panel.shape)
+            if isinstance(readout, DrivenCircuit)
+            else None
+        )
         recorded = readout.to_recorded(case.measured, scene)
         sigma_volt = _sigma_volt(case, recorded)
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
@@ -207,13 +226,19 @@ class Constants:
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
         solved = case.solved
-        limit = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved])) if case.sigma_own is not None else 0.0
+        limit = (
+            LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
+            if case.sigma_own is not None
+            else 0.0
+        )
         bounds = content.get("bounds", {})
         lower = bounds.get("lower", "measured")
         upper = bounds.get("upper", "resolution")
         native = lines is None and lower == "measured" and upper == "resolution"
         typical = float(np.nanmedian(case.cell_resistance[solved]))
-        baseline = np.where(np.isfinite(case.baseline_resistance), case.baseline_resistance, typical)
+        baseline = np.where(
+            np.isfinite(case.baseline_resistance), case.baseline_resistance, typical
+        )
         return cls(
             scene,
             lines,
@@ -234,13 +259,20 @@ class Constants:
 
         A compiler would refuse it, or the board.
         """
-        losses = [(self.data_loss, self.data_corner), *((term.loss, term.corner) for term in self.penalties)]
+        losses = [
+            (self.data_loss, self.data_corner),
+            *((term.loss, term.corner) for term in self.penalties),
+        ]
         numbers: list[tuple[str, Any, tuple[float, float]]] = [
             ("cells at rest, ohm,", self.baseline, (MIN_OHM, MAX_OHM)),
             ("noise, volt,", self.sigma_volt, LIMITS["sigma"]),
             ("noise of plain misfits", self.plain_sigma, LIMITS["plain sigma"]),
             ("supplies, volt,", self.scene.circuit.supply_volt, LIMITS["supply"]),
-            ("corners of losses", [corner for loss, corner in losses if loss != "LAMPEST_SQUARED"], LIMITS["corner"]),
+            (
+                "corners of losses",
+                [corner for loss, corner in losses if loss != "LAMPEST_SQUARED"],
+                LIMITS["corner"],
+            ),
             ("weights", [term.weight for term in self.penalties], LIMITS["weight"]),
             ("lower bounds, ohm,", self.least_ohm, (0.0, MAX_OHM)),
             ("upper bounds, ohm,", self.largest_ohm, LIMITS["upper bound"]),
@@ -257,17 +289,26 @@ class Constants:
             )
             numbers += of_lines
         elif isinstance(self.scene.circuit, TwoPointReadout):
-            numbers.append(("references, ohm,", self.scene.circuit.reference_ohm, LIMITS["reference"]))
+            numbers.append(
+                ("references, ohm,", self.scene.circuit.reference_ohm, LIMITS["reference"])
+            )
         for name, values, (low, high) in numbers:
             known = np.ravel(np.asarray(values, dtype=float))
             beyond = known[~((known >= low) & (known <= high))]
             if beyond.size:
-                raise InputError(f"the C library takes {name} from {low:g} to {high:g}, not {beyond[0]:g}")
+                raise InputError(
+                    f"the C library takes {name} from {low:g} to {high:g}, not {beyond[0]:g}"
+                )
         if self.least_ohm > self.largest_ohm:
-            raise InputError(f"bounds: the lower one, {self.least_ohm:g} ohm, exceeds the upper, {self.largest_ohm:g}")
+            raise InputError(
+                f"bounds: the lower one, {self.least_ohm:g} ohm, exceeds the upper, "
+                f"{self.largest_ohm:g}"
+            )
         low_sum, high_sum = self.valid_sums
         if low_sum > high_sum:
-            raise InputError("no sum of codes is a value: all are at an end of the converter's range")
+            raise InputError(
+                "no sum of codes is a value: all are at an end of the converter's range"
+            )
 
     def within(self, budget: Budget) -> "Constants":
         """Return the constants with another budget."""
@@ -285,7 +326,9 @@ class Constants:
         readout = self.scene.circuit
         ends = np.sort(readout.volt_from_recorded(np.array(readout.rails())))
         low, high = (ends / readout.lsb_volt - 0.5) * readout.readings
-        return int(np.clip(np.ceil(low - 1e-6), 0, self.top_sum)), int(np.clip(np.floor(high + 1e-6), 0, self.top_sum))
+        return int(np.clip(np.ceil(low - 1e-6), 0, self.top_sum)), int(
+            np.clip(np.floor(high + 1e-6), 0, self.top_sum)
+        )
 
     @property
     def relative(self) -> bool:
@@ -294,7 +337,10 @@ class Constants:
 
     @property
     def pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array] | None:
-        """Neighbours of listed cells by their numbers along the longer side; None for a full rectangle."""
+        """Neighbours of listed cells by their numbers along the longer side.
+
+        None for a full rectangle.
+        """
         panel = self.scene.panel
         if panel.cells is None:
             return None
@@ -314,7 +360,10 @@ class Constants:
         return readout.direction > 0
 
     def sums_of(self, case: CaseResult) -> NDArray[np.uint16]:
-        """Return the sums of codes of the frames, (frames, rows, columns); missing readings are 65535."""
+        """Return the sums of codes of the frames, (frames, rows, columns).
+
+        Missing readings are 65535.
+        """
         sums = self._sums(self.scene.circuit.to_recorded(case.measured, self.scene))
         if case.reading_side is not None:
             high = case.reading_side == (1 if self.rises else -1)
@@ -326,7 +375,9 @@ class Constants:
         """Return sums of codes of recorded values, not rounded to more than a sum."""
         readout = self.scene.circuit
         with np.errstate(invalid="ignore"):
-            sums = (readout.volt_from_recorded(recorded) / readout.lsb_volt - 0.5) * readout.readings
+            sums = (
+                readout.volt_from_recorded(recorded) / readout.lsb_volt - 0.5
+            ) * readout.readings
         return np.asarray(np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum))
 
 
@@ -335,8 +386,14 @@ def check_scene(scene: Scene) -> None:
     rows, columns = scene.panel.shape
     for known, sentence in (
         (scene.readout is None, "needs a readout in the scene, whose codes the board reads"),
-        (scene.panel.modules is not None, "estimates one panel, not modules: export a recording of one of them"),
-        (max(rows, columns) > MAX_LINES, f"has up to {MAX_LINES} lines a side, not {rows} × {columns}"),
+        (
+            scene.panel.modules is not None,
+            "estimates one panel, not modules: export a recording of one of them",
+        ),
+        (
+            max(rows, columns) > MAX_LINES,
+            f"has up to {MAX_LINES} lines a side, not {rows} × {columns}",
+        ),
         (scene.wiring is not None, "has no line resistance, contacts or touching lines"),
         (scene.converter_memory is not None, "has no converter memory"),
         (scene.faults is not None, "has no faults: list the panel's sound cells under panel.cells"),
@@ -348,21 +405,27 @@ def check_scene(scene: Scene) -> None:
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:
         raise InputError(
-            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 16 bits: give fewer readings"
+            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 16 bits: give "
+            "fewer readings"
         )
 
 
 def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
     """Return σ at the converter in volt, (rows, columns): the median over the frames."""
     if case.sigma is None:
-        raise InputError(f"{case.recording} × {case.estimator}: the noise of the readings is not known")
+        raise InputError(
+            f"{case.recording} × {case.estimator}: the noise of the readings is not known"
+        )
     readout = case.scene.circuit
     scene = case.scene
     # d(network reading)/d(volt) by central differences of half a code
     volt = readout.volt_from_recorded(recorded)
     half = readout.lsb_volt / 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        ends = [readout.from_recorded(readout.recorded_from_volt(volt + side * half), scene) for side in (1, -1)]
+        ends = [
+            readout.from_recorded(readout.recorded_from_volt(volt + side * half), scene)
+            for side in (1, -1)
+        ]
         sigma = case.sigma / np.abs((ends[0] - ends[1]) / (2 * half))
     sigma[~case.valued | ~np.isfinite(sigma)] = np.nan
     if not np.isfinite(sigma).any():
@@ -390,7 +453,10 @@ def _plain_sigma(case: CaseResult) -> float:
 
 
 def _largest(case: CaseResult) -> float:
-    """Return the upper bound of all cells in ohm: where single precision, or the noise, sees no difference."""
+    """Return the upper bound of all cells in ohm.
+
+    It is where single precision, or the noise, sees no difference.
+    """
     readout = case.scene.circuit
     if not isinstance(readout, DrivenCircuit) or case.sigma is None:
         return MAX_OHM
@@ -400,18 +466,29 @@ def _largest(case: CaseResult) -> float:
 
 
 def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the enumerator of a loss and its corner. Raises InputError for a loss that C does not have."""
+    """Return the enumerator of a loss and its corner.
+
+    Raises InputError for a loss that C does not have.
+    """
     loss = term.get("loss", {"kind": "squared"})
     if loss["kind"] not in LOSSES:
-        raise InputError(f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has {', '.join(LOSSES)}")
+        raise InputError(
+            f"the C library has no loss {loss['kind']!r} ({term['kind']}): it has "
+            f"{', '.join(LOSSES)}"
+        )
     return LOSSES[loss["kind"]], float(loss.get("corner", 1.0))
 
 
 def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty:
-    """Return a penalty with its weight of the strongest frame, divided by what the misfit is divided by."""
+    """Return a penalty with its weight of the strongest frame.
+
+    The weight is divided by what the misfit is divided by.
+    """
     kind = term["kind"]
     if kind not in PENALTIES:
-        raise InputError(f"the C library has no term {kind!r}: it has misfit, {', '.join(PENALTIES)}")
+        raise InputError(
+            f"the C library has no term {kind!r}: it has misfit, {', '.join(PENALTIES)}"
+        )
     loss, corner = _loss(term)
     quantity, difference = PENALTIES[kind]
     if kind == "log_ratio":
@@ -420,5 +497,7 @@ def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty
         difference = "LAMPEST_STEPS"
     weights = case.weights[kind][np.isfinite(case.weights[kind])]
     if not weights.size:
-        raise InputError(f"{case.recording} × {case.estimator}: no frame is solved, so that {kind} has no weight")
+        raise InputError(
+            f"{case.recording} × {case.estimator}: no frame is solved, so that {kind} has no weight"
+        )
     return Penalty(quantity, difference, loss, corner, float(np.median(weights)) / scale)

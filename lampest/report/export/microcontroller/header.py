@@ -12,11 +12,15 @@ from lampest.panel.scene import Scene
 from lampest.report.export.microcontroller.constants import Constants
 
 NUMBERS_A_LINE = 8
-MIN_NUMBER = 1e-37  # smaller ones are zero: about the smallest that single precision has with all its digits
+# Smaller ones are zero: about the smallest that single precision has with all its digits.
+MIN_NUMBER = 1e-37
 
 
 def number(value: float) -> str:
-    """Return a number as a C literal of single precision, with the nine digits that determine it."""
+    """Return a number as a C literal of single precision.
+
+    It has the nine digits that determine it.
+    """
     text = f"{value if abs(value) >= MIN_NUMBER else 0.0:.9g}"
     return (text if any(mark in text for mark in ".en") else text + ".0") + "f"
 
@@ -43,7 +47,10 @@ class CArray(NamedTuple):
     def declaration(self, name: str) -> str:
         """Return the declaration under a name."""
         count = len(self.texts)
-        lines = [", ".join(self.texts[at : at + NUMBERS_A_LINE]) for at in range(0, count, NUMBERS_A_LINE)]
+        lines = [
+            ", ".join(self.texts[at : at + NUMBERS_A_LINE])
+            for at in range(0, count, NUMBERS_A_LINE)
+        ]
         body = ",\n    ".join(lines)
         return f"static const {self.kind} {name}[{count}] = {{\n    {body}}};\n"
 
@@ -52,7 +59,9 @@ Entries = dict[str, str | CArray]  # field of lampest_constants → literal, or 
 
 
 def header(constants: Constants, name: str, about: Iterable[str]) -> str:
-    """Return the header that declares name_constants, and the numbers NAME_ROWS, NAME_COLUMNS and NAME_MEMORY.
+    """Return the header that declares name_constants and three numbers.
+
+    The numbers are NAME_ROWS, NAME_COLUMNS and NAME_MEMORY.
 
     Parameters
     ----------
@@ -63,13 +72,29 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
         Lines of the comment at the top.
     """
     rows, columns = constants.scene.panel.shape
-    entries = _panel(constants) | _circuit(constants) | _converter(constants) | _cost(constants) | _work(constants)
-    arrays = [entry.declaration(f"{name}_{field}") for field, entry in entries.items() if isinstance(entry, CArray)]
-    values = {field: f"{name}_{field}" if isinstance(entry, CArray) else entry for field, entry in entries.items()}
+    entries = (
+        _panel(constants)
+        | _circuit(constants)
+        | _converter(constants)
+        | _cost(constants)
+        | _work(constants)
+    )
+    arrays = [
+        entry.declaration(f"{name}_{field}")
+        for field, entry in entries.items()
+        if isinstance(entry, CArray)
+    ]
+    values = {
+        field: f"{name}_{field}" if isinstance(entry, CArray) else entry
+        for field, entry in entries.items()
+    }
     body = "\n".join(f"    .{field} = {values.get(field, '0')}," for field in ORDER)
     guard = f"{name.upper()}_CONSTANTS_H"
     comment = "\n".join(f" * {line}".rstrip() for line in about)
-    memory = f"LAMPEST_MEMORY({rows}, {columns}, {int(constants.lines is not None)}, {int(constants.relative)})"
+    memory = (
+        f"LAMPEST_MEMORY({rows}, {columns}, {int(constants.lines is not None)}, "
+        f"{int(constants.relative)})"
+    )
     return (
         f'/*\n{comment}\n */\n#ifndef {guard}\n#define {guard}\n\n#include "lampest_estimate.h"\n\n'
         f"#define {name.upper()}_ROWS {rows}\n#define {name.upper()}_COLUMNS {columns}\n"
@@ -79,8 +104,8 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
     )
 
 
-# The fields of lampest_constants in the order of their declaration, as C++ demands of designated initialisers; absent
-# ones are 0.
+# The fields of lampest_constants in the order of their declaration, as C++ demands of designated
+# initialisers; absent ones are 0.
 ORDER = (
     "rows",
     "columns",
@@ -130,7 +155,9 @@ def _panel(constants: Constants) -> Entries:
     rows, columns = panel.shape
     entries: Entries = {"rows": str(rows), "columns": str(columns)}
     if panel.cells is not None:
-        entries["present"] = CArray("uint8_t", tuple(str(int(cell)) for cell in panel.present.ravel()))
+        entries["present"] = CArray(
+            "uint8_t", tuple(str(int(cell)) for cell in panel.present.ravel())
+        )
     if (pairs := constants.pairs) is not None:
         texts = tuple(f"{{{a}, {b}, {number(d)}}}" for a, b, d in zip(*pairs, strict=True))
         entries["pairs"] = CArray("lampest_pair", texts)
@@ -139,14 +166,17 @@ def _panel(constants: Constants) -> Entries:
 
 
 def _circuit(constants: Constants) -> Entries:
-    """Return the numbers of the circuit of a readout that drives its lines, or of two-point readings."""
+    """Return the circuit's numbers of a readout that drives its lines, or of two-point readings."""
     readout = constants.scene.circuit
     if constants.lines is not None and isinstance(readout, DrivenCircuit):
         lines = {
             field: CArray.of_floats(getattr(constants.lines, field))
             for field in ("tie", "drive", "release", "load", "gain")
         }
-        sides = {"rows_driven": _literal(readout.driven == "rows"), "mirrored": _literal(readout.mirrored)}
+        sides = {
+            "rows_driven": _literal(readout.driven == "rows"),
+            "mirrored": _literal(readout.mirrored),
+        }
         return {"driven": "true"} | sides | lines
     assert isinstance(readout, TwoPointReadout)
     return _two_point(constants.scene, readout)
@@ -175,7 +205,7 @@ def _two_point(scene: Scene, readout: TwoPointReadout) -> Entries:
 
 
 def _converter(constants: Constants) -> Entries:
-    """Return the range of valid sums, volts of a sum, and σ of each reading, or of all where they are alike."""
+    """Return the range of valid sums, volts of a sum, and σ of each reading, or of all if alike."""
     readout = constants.scene.circuit
     low, high = constants.valid_sums
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
@@ -194,7 +224,10 @@ def _converter(constants: Constants) -> Entries:
 
 def _cost(constants: Constants) -> Entries:
     """Return the loss of the misfit, the penalties, the bounds of cells, and the baseline."""
-    entries: Entries = {"data_loss": constants.data_loss, "data_corner": number(constants.data_corner)}
+    entries: Entries = {
+        "data_loss": constants.data_loss,
+        "data_corner": number(constants.data_corner),
+    }
     if constants.penalties:
         terms = tuple(
             f"{{{p.quantity}, {p.difference}, {p.loss}, {number(p.corner)}, {number(p.weight)}}}"
@@ -214,7 +247,11 @@ def _cost(constants: Constants) -> Entries:
 def _work(constants: Constants) -> Entries:
     """Return the budget of a frame."""
     budget = constants.budget
-    return {"steps": str(budget.steps), "products": str(budget.products), "within": number(budget.within)}
+    return {
+        "steps": str(budget.steps),
+        "products": str(budget.products),
+        "within": number(budget.within),
+    }
 
 
 def _literal(value: object) -> str:

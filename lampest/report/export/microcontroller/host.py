@@ -45,7 +45,7 @@ void host_baseline(const uint16_t *sums, float *numbers) { put(lampest_baseline(
 float host_deviation(int row, int column, int products) {
     return lampest_deviation(&host_panel, row, column, products);
 }
-"""
+"""  # noqa: E501
 
 
 def library_folder() -> Path:
@@ -99,7 +99,9 @@ class Host:
 
     def begin(self, budget: Budget) -> int:
         """Start from the baseline of the constants; return the outcome."""
-        return int(self.library.host_begin(budget.steps, budget.products, ctypes.c_float(budget.within)))
+        return int(
+            self.library.host_begin(budget.steps, budget.products, ctypes.c_float(budget.within))
+        )
 
     def frame(self, sums: NDArray[np.uint16]) -> tuple[Array, Array]:
         """Return (log change (rows, columns), status (8,)) of one frame."""
@@ -121,7 +123,9 @@ class Host:
         status = np.array([numbers for _, numbers in answers])
         return Answers(np.array([change for change, _ in answers]), *status.T)
 
-    def _call(self, function: Any, sums: NDArray[np.uint16], *, changes: bool) -> tuple[Array, Array]:
+    def _call(
+        self, function: Any, sums: NDArray[np.uint16], *, changes: bool
+    ) -> tuple[Array, Array]:
         held = np.ascontiguousarray(sums, np.uint16)
         change = np.zeros(self.shape, np.float32)
         status = np.zeros(8, np.float32)
@@ -135,7 +139,9 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
     """Compile the library with constants. Raises InputError without a compiler."""
     command = compiler()
     if command is None:
-        raise InputError("no C compiler here (cc, gcc or clang), with which the trade of budgets is measured")
+        raise InputError(
+            "no C compiler here (cc, gcc or clang), with which the trade of budgets is measured"
+        )
     with tempfile.TemporaryDirectory(prefix="lampest-") as name:
         place = Path(name)
         (place / "panel_constants.h").write_text(header(constants, "panel", ()), encoding="ascii")
@@ -144,13 +150,19 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
         build = [command, *FLAGS, *flags, f"-I{library_folder()}", str(place / "host.c"), *files]
         try:
             done = subprocess.run(
-                [*build, "-o", str(place / "host.so"), "-lm"], capture_output=True, text=True, check=False
+                [*build, "-o", str(place / "host.so"), "-lm"],
+                capture_output=True,
+                text=True,
+                check=False,
             )
         except OSError as error:
             raise InputError(f"{command} cannot be started ({error.strerror or error})") from error
         if done.returncode:
-            raise InputError(f"{command} does not compile the C library: {done.stderr.strip().splitlines()[:1]}")
+            raise InputError(
+                f"{command} does not compile the C library: {done.stderr.strip().splitlines()[:1]}"
+            )
         library = ctypes.CDLL(str(place / "host.so"))
-    # The folder is gone while the library is used, so that nothing remains of a process that is killed then.
+    # The folder is gone while the library is used, so that nothing remains of a process that is
+    # killed then.
     library.host_deviation.restype = ctypes.c_float
     yield Host(library, constants.scene.panel.shape)

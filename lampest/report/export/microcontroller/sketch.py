@@ -87,7 +87,7 @@ void loop() {
     Serial.print(100 * (exp(change[strongest]) - 1), 1);
     Serial.println(" %");
 }
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,10 @@ class Sketch:
 
 @dataclass(frozen=True)
 class Wishes:
-    """A user's requests for the budget, see `trade.chosen_budget`. Raises InputError for an unknown processor."""
+    """A user's requests for the budget, see `trade.chosen_budget`.
+
+    Raises InputError for an unknown processor.
+    """
 
     within: float | None = None
     milliseconds: float | None = None
@@ -125,7 +128,9 @@ class Wishes:
         if self.processor is not None and self.processor not in PROCESSORS:
             raise InputError(f"--processor: {self.processor!r} is none of {', '.join(PROCESSORS)}")
         if self.processor is not None and self.milliseconds is None:
-            raise InputError("--processor belongs to --milliseconds, the longest time of a frame on it")
+            raise InputError(
+                "--processor belongs to --milliseconds, the longest time of a frame on it"
+            )
 
     @property
     def any(self) -> bool:
@@ -157,7 +162,8 @@ def export_sketch(
     Raises
     ------
     InputError
-        For an unknown case, a term, loss or circuit that C does not have, or wishes that no budget meets.
+        For an unknown case, a term, loss or circuit that C does not have, or wishes that no budget
+        meets.
     """
     source = Path(results)
     asked = wishes or Wishes()
@@ -169,12 +175,17 @@ def export_sketch(
         budget = constants.budget
         about = (
             f"{case.recording} × {case.estimator}: {constants.scene.circuit.description()}",
-            f"budget of a frame: {budget.steps} steps × {budget.products} products, ends within {budget.within:g} σ",
+            f"budget of a frame: {budget.steps} steps × {budget.products} products, ends within "
+            f"{budget.within:g} σ",
         )
-        text = header(constants, "panel", ("Constants of an estimator, written by `lampest export --to c`.", *about))
+        text = header(
+            constants,
+            "panel",
+            ("Constants of an estimator, written by `lampest export --to c`.", *about),
+        )
         readings = f"#define PANEL_READINGS {constants.scene.circuit.readings}\n\nstatic const"
-        # The sketch is the last one that gets its name, and an old one goes before the first does: a folder with a
-        # sketch is whole, also where the command is killed meanwhile.
+        # The sketch is the last one that gets its name, and an old one goes before the first does:
+        # a folder with a sketch is whole, also where the command is killed meanwhile.
         sketch = f"{folder.name}.ino"
         contents = {
             sketch: SKETCH,
@@ -198,7 +209,9 @@ def _case_of(source: Path, recording: str | None, estimator: str | None) -> Case
         cases = tuple(case for case in cases if case.estimator == estimator)
     if not cases:
         known = ", ".join(read.estimators())
-        raise InputError(f"{source}: holds no case of the estimator {estimator!r}; there are {known}")
+        raise InputError(
+            f"{source}: holds no case of the estimator {estimator!r}; there are {known}"
+        )
     return cases[0]
 
 
@@ -213,17 +226,26 @@ def _measured(
     if compiler() is None:
         if wishes.any:
             raise InputError(
-                "--within and --milliseconds need a C compiler here (cc, gcc or clang), to measure budgets"
+                "--within and --milliseconds need a C compiler here (cc, gcc or clang), to measure "
+                "budgets"
             )
         with np.errstate(invalid="ignore", divide="ignore"):
-            optimum = np.nan_to_num(np.log(case.cell_resistance / case.baseline_resistance)[:VECTOR_FRAMES])
-        note = "no C compiler here (cc, gcc or clang): budgets are not measured, the usual one is taken"
+            optimum = np.nan_to_num(
+                np.log(case.cell_resistance / case.baseline_resistance)[:VECTOR_FRAMES]
+            )
+        note = (
+            "no C compiler here (cc, gcc or clang): budgets are not measured, the usual one is "
+            "taken"
+        )
         return (), constants, _vector(sums, optimum, 0.1), (note,)
     notes: list[str] = []
     table: tuple[Trade, ...] = ()
     with compiled(constants) as host:
         if case.sigma_own is None and not wishes.any:
-            notes.append("these results have no error bars, the unit of deviations: the usual budget is taken")
+            notes.append(
+                "these results have no error bars, the unit of deviations: the usual budget is "
+                "taken"
+            )
         else:
             table = trades(host, constants, case)
             trade, aim = chosen_budget(table, wishes.within, wishes.milliseconds, wishes.processor)
@@ -243,9 +265,11 @@ def _vector(sums: NDArray[np.uint16], changes: Array, tolerance: float) -> str:
     codes = rows(map(str, frame.ravel()) for frame in sums)
     answers = rows((number(float(value)) for value in frame.ravel()) for frame in changes)
     return (
-        "/* Frames of the recording, and the log changes that the computer found for them, from the baseline on. */\n"
+        "/* Frames of the recording, and the log changes that the computer found for them, from "
+        "the baseline on. */\n"
         "#ifndef TEST_VECTOR_H\n#define TEST_VECTOR_H\n\n#include <stdint.h>\n\n"
-        f"#define VECTOR_FRAMES {len(sums)}\n#define VECTOR_TOLERANCE {number(tolerance)} /* ln r */\n\n"
+        f"#define VECTOR_FRAMES {len(sums)}\n#define VECTOR_TOLERANCE {number(tolerance)} /* ln r "
+        "*/\n\n"
         f"static const uint16_t vector_sums[{len(sums)}][{cells}] = {{\n{codes}}};\n\n"
         f"static const float vector_log_change[{len(sums)}][{cells}] = {{\n{answers}}};\n\n#endif\n"
     )

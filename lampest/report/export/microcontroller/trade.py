@@ -1,4 +1,7 @@
-"""What a budget buys: deviation from the optimum, operations, and time, measured on a recording's own frames."""
+"""What a budget buys, measured on a recording's own frames.
+
+Deviation from the optimum, operations, and time.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +15,9 @@ from lampest.report.export.microcontroller.constants import Budget, Constants
 from lampest.report.export.microcontroller.host import Host
 from lampest.runs.case import CaseResult
 
-# Instructions a microsecond, reckoned and not measured on a board. Cortex-M4F at 120 MHz: 1.2 cycles an instruction;
-# Cortex-M7 at 600 MHz: two instructions in 1.3 cycles; one Cortex-M33 of an RP2350 at 150 MHz: as the M4; an ESP32 at
-# 240 MHz: 1.6 cycles, as its loads wait.
+# Instructions a microsecond, reckoned and not measured on a board. Cortex-M4F at 120 MHz: 1.2
+# cycles an instruction; Cortex-M7 at 600 MHz: two instructions in 1.3 cycles; one Cortex-M33 of an
+# RP2350 at 150 MHz: as the M4; an ESP32 at 240 MHz: 1.6 cycles, as its loads wait.
 PROCESSORS = {"cortex-m4f": 100.0, "cortex-m7": 900.0, "rp2350": 125.0, "esp32": 150.0}
 BUDGETS = (
     *(Budget(1, products, 0.0) for products in (3, 5, 8)),
@@ -22,14 +25,17 @@ BUDGETS = (
     *(Budget(3, products, 0.0) for products in (8, 12, 20, 30)),
     *(Budget(5, products, 0.0) for products in (20, 40)),
 )
-MAX_TOUCH = 0.5  # standard deviations after two frames of a touch: half of what shows, as loads move meanwhile
+# Standard deviations after two frames of a touch: half of what shows, as loads move meanwhile.
+MAX_TOUCH = 0.5
 DEFAULT_WITHIN = 0.05  # standard deviations of a cell's own error, which is not noticeable
 # the first ones of a recording: enough for a median
 MIN_FRAMES = 6
 MAX_FRAMES = 40
-MAX_OPERATIONS = 2_000_000  # of a product of all frames together: a minute for all budgets at 64 × 64 cells
-# Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within 10 %
-# (tests/board/test_estimate.py): of a product for each operation of its matrices and each cell, of a step, of a frame.
+# Of a product of all frames together: a minute for all budgets at 64 × 64 cells.
+MAX_OPERATIONS = 2_000_000
+# Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within
+# 10 % (tests/board/test_estimate.py): of a product for each operation of its matrices and each
+# cell, of a step, of a frame.
 FOR_OPERATION = 3.56
 FOR_CELL = 136.0
 FOR_STEP_CELL = 3040.0
@@ -45,8 +51,8 @@ class Trade:
     ----------
     budget : Budget
     median, worst : float
-        Deviation from the optimum, rms over the cells, in standard deviations of their own errors: median and worst of
-        the frames.
+        Deviation from the optimum, rms over the cells, in standard deviations of their own errors:
+        median and worst of the frames.
     touch : float
         The same after two frames of the strongest load, begun at the unloaded panel.
     instructions, most_instructions : float
@@ -80,11 +86,18 @@ def instructions(constants: Constants, products: Array, steps: Array) -> Array:
     cells = longer * shorter
     operations = operations_of(constants)
     of_step = FOR_STEP_CELL * cells + FOR_STEP_LINES * longer * cells
-    return products * (FOR_OPERATION * operations + FOR_CELL * cells) + steps * of_step + FOR_FRAME_CELL * cells
+    return (
+        products * (FOR_OPERATION * operations + FOR_CELL * cells)
+        + steps * of_step
+        + FOR_FRAME_CELL * cells
+    )
 
 
 def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, ...]:
-    """Return what each budget buys on the first frames of a case. Raises InputError without error bars."""
+    """Return what each budget buys on the first frames of a case.
+
+    Raises InputError without error bars.
+    """
     if case.sigma_own is None:
         raise InputError("these results have no error bars, the unit of the deviation")
     affordable = max(MIN_FRAMES, MAX_OPERATIONS // operations_of(constants))
@@ -97,8 +110,12 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
     own[case.open_cell[:count] | case.at_lower_bound[:count] > 0] = np.nan
     solved = np.isfinite(optimum / own).any(axis=(1, 2))
     if not np.any(solved):
-        raise InputError("no frame of these results is solved, so that there is nothing to compare with")
-    strongest = int(np.argmax(np.nansum(np.where(np.isfinite(own), optimum, 0.0) ** 2, axis=(1, 2))))
+        raise InputError(
+            "no frame of these results is solved, so that there is nothing to compare with"
+        )
+    strongest = int(
+        np.argmax(np.nansum(np.where(np.isfinite(own), optimum, 0.0) ** 2, axis=(1, 2)))
+    )
     found = []
     for budget in BUDGETS:
         frames = host.frames(sums, budget)
@@ -117,7 +134,10 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
 
 
 def _deviation(log_change: Array, optimum: Array, own: Array) -> Array:
-    """Return the rms deviation over the cells, (...), of maps (..., rows, columns), in standard deviations."""
+    """Return the rms deviation of maps (..., rows, columns) over their cells, (...).
+
+    It is in standard deviations.
+    """
     with np.errstate(invalid="ignore"):
         square = ((log_change - optimum) / own) ** 2
     return np.asarray(np.sqrt(np.nanmean(square, axis=(-2, -1))))
@@ -126,16 +146,19 @@ def _deviation(log_change: Array, optimum: Array, own: Array) -> Array:
 def chosen_budget(
     table: Sequence[Trade], within: float | None, milliseconds: float | None, processor: str | None
 ) -> tuple[Trade, float]:
-    """Return the budget that a user's wishes name, and the deviation at which its frames may end earlier.
+    """Return the budget that a user's wishes name, and a deviation.
+
+    It is the deviation at which its frames may end earlier.
 
     Parameters
     ----------
     table : sequence of Trade
     within : float or None
-        Largest deviation of the median frame, in standard deviations. The second frame of a touch ends within
-        MAX_TOUCH, or this, where a budget can.
+        Largest deviation of the median frame, in standard deviations. The second frame of a touch
+        ends within MAX_TOUCH, or this, where a budget can.
     milliseconds : float or None
-        Longest time of a frame on the processor; without `within` the most exact budget that takes no longer.
+        Longest time of a frame on the processor; without `within` the most exact budget that takes
+        no longer.
     processor : str or None
         One of PROCESSORS.
 
@@ -148,7 +171,10 @@ def chosen_budget(
         fits = [trade for trade in known if trade.milliseconds(processor) <= milliseconds]
         if not fits:
             least = known[0].milliseconds(processor)
-            raise InputError(f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes {least:.3g} ms")
+            raise InputError(
+                f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes "
+                f"{least:.3g} ms"
+            )
         if within is None:
             return min(fits, key=lambda trade: trade.median), DEFAULT_WITHIN
         known = fits
@@ -156,16 +182,28 @@ def chosen_budget(
     exact = [trade for trade in known if trade.median <= aim]
     if not exact and within is not None:
         least = min(trade.median for trade in known)
-        raise InputError(f"no budget ends within {within:g} σ in the median frame: the best one at {least:.2g}")
+        raise InputError(
+            f"no budget ends within {within:g} σ in the median frame: the best one at {least:.2g}"
+        )
     prompt = [trade for trade in exact if trade.touch <= max(MAX_TOUCH, aim)]
     if prompt:
         return prompt[0], aim
-    return min(exact, key=lambda trade: trade.touch) if exact else min(known, key=lambda trade: trade.median), aim
+    return min(exact, key=lambda trade: trade.touch) if exact else min(
+        known, key=lambda trade: trade.median
+    ), aim
 
 
 def table_of(table: Sequence[Trade]) -> Table:
     """Return the table of what budgets buy."""
-    headers = ("steps", "products", "σ median", "σ worst", "σ touch", "million instructions", "at most")
+    headers = (
+        "steps",
+        "products",
+        "σ median",
+        "σ worst",
+        "σ touch",
+        "million instructions",
+        "at most",
+    )
     cells = tuple(
         (
             str(trade.budget.steps),
