@@ -120,7 +120,8 @@ class LooseContact(Effect):
         return scene.circuit.beyond(network, scene, more[:rows], more[rows:])
 
 
-EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all effects that are searched for
+# All effects that are searched for.
+EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)
 
 
 def with_effects(

@@ -2,6 +2,7 @@
 solver.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from docs.studies.as_published import Weights, left_by_solver
+from docs.studies.log_r import timed_frames
 from lampest import (
     Array,
     Estimates,
@@ -25,12 +27,14 @@ from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
+from lampest.runs.config import read_run
 from tests.estimates import recording_of
 
 LSM: tuple[Term, ...] = (Misfit(),)
 RIDGE: tuple[Term, ...] = (Misfit(), CellResistance(weight=1e-6))
 SMOOTH: tuple[Term, ...] = (Misfit(), Gradient(weight=1e-7))
 REDUCED = OptimalMethod("reduced")
+TABLE1 = Path(__file__).parents[2] / "configs" / "table1.yaml"
 
 
 def resting(shape: tuple[int, int]) -> Array:
@@ -129,3 +133,11 @@ def test_the_converged_published_method_reaches_the_verified_optimum(
     assert published.data_error == pytest.approx(
         100 * np.abs(model / measured.recorded[1:] - 1), abs=1e-9
     )
+
+
+def test_ipopt_over_log_r_ends_at_the_minima_of_the_other_solvers() -> None:
+    case = read_run(TABLE1, ("formulation=reduced",)).cases[1]
+    solves = timed_frames(case)
+    assert {solve.solver for solve in solves} == {"reduced", "nodal", "log r"}
+    assert min(solve.iterations for solve in solves if solve.solver == "log r") > 0
+    assert max(solve.above for solve in solves) < 1e-9
