@@ -385,3 +385,15 @@ def test_solver_and_terminal_are_called_in_one_place(name: str, home: str) -> No
         if isinstance(node, ast.Call) and ast.unparse(node.func) in (name, f"casadi.{name}")
     }
     assert callers == {home}
+
+
+def test_parts_are_as_small_as_the_contributing_page_says() -> None:
+    lengths = sorted(
+        node.end_lineno - node.lineno + 1
+        for tree in MODULES.values()
+        for node in nodes(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    )
+    assert lengths[len(lengths) * 4 // 5] <= 20
+    assert lengths[len(lengths) * 19 // 20] <= 40
+    assert max(len(path.read_text().splitlines()) for path in HOUSE.rglob("*.py")) < 750
