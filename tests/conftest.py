@@ -1,5 +1,6 @@
-"""The set-up of all tests: one thread, `support` for import; a small folder on the disk, and the
-command.
+"""The set-up of all tests: one thread, `support` for import.
+
+Also a small folder on the disk, and the command.
 """
 
 import os
@@ -33,8 +34,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow; leave `soak` out
-    unless requested.
+    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow.
+
+    Leave `soak` out unless requested.
     """
     if "soak" not in config.getoption("-m"):
         config.hook.pytest_deselected(
@@ -85,8 +87,9 @@ def lampest() -> Callable[..., Any]:
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Installs a package of one module, `addon`, which names something in each given group of entry
-    points.
+    """Installs a package of one module, `addon`.
+
+    It names something in each given group of entry points.
     """
 
     def install(module: str, **named: str) -> None:

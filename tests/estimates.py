@@ -1,5 +1,6 @@
-"""Recordings of given readings, and how far their estimates are from the truth. No test stands
-here.
+"""Recordings of given readings, and how far their estimates are from the truth.
+
+No test stands here.
 """
 
 import numpy as np

@@ -1,5 +1,6 @@
-"""Recordings of a panel on which known loads lay one after the other, or several at once; no test
-stands here.
+"""Recordings of a panel on which known loads lay one after the other, or several at once.
+
+No test stands here.
 """
 
 from collections.abc import Sequence
@@ -19,8 +20,9 @@ RESTING = 4
 
 @dataclass(frozen=True)
 class Bench:
-    """A panel on a bench. spread : of the cells' answers. response : what the film truly does.
-    frames : of each load.
+    """A panel on a bench.
+
+    spread : of the cells' answers. response : what the film truly does. frames : of each load.
 
     repeat : standard deviation of the logarithm of a factor on each cell's answer, drawn anew for
         each load.
@@ -78,8 +80,9 @@ def rod(x: float, y: float, diameter: float, kpa: float) -> Rod:
 def moved_over(
     bench: Bench, kpa: Sequence[float], diameter: float, step: float
 ) -> tuple[list[list[Shape]], list[KnownLoad]]:
-    """Rods of some pressures moved over the panel in steps: where they stood, to half a mm, and
-    what is said of it.
+    """Rods of some pressures moved over the panel in steps.
+
+    It is where they stood, to half a mm, and what is said of it.
     """
     rng = np.random.default_rng([bench.seed, 5])
     xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])

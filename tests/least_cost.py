@@ -1,5 +1,6 @@
-"""The cost of an estimate and its minimum, stated a second time in plain numpy and SciPy. No test
-stands here.
+"""The cost of an estimate and its minimum, stated a second time in plain numpy and SciPy.
+
+No test stands here.
 
 It shares no code with the package: potentials by one dense inverse, all derivatives as matrices,
 SciPy's trust region. Cells are u = log r, flat, one frame after the other.
@@ -18,8 +19,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Circuit:
-    """kind : two_point, loaded, grounded, grounded_one or virtual; rows are driven. joined : groups
-    of lines.
+    """A circuit whose rows are driven.
+
+    kind : two_point, loaded, grounded, grounded_one or virtual. joined : groups of lines.
 
     drive, sense, load : ohm, of which a kind takes what it has; load is the feedback's of virtual.
         supply : volt.
@@ -120,8 +122,9 @@ def edges(rows: int, columns: int) -> Array:
 
 @dataclass(frozen=True)
 class Penalty:
-    """weight·Σ ρ(residual) of a term by its kind; loss: squared, huber (with its corner) or
-    absolute.
+    """weight·Σ ρ(residual) of a term by its kind.
+
+    loss : squared, huber (with its corner) or absolute.
 
     against : 'baseline' or 'previous', of those that compare. scaled : a misfit in σ. walk : of
         arrival, of log r.
@@ -138,8 +141,9 @@ class Penalty:
 
 @dataclass(frozen=True, eq=False)
 class LeastCost:
-    """φ(u) of frames (frames, rows, columns); with two frames the first is the baseline and the
-    second's previous one.
+    """φ(u) of frames (frames, rows, columns).
+
+    With two frames the first is the baseline and the second's previous one.
 
     measured, sigma, side, seen, lower, upper : (frames, rows, columns); previous, baseline,
     deviation : (rows, columns) of one frame, of terms that compare. faulty : (rows, columns), cells
@@ -258,8 +262,9 @@ class LeastCost:
         )
 
     def blank(self) -> float:
-        """The data terms' cost where all readings are zero: what a rounded misfit is small
-        against.
+        """The data terms' cost where all readings are zero.
+
+        It is what a rounded misfit is small against.
         """
         total = 0.0
         for term in self.terms:
@@ -301,8 +306,9 @@ class LeastCost:
         return place
 
     def descended(self, start: Array, max_iterations: int = 300) -> Array:
-        """u from SciPy's L-BFGS-B, which asks for gradients alone; absolute losses hardly
-        rounded.
+        """u from SciPy's L-BFGS-B, which asks for gradients alone.
+
+        Absolute losses are hardly rounded.
         """
         bounds = list(zip(np.log(self.lower).ravel(), np.log(self.upper).ravel(), strict=True))
         rough = [

@@ -1,5 +1,6 @@
-"""Panels as lists of resistors, solved as such: oracles that share nothing with the house. No test
-stands here.
+"""Panels as lists of resistors, solved as such: oracles that share nothing with the house.
+
+No test stands here.
 """
 
 from collections.abc import Hashable, Iterable
@@ -23,8 +24,9 @@ Resistor = tuple[Node, Node, float]
 
 
 def laplacian(resistors: Iterable[Resistor]) -> tuple[dict[Node, int], Array]:
-    """Node → line of the matrix of conductances, and this matrix; resistors of 0 ohm join their
-    nodes.
+    """Node → line of the matrix of conductances, and this matrix.
+
+    Resistors of 0 ohm join their nodes.
     """
     resistors = list(resistors)
     name = {node: node for first, second, _ in resistors for node in (first, second)}
@@ -55,8 +57,9 @@ def potentials(resistors: Iterable[Resistor], held: dict[Node, float]) -> dict[N
 
 
 def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
-    """(node, node, ohm) of cells (rows, columns) ohm and all wire; nodes 0 … M + N − 1 are the
-    terminals, rows first.
+    """(node, node, ohm) of cells (rows, columns) ohm and all wire.
+
+    Nodes 0 … M + N − 1 are the terminals, rows first.
 
     Of every crossing the row's node is M + N + 2·number, the column's the next one; behind the
     contacts, the lines' own nodes come last.
@@ -95,8 +98,9 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
 
 
 def impedance_of(cells: Array, scene: Scene, ties: Array) -> Array:
-    """Z (lines, lines) ohm between the terminals, ties (lines) siemens to ground; nodes joined by 0
-    ohm are one.
+    """Z (lines, lines) ohm between the terminals, ties (lines) siemens to ground.
+
+    Nodes joined by 0 ohm are one.
     """
     number, matrix = laplacian(resistors(cells, scene))
     lines = [number[line] for line in range(sum(cells.shape))]
@@ -105,8 +109,9 @@ def impedance_of(cells: Array, scene: Scene, ties: Array) -> Array:
 
 
 def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
-    """R between rows and columns of cells, by the pseudoinverse; a leak joins every line with the
-    next of its kind.
+    """R between rows and columns of cells, by the pseudoinverse.
+
+    A leak joins every line with the next of its kind.
     """
     rows, columns = cells.shape
     matrix = np.zeros((rows + columns,) * 2)
@@ -120,8 +125,9 @@ def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
 
 
 def in_digits(cells: Array, digits: int = 50) -> Array:
-    """R between rows and columns of cells by mpmath, with the first row grounded; inf where current
-    has no way.
+    """R between rows and columns of cells by mpmath, with the first row grounded.
+
+    It is inf where current has no way.
     """
     rows, columns = cells.shape
     with mpmath.workdps(digits):
@@ -151,8 +157,9 @@ def per_line(ohm: float | tuple[float, ...], lines: int) -> tuple[float, ...]:
 
 
 def volts(cells: Array, readout: Any) -> Array:
-    """Return the voltage at the converter, (rows, columns): a netlist of its own for every
-    reading.
+    """Return the voltage at the converter, (rows, columns).
+
+    There is a netlist of its own for every reading.
     """
     turned = getattr(readout, "driven", "rows") == "columns"
     matrix = cells.T if turned else cells
@@ -194,8 +201,9 @@ def divider(
     row_ohm: float = 0.0,
     column_ohm: float = 0.0,
 ) -> float:
-    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground
-    in a row.
+    """Volt at the converter.
+
+    Supply, reference, row's channel, panel, column's channel and ground are in a row.
     """
     across_sensor = readout.measured_across == "sensor"
     above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
@@ -207,8 +215,9 @@ def divider(
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is
-    sensed.
+    """Drives, panel, channels and loads of a readout in volt.
+
+    They are those while one line is driven and one is sensed.
     """
     lines, sense_lines = (range(count) for count in matrix.shape)
     if isinstance(readout, DrivenReadout) or getattr(readout, "groups", None) is not None:
@@ -237,8 +246,9 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
 
 
 def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """The same of a circuit that names what idle lines have, or whose sensed lines are behind
-    multiplexers.
+    """The same of a circuit that names what idle lines have.
+
+    Or it is of one whose sensed lines are behind multiplexers.
     """
     count, sense_count = matrix.shape
     drive = per_line(readout.drive_ohm, count)

@@ -20,8 +20,9 @@ def foot(rng: np.random.Generator) -> Panel:
 
 
 def glove(rng: np.random.Generator) -> Panel:
-    """Five strips of four cells, each with two rows and two columns of its own: parts that nothing
-    joins.
+    """Five strips of four cells, each with two rows and two columns of its own.
+
+    They are parts that nothing joins.
     """
     cells = [
         (2 * strip + at // 2, 2 * strip + at % 2, 20.0 * strip, PITCH * at)
@@ -43,8 +44,9 @@ def ring(rng: np.random.Generator) -> Panel:
 
 
 def lonely(rng: np.random.Generator) -> Panel:
-    """A block of 3 × 3, a cell on a row and a column of its own, a row and a column without any
-    cell.
+    """A block of 3 × 3, a cell on a row and a column of its own, and empty lines.
+
+    The empty lines are a row and a column without any cell.
     """
     block = [(row, column, PITCH * column, PITCH * row) for row in range(3) for column in range(3)]
     return Panel(5, 5, PITCH, (*block, (4, 4, 60.0, 60.0)))

@@ -1,5 +1,6 @@
-"""Recordings of panels with films, loads and electronics of many kinds, made by the readouts' own
-equations.
+"""Recordings of panels with films, loads and electronics of many kinds.
+
+They are made by the readouts' own equations.
 
 They judge what recordings say about scenes, the health of a panel above all; how right these
 equations are is tested elsewhere, against netlists.
@@ -119,8 +120,9 @@ class Plan:
         )
 
     def volts(self, scene: Scene | None = None) -> Array:
-        """Exact voltages at the converter, (frames, rows, columns); by a scene with other faults,
-        if given.
+        """Exact voltages at the converter, (frames, rows, columns).
+
+        They are those of a scene with other faults, if given.
         """
         actual = scene or self.scene
         cells = self.loaded()

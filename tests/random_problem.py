@@ -1,5 +1,6 @@
-"""Random problems of estimation, and the least cost that anything finds of each. No test stands
-here.
+"""Random problems of estimation, and the least cost that anything finds of each.
+
+No test stands here.
 
 A problem is drawn from two numbers, a seed and its own: 1 × N and N × 1 to 24 × 24 cells, every
 readout, noise of 0 to 10 %, weights of 1e-9 to 1e9, all terms and losses, known faults, wild
@@ -76,8 +77,9 @@ def chosen(random: np.random.Generator, shares: dict[str, float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class RandomProblem:
-    """What was drawn: circuit and penalties, each twice; frames (3, rows, columns) ohm of which the
-    first rests.
+    """What was drawn: circuit and penalties, each twice; frames (3, rows, columns) ohm.
+
+    The first of the frames rests.
     """
 
     seed: int
@@ -174,8 +176,9 @@ class RandomProblem:
 
     @cached_property
     def requested(self) -> tuple[Stream, Readings] | None:
-        """The stream before the frame that is asked for, and that frame; None where it is the
-        baseline.
+        """The stream before the frame that is asked for, and that frame.
+
+        None where it is the baseline.
         """
         stream = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0])
         if self.pushed == 0 and stream.baseline is not None:
@@ -218,8 +221,9 @@ class RandomProblem:
         return LeastCost.of(self.data, *terms, circuit=self.circuit, faulty=broken)
 
     def excess(self, solution: Any) -> float:
-        """Share of the cost of an estimate that another solver saves; negative where each of them
-        costs more.
+        """Share of the cost of an estimate that another solver saves.
+
+        Negative where each of them costs more.
 
         Misfits of exact readings are rounding, which is small against the cost of readings of zero.
         Cells that are equal but for their last bits are the same estimate, however heavy the
@@ -238,8 +242,9 @@ class RandomProblem:
         return (own - least - ROUNDING_ERROR * self.oracle.blank()) / own
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
-        """Where other solvers end, u within the bounds: from the estimate, truth, equal cells and
-        random starts.
+        """Where other solvers end, u within the bounds.
+
+        They go from the estimate, truth, equal cells and random starts.
         """
         data = self.data
         random = np.random.default_rng([self.seed, self.number, 1])
@@ -292,8 +297,9 @@ def _shape(random: np.random.Generator) -> tuple[int, int]:
 
 
 def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
-    """Three frames ohm: scattered cells, and patches that are pressed or sucked more and more, or
-    not at all.
+    """Three frames ohm: scattered cells, and patches.
+
+    The patches are pressed or sucked more and more, or not at all.
     """
     level = 10 ** random.uniform(2.5, 4.5)
     spread = random.choice([0.05, 0.3, 1.0], p=[0.3, 0.5, 0.2])

@@ -1,5 +1,6 @@
-"""Small recordings and runs on the disk, written after the format's description and not by the
-package.
+"""Small recordings and runs on the disk.
+
+They are written after the format's description and not by the package.
 """
 
 import subprocess

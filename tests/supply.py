@@ -50,8 +50,9 @@ def plain(name: str) -> str:
 
 
 def lock() -> int:
-    """Resolve for every Python from 3.11 on and every platform, with the versions of
-    constraints.txt.
+    """Resolve for every Python from 3.11 on and every platform.
+
+    The versions are those of constraints.txt.
     """
     command = [
         sys.executable,
@@ -109,8 +110,9 @@ def licences() -> int:
 
 
 def audit() -> int:
-    """0 where every package was looked up and none has a known vulnerability; else 1 and what is
-    wrong.
+    """0 where every package was looked up and none has a known vulnerability.
+
+    Else 1 and what is wrong.
     """
     with tempfile.TemporaryDirectory() as folder:
         requirements = Path(folder) / "wanted.txt"
@@ -138,8 +140,9 @@ def audit() -> int:
 
 
 def audit_verdict(answer: Any, reason: str) -> int:
-    """Print what the database answered and return an exit code; None: not reached. Unknown packages
-    are not checked.
+    """Print what the database answered and return an exit code; None: not reached.
+
+    Unknown packages are not checked.
     """
     packages = [] if answer is None else answer["dependencies"]
     known = [package for package in packages if "skip_reason" not in package]

@@ -1,5 +1,6 @@
-"""What several tests need: invented but consistent results, and live without haste. No test stands
-here.
+"""What several tests need: invented but consistent results, and live without haste.
+
+No test stands here.
 """
 
 import dataclasses
@@ -18,8 +19,9 @@ METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 
 
 def mouth(rows: int, columns: int, frames: int, pitch_mm: float = 10.0) -> Array:
-    """Relative change in percent under a sucking mouth of 35 mm that grips harder from frame to
-    frame.
+    """Relative change in percent under a sucking mouth of 35 mm.
+
+    The mouth grips harder from frame to frame.
     """
     y, x = np.meshgrid(np.arange(rows) * pitch_mm, np.arange(columns) * pitch_mm, indexing="ij")
     distance = np.hypot(x - 0.45 * (columns - 1) * pitch_mm, y - 0.55 * (rows - 1) * pitch_mm)
@@ -87,8 +89,9 @@ def invented_case(
 
 
 class Patient(Engine):
-    """An engine in which every frame waits until the one before was solved; it keeps all
-    pictures.
+    """An engine in which every frame waits until the one before was solved.
+
+    It keeps all pictures.
     """
 
     def __init__(self, estimator: Estimator, baseline: int) -> None:
@@ -109,8 +112,9 @@ class Patient(Engine):
 def live_pictures(
     estimator: Estimator, baseline: int, feed: Callable[[Engine], None]
 ) -> list[Picture]:
-    """Every picture of what is fed to an engine; `baseline` frames are unloaded where the feed says
-    of none.
+    """Every picture of what is fed to an engine.
+
+    `baseline` frames are unloaded where the feed says of none.
     """
     with Patient(estimator, baseline) as engine:
         feed(engine)

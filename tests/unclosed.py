@@ -17,8 +17,9 @@ READINGS = 20
 def unclosed_recording(
     path: Path, scene: Scene, frames: int, unloaded: int, seed: int = 8, *, estimates: bool = False
 ) -> Path:
-    """Frames at 10 Hz, two events and a frame that was begun, as kill -9 leaves them, beside
-    `growing.h5`.
+    """Frames at 10 Hz, two events and a frame that was begun, beside `growing.h5`.
+
+    They are as kill -9 leaves them.
 
     With `estimates` the board has one of every second frame, of which every cell is the frame's
     number.

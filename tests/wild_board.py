@@ -1,5 +1,6 @@
-"""A board in a thread behind a pseudo-terminal that answers as the firmware does and sends what a
-script says.
+"""A board in a thread behind a pseudo-terminal.
+
+It answers as the firmware does and sends what a script says.
 """
 
 import itertools
@@ -40,8 +41,9 @@ class WildBoard:
     _ended: threading.Event = field(default_factory=threading.Event)
 
     def live(self, line: int, script: Script) -> None:
-        """Until it is ended: answer commands, and send what the script says when it is due; no
-        message tears one.
+        """Until it is ended: answer commands, and send what the script says when it is due.
+
+        No message tears one.
         """
         commands = b""
         answers = b""

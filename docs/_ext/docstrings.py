@@ -1,5 +1,6 @@
-"""Docstrings of the house → Markdown. They are no reStructuredText, so autodoc would misread
-them.
+"""Docstrings of the house → Markdown.
+
+They are no reStructuredText, so autodoc would misread them.
 """
 
 import inspect
@@ -8,8 +9,9 @@ from typing import Any
 
 
 def markdown(text: str) -> str:
-    """A cleaned docstring with its parameters as a list, its examples as code, nothing else as
-    markup.
+    """A cleaned docstring with its parameters as a list and its examples as code.
+
+    Nothing else is markup.
     """
     text = re.sub(
         r"^(Parameters|Attributes|Returns|Yields|Raises|Examples)\n-{3,}\n",

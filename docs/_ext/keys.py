@@ -37,8 +37,9 @@ def anchor(name: str) -> str:
 
 
 def headings(schema: dict[str, Any]) -> dict[str, str]:
-    """Name of a part → the word by which a file chooses it, else the keys that hold it: a file
-    names no class.
+    """Name of a part → the word by which a file chooses it, else the keys that hold it.
+
+    A file names no class.
     """
     parts = schema.get("$defs", {})
     keys: dict[str, list[str]] = {}

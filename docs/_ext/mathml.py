@@ -1,5 +1,6 @@
-"""Equations as MathML, which browsers draw themselves: MathJax would have to be fetched from
-elsewhere.
+"""Equations as MathML, which browsers draw themselves.
+
+MathJax would have to be fetched from elsewhere.
 """
 
 from typing import Any

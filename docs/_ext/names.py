@@ -34,8 +34,9 @@ def names_page() -> str:
 
 
 def room_of(name: str) -> str:
-    """The room that a name comes from; what is no class or function of lampest is told by where it
-    is kept.
+    """The room that a name comes from.
+
+    What is no class or function of lampest is told by where it is kept.
     """
     if name == "reconstruct":
         return "report"

@@ -1,5 +1,6 @@
-"""Every command that pages in docs/studies and of the model check name: `make studies`;
-PAGES="bench real" names some.
+"""Every command that pages in docs/studies and of the model check name.
+
+Run it with: `make studies`; PAGES="bench real" names some.
 
 All pages take more than an hour on one core. Output goes to results/studies/PAGE.log, with the
 commit. A command that fails does not stop the others. A page whose commands all succeed says at its

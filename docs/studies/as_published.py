@@ -1,5 +1,6 @@
-"""The five methods as the paper writes and solves them: equations (11) to (24), left where
-`lsqnonlin` stops.
+"""The five methods as the paper writes and solves them.
+
+They are equations (11) to (24), left where `lsqnonlin` stops.
 
 Cost = Σ (f(r) − R_m)² + λ Σ penalty², r ≥ R_m and no upper bound. Baseline: for absolute methods by
 itself; for relative ones together with the first frame, from where on every solution is the next
@@ -35,8 +36,9 @@ Function = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Weights:
-    """λ of absolute penalties (resistances in ohm), of relative ones (changes in percent), and the
-    start over R_m.
+    """λ of absolute penalties, of relative ones, and the start over R_m.
+
+    Absolute penalties are of resistances in ohm, relative ones of changes in percent.
     """
 
     absolute: float = 1e-3
@@ -78,8 +80,9 @@ WEIGHTS = Weights(relative=1e-3, start=1.66)  # of the scene that was fitted to 
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
-    """Where the solver ended, after how many evaluations, and why: 'cost', 'step', 'gradient' or
-    'limit'.
+    """Where the solver ended, after how many evaluations, and why.
+
+    The reason is 'cost', 'step', 'gradient' or 'limit'.
     """
 
     point: Array
@@ -118,8 +121,9 @@ class Quadratic:
 
 
 def lsqnonlin(residual: Function, jacobian: Function, start: Array, lower: Array) -> Stopped:
-    """Σ residual² made less within point ≥ lower, from a start above it, until one of MATLAB's
-    limits is met.
+    """Σ residual² made less within point ≥ lower, until one of MATLAB's limits is met.
+
+    It is made less from a start above lower.
     """
     point = np.maximum(start, lower + 1e-10 * np.maximum(1.0, np.abs(lower)))
     values = residual(point)
@@ -183,8 +187,9 @@ def _why(
 def _step(
     model: Quadratic, point: Array, scale: Array, lower: Array, radius: float, theta: float
 ) -> tuple[float, Array]:
-    """(value, step) in scaled unknowns: the trust region's, cut at the bound, reflected there, or
-    down the gradient.
+    """(value, step) in scaled unknowns.
+
+    The step is the trust region's, cut at the bound, reflected there, or down the gradient.
     """
     step = _subspace_step(model, radius)
     if np.all(point + scale * step > lower):
@@ -252,8 +257,9 @@ METHODS: dict[str, tuple[str, bool]] = {
 def left_by_solver(
     method: str, panel: Panel, resting: Array, measured: Array, weights: Weights = WEIGHTS
 ) -> LeftBySolver:
-    """Every frame in order; resting : (rows, columns), measured : (frames, rows, columns) ohm as
-    recorded.
+    """Every frame in order.
+
+    resting : (rows, columns), measured : (frames, rows, columns) ohm as recorded.
     """
     penalised, relative = METHODS[method]
     problem = _Problem(panel, _operator(penalised, panel), weights)
@@ -290,8 +296,9 @@ def _operator(penalised: str, panel: Panel) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Costs and where their minimisation stopped; operator : (penalties, cells), None without a
-    penalty.
+    """Costs and where their minimisation stopped.
+
+    operator : (penalties, cells), None without a penalty.
     """
 
     panel: Panel

@@ -1,5 +1,6 @@
-"""Attachments and what is none, at 1 to 10 frames a second: whether it sucks, whether it breathes,
-how large, when.
+"""Attachments and what is none, at 1 to 10 frames a second.
+
+The questions are whether it sucks, whether it breathes, how large, when.
 
 Pressures come from `mouth_scenes`, whose films, rims and electronics are not the package's; here
 they get a course over time: touch, suction, breathing with a phase that wanders, leaks, hands that
@@ -191,8 +192,9 @@ def courses(
 
 
 def _pumped(rng: np.random.Generator, since: Array) -> Array:
-    """Suction over that after a pump (frames): it decays until the next one, which takes half a
-    second to two.
+    """Suction over that after a pump (frames).
+
+    It decays until the next one, which takes half a second to two.
     """
     factor = np.ones_like(since)
     begin = 1.5
@@ -222,8 +224,9 @@ def _wandering(rng: np.random.Generator, step: Array, seconds: float = 0.3) -> A
 
 
 def straight(pressure: Array) -> Array:
-    """r/r0 that under suction grows along a straight line through the published point, 7.54 at −10
-    kPa.
+    """r/r0 that under suction grows along a straight line through the published point.
+
+    The point is 7.54 at −10 kPa.
     """
     return np.where(
         pressure < 0, 1 - 0.654 * pressure, ratio_from_pressure(np.maximum(pressure, 0))
@@ -254,8 +257,9 @@ def cells(
     shake: Array,
     curve: str = "published",
 ) -> Array:
-    """(frames, rows, columns) ohm of a film that creeps; shake : (frames) mm by which the load
-    stands off.
+    """(frames, rows, columns) ohm of a film that creeps.
+
+    shake : (frames) mm by which the load stands off.
     """
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * layer.patch_mm
     inside = np.hypot(*np.meshgrid(offset, offset)) < (
@@ -307,8 +311,9 @@ def cells(
 
 
 def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
-    """Two-point resistances, 140 ohm in series included, from a divider of 1 kohm, 10 bit, 20
-    readings, with ripple.
+    """Two-point resistances, 140 ohm in series included.
+
+    They come from a divider of 1 kohm, 10 bit, 20 readings, with ripple.
     """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
@@ -594,8 +599,9 @@ def table(everything: Sequence[Seen]) -> None:
 
 
 def plot(everything: Sequence[Seen], path: Path) -> None:
-    """ROC curves of both questions, at four frames a second and more, and how often what is called
-    lamprey is one.
+    """ROC curves of both questions, and how often what is called lamprey is one.
+
+    They are at four frames a second and more.
     """
     from matplotlib import pyplot
 

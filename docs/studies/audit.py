@@ -39,8 +39,9 @@ LATE_S = 8.0  # when effects come that come during a recording
 
 
 def usual_effects() -> dict[str, Unmodelled]:
-    """What electronics, films and animals do that no scene states, most at two strengths; first of
-    all nothing.
+    """What electronics, films and animals do that no scene states, most at two strengths.
+
+    First of all comes nothing.
     """
     return {
         "as specified": Unmodelled(),
@@ -221,9 +222,7 @@ def _counted(task: AuditTask, name: str, method: StudyMethod, recording: Recordi
 
 
 def _own_part(results: Estimates, truth: Array) -> dict[str, Any]:
-    """Cells within 1.96 σ_own of the median error of their frame, and σ_own over the robust
-    error.
-    """
+    """Cells within 1.96 σ_own of their frame's median error, and σ_own over the robust error."""
     own = results.sigma_own
     if own is None:
         return {}
@@ -305,8 +304,9 @@ def _verdict(shares: Sequence[float]) -> str:
 
 
 def _row(own: Sequence[Audited]) -> study.Row:
-    """Coverages in percent, `silent_` those of recordings without a sentence; failed ones count
-    nowhere.
+    """Coverages in percent, `silent_` those of recordings without a sentence.
+
+    Failed ones count nowhere.
     """
     good = [record for record in own if not record.failed]
     silent = [record for record in good if not record.sentence]

@@ -1,5 +1,6 @@
-"""The CSV file of an audit → the table of docs/studies/audit.md, between <!-- audit --> and <!--
-/audit -->.
+"""The CSV file of an audit → the table of docs/studies/audit.md.
+
+The table stands between <!-- audit --> and <!-- /audit -->.
 
 Run it with: python -m docs.studies.audit_pages results/audit
 """
@@ -24,8 +25,9 @@ def rows_of(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
 
 
 def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
-    """Percent of intervals of cells / changes / pressures that cover the truth, for each estimator;
-    own part; reports.
+    """Percent of intervals of cells / changes / pressures that cover the truth.
+
+    They are given for each estimator, with own part and reports.
 
     Of the own part: percent of cells within it × its size over the actual error.
     """

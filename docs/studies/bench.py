@@ -37,8 +37,9 @@ CHEAPER = 10
 
 @dataclass(frozen=True)
 class Trf(Solver):
-    """½ Σ f² = φ/s over u = log r within the bounds, f = √(2·weight/s)·residual, s = the start's
-    `cost_scale`.
+    """½ Σ f² = φ/s over u = log r within the bounds.
+
+    f = √(2·weight/s)·residual, s = the start's `cost_scale`.
 
     Stops where the scaled gradient falls below the settings' tolerance, as the reduced solver does,
     or where neither
@@ -127,8 +128,9 @@ class _Point:
 
 @dataclass(frozen=True)
 class Lbfgsb(Solver):
-    """φ/s over u = log r within the bounds, s = the start's `cost_scale`, with the closed-form
-    gradient.
+    """φ/s over u = log r within the bounds, with the closed-form gradient.
+
+    s = the start's `cost_scale`.
 
     Stops where the projected gradient falls below the settings' tolerance, as the reduced solver
     does, or where the cost does not fall any more, or after ten times the settings' iterations.
@@ -182,8 +184,7 @@ SOLVERS: dict[str, Callable[[Cost, Settings], Solver]] = {
 
 @dataclass(frozen=True)
 class ScipyMethod(Method):
-    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours
-    are.
+    """One of scipy's solvers, from the cheapest of a frame's starts, checked as ours are.
 
     scipy_exact, scipy_difference : trf with the closed-form Jacobian, and with finite differences.
     scipy_lbfgsb : L-BFGS-B with the closed-form gradient.

@@ -1,5 +1,6 @@
-"""The tables of a benchmark → the pages that show them, between <!-- bench: NAME --> and <!--
-/bench -->.
+"""The tables of a benchmark → the pages that show them.
+
+They stand between <!-- bench: NAME --> and <!-- /bench -->.
 
 Run it with: python -m docs.studies.bench_pages results/bench
 NAME is that of a section of bench.md: solvers, methods, growth or remarks.

@@ -1,5 +1,6 @@
-"""Time of frames that are solved in blocks of many or of one, one by one, and of the whole
-`lampest.reconstruct`.
+"""Time of frames solved in blocks or one by one, and of the whole `lampest.reconstruct`.
+
+The blocks are of many or of one.
 
 python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25] [--turns 5]: processor time of a
 frame with error bars in inverses of a matrix of all lines but one, medians of turns A B A B, of 24
@@ -73,8 +74,9 @@ def _recording(side: int, period: float) -> lampest.Recording:
 def _measured(
     recording: lampest.Recording, terms: tuple[lampest.Term, ...], turns: int
 ) -> tuple[float, ...]:
-    """Seconds of a frame alone, in a block of one and of many, and of the whole call; the largest
-    difference.
+    """Seconds of a frame alone, in a block of one and of many, and of the whole call.
+
+    Also the largest difference.
     """
     prepared = Prepared(recording)
     readings = prepared.noise.readings

@@ -1,5 +1,6 @@
-"""Random boards calibrated: how often good calibrations are refused and bad ones are not; whether
-intervals hold.
+"""Random boards calibrated: how often good calibrations are refused and bad ones are not.
+
+Also whether intervals hold.
 
 Run it with: python -m docs.studies.calibrations --draws 200 --bad 25
 """
@@ -61,8 +62,9 @@ class Draw:
 
 
 def draw(kind: str, rng: np.random.Generator) -> Draw:
-    """3 × 3 to 8 × 8, 10 and 12 bits, noise up to 2 LSB, 3 to 14 frames, channels of 25 to 155 ohm,
-    1 and 5 % loads.
+    """3 × 3 to 8 × 8, 10 and 12 bits, noise up to 2 LSB, 3 to 14 frames.
+
+    Channels are of 25 to 155 ohm, with 1 and 5 % loads.
     """
     rows, columns = (int(size) for size in rng.integers(3, 9, 2))
     converter = {

@@ -1,5 +1,6 @@
-"""`weight: auto` on mats whose scene is right, or wrong: its error over that of the best weight in
-hindsight.
+"""`weight: auto` on mats whose scene is right, or wrong.
+
+What counts is its error over that of the best weight in hindsight.
 
 Run it with: python -m docs.studies.chosen_weights [--mats 3] [--seed 1]; prints the table of the
 page.
@@ -94,8 +95,9 @@ def recording_of(condition: Condition, seed: int) -> tuple[lampest.Recording, Ar
 
 
 def excess(recording: lampest.Recording, cells: Array, penalty: lampest.Term) -> Array:
-    """Error with the weight of each of RULES over that with the best weight; NaN where a rule has
-    no estimate.
+    """Error with the weight of each of RULES over that with the best weight.
+
+    NaN where a rule has no estimate.
     """
 
     def fitted(weight: float | str, rule: str | None = None) -> lampest.Estimates:

@@ -1,5 +1,6 @@
-"""Picture of docs/howto/adding/constraint.md: error bars without and with nine cells that are tied
-to each other.
+"""Picture of docs/howto/adding/constraint.md.
+
+It shows error bars without and with nine cells that are tied to each other.
 """
 
 from pathlib import Path

@@ -1,5 +1,6 @@
-"""How often 95 % intervals hold the truth on fresh scenes, and how large errors are against
-standard deviations.
+"""How often 95 % intervals hold the truth on fresh scenes.
+
+Also how large errors are against standard deviations.
 
 Run it with: python -m docs.studies.coverage --scenes 200 --seed 101
 """
@@ -50,8 +51,9 @@ def mouth_cells(rng: np.random.Generator, side: int) -> Array:
 
 
 def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
-    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16; the true cells (2, rows,
-    columns).
+    """An unloaded frame and one with an attached mouth, 6 × 6 to 16 × 16.
+
+    They are the true cells (2, rows, columns).
     """
     side = int(rng.integers(6, 17))
     noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
@@ -64,8 +66,9 @@ def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
 
 
 def study(scenes: int, seed: int) -> None:
-    """Print, for every method, coverage and error over standard deviation of the cells away from
-    bounds.
+    """Print, for every method, coverage and error over standard deviation.
+
+    They are those of the cells away from bounds.
     """
     rng = np.random.default_rng(seed)
     held: dict[str, list[Array]] = {name: [] for name in METHODS}

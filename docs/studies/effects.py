@@ -1,5 +1,6 @@
-"""Loads on panels with one effect each: unnamed in the scene, and estimated; errors, own parts of
-bars, coverage.
+"""Loads on panels with one effect each: unnamed in the scene, and estimated.
+
+Results are errors, own parts of bars, coverage.
 
 Run it with: python -m docs.studies.effects [ROW]...
 """
@@ -71,8 +72,9 @@ def load(kind: str, rng: np.random.Generator) -> Array:
 
 
 def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Recording:
-    """A load on films that scatter by a tenth: means of 20 readings of 10 bits of a divider across
-    1000 ohm.
+    """A load on films that scatter by a tenth.
+
+    The readings are means of 20 readings of 10 bits of a divider across 1000 ohm.
     """
     rng = np.random.default_rng(seed)
     lsb = 5 / 1024
@@ -106,8 +108,9 @@ def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Record
 
 
 def figures(made: Recording) -> tuple[float, ...]:
-    """Rms error of ln r; coverage of the own part and its size over the error; coverage of cells
-    and of changes; %.
+    """Rms error of ln r; coverages of the own part, of cells and of changes; %.
+
+    With the coverage of the own part stands its size over the error.
     """
     found = lampest.reconstruct(made)
     truth = made.truth_cell_resistance

@@ -1,5 +1,6 @@
-"""A recording of a million frames run from the disk, killed in the middle, resumed: memory, time,
-and what it finds.
+"""A recording of a million frames run from the disk, killed in the middle, resumed.
+
+It shows memory, time, and what it finds.
 
 Run it with: python -m docs.studies.endless --frames 1000000 --formulation naive --folder
 results/endless
@@ -37,8 +38,9 @@ estimators: {{one: {{terms: {{misfit: {{weighting: noise}}{penalty}}}}}}}
 
 
 def parts(frames: int) -> Iterator[Recording]:
-    """The shipped lamprey of 35 mm, its frames again and again with noise of their own, by
-    parts.
+    """The shipped lamprey of 35 mm, its frames again and again, by parts.
+
+    The frames have noise of their own.
     """
     shipped = lampest.datasets.load("lamprey_35mm")
     scene = shipped.scene

@@ -75,8 +75,9 @@ def _column(solve: Solve) -> tuple[str, float]:
 
 
 def _fill(axes: Axes, table: list[list[list[Solve]]]) -> None:
-    """Draw a square for every cell of the table, coloured by its share, with the number of
-    failures.
+    """Draw a square for every cell of the table, coloured by its share.
+
+    It is drawn with the number of failures.
     """
     share = [
         [np.mean([solve.verified for solve in solves]) if solves else np.nan for solves in line]

@@ -1,5 +1,6 @@
-"""What a film's memory costs pressures, and how often it is taken for a lamprey after one has let
-go.
+"""What a film's memory costs pressures, and how often it is taken for a lamprey.
+
+The latter is after one has let go.
 
 Run it with: python -m docs.studies.film --recordings 34 --seed 1001
 
@@ -75,8 +76,9 @@ def pressed(
 
 
 def pressures(count: int, seed: int) -> None:
-    """Print errors in percent of the largest pressure, cells under the rod; and how many intervals
-    hold the truth.
+    """Print errors in percent of the largest pressure; and how many intervals hold the truth.
+
+    The errors are those of cells under the rod.
     """
     for spread, (name, tell) in product((0.05, 0.2), TOLD.items()):
         rng = np.random.default_rng(seed)
@@ -145,8 +147,9 @@ def left(
 
 
 def memories(count: int, seed: int, name: str) -> None:
-    """Print how many mouths are seen, how soon after release they are gone, and what is seen after
-    that.
+    """Print how many mouths are seen, and how soon after release they are gone.
+
+    Also what is seen after that.
     """
     rng = np.random.default_rng(seed)
     seen = 0

@@ -1,5 +1,6 @@
-"""`weight: auto` on arrays of more than 400 cells: its error over that of the best weight in
-hindsight.
+"""`weight: auto` on arrays of more than 400 cells.
+
+What counts is its error over that of the best weight in hindsight.
 
 Run it with: python -m docs.studies.large_arrays [--arrays 19] [--seed 9000]; prints the table of
 the page.

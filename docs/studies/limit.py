@@ -1,5 +1,6 @@
-"""How near methods come to what readings tell: recordings of 21 frames, against LSR-ΔCR and the
-Cramér–Rao bound.
+"""How near methods come to what readings tell.
+
+It is shown on recordings of 21 frames, against LSR-ΔCR and the Cramér–Rao bound.
 
 Every scene is drawn anew from the seed; nothing is what methods were tuned for but `attached`.
 Run it with: python -m docs.studies.limit --recordings 6 --seed 501
@@ -58,8 +59,9 @@ METHODS: dict[str, tuple[tuple[Term, ...], str | SmootherMethod]] = {
 
 
 def mouth(rng: np.random.Generator, side: int, moved_mm: float = 0.0) -> Array:
-    """Contact and suction (2, rows, columns) kPa of a mouth; a seed moved by so much along the
-    rows.
+    """Contact and suction (2, rows, columns) kPa of a mouth.
+
+    It is that of a seed, moved by so much along the rows.
     """
     place = rng.uniform(0.3, 0.7, 2) * (side - 1) * PITCH_MM
     load = OralDisc(
@@ -97,8 +99,9 @@ def moving(seed: int, side: int) -> Array:
 
 
 def rods(seed: int, side: int) -> Array:
-    """A rod that stands, one that leaves, one that taps for a single frame: no suction, other
-    places and times.
+    """A rod that stands, one that leaves, one that taps for a single frame.
+
+    There is no suction, and places and times are other ones.
     """
     rng = np.random.default_rng(seed)
     panel = Panel(side, side, PITCH_MM)
@@ -128,8 +131,9 @@ def hand(seed: int, side: int) -> Array:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured, with what. noisier : the true noise over what is told. spread : of log r of
-    unloaded cells.
+    """What is measured, with what.
+
+    noisier : the true noise over what is told. spread : of log r of unloaded cells.
     """
 
     course: Callable[[int, int], Array] = attached
@@ -185,8 +189,9 @@ SETTINGS = {
 
 
 def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array:
-    """What |error| of log r has as its median at the Cramér–Rao bound, (frames, rows, columns), no
-    more than 1.
+    """What |error| of log r has as its median at the Cramér–Rao bound, no more than 1.
+
+    Shape (frames, rows, columns).
     """
     readings = recording.readings()
     circuit = recording.scene.circuit
@@ -204,8 +209,9 @@ def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array
 def measure(
     recording: Recording, terms: tuple[Term, ...], formulation: str | SmootherMethod
 ) -> Array:
-    """Median error, percent; over the bound; 95th; held, of cells, changed ones, round jumps,
-    changes; ms; solved.
+    """Median error, percent; over the bound; 95th; held; ms; solved.
+
+    Held is of cells, changed ones, round jumps, changes.
     """
     begin = process_time()
     results = reconstruct(recording, Estimator(terms, formulation))

@@ -1,5 +1,6 @@
-"""Forces of two or three touches on panels that no calibration has seen them on: naive, and after
-`calibrate --loads`.
+"""Forces of two or three touches on panels that no calibration has seen them on.
+
+They are naive, and after `calibrate --loads`.
 
 Run it with: python -m docs.studies.loads --panels 6 --seed 2001
 
@@ -62,8 +63,9 @@ def forces(pressure: Array, loads: Sequence[Shape], panel: Panel) -> Array:
 
 
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
-    """(touches and figures): |error| of the force, the same against the weight; and the share of
-    pressures held.
+    """(touches and figures): |error| of the force, the same against the weight.
+
+    Also the share of pressures held.
     """
     recording = bench.recorded(
         groups, "fresh", replace(scene, response=scene.response or PublishedResponse())

@@ -1,5 +1,6 @@
-"""Memory and open files of a stream and of the live page: python -m docs.studies.long_lives
---frames 1000000.
+"""Memory and open files of a stream and of the live page.
+
+Run it with: python -m docs.studies.long_lives --frames 1000000.
 """
 
 import argparse
@@ -29,8 +30,9 @@ DISTINCT = 50  # frames that come again and again
 
 @dataclass(frozen=True)
 class Figures:
-    """After so many frames: bytes that Python holds (0 if not traced), those of the process, files,
-    threads.
+    """After so many frames: bytes that Python holds, those of the process, files, threads.
+
+    The bytes that Python holds are 0 if not traced.
     """
 
     frames: int
@@ -87,8 +89,9 @@ def stream_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
 
 
 def live_figures(marks: Sequence[int], trace: bool = True) -> list[Figures]:
-    """Figures of the live page's engine after so many frames; it solves as many of them as it
-    can.
+    """Figures of the live page's engine after so many frames.
+
+    It solves as many of them as it can.
     """
     frames = recorded()
     found = []

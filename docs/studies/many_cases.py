@@ -1,5 +1,6 @@
-"""What a case costs beside its solving: python -m docs.studies.many_cases --recordings 40
---estimators 50.
+"""What a case costs beside its solving.
+
+Run it with: python -m docs.studies.many_cases --recordings 40 --estimators 50.
 
 Processor time of one process, so that other work on the machine does not count: reading the run's
 file, solving (what the estimator does, error bars left out), what follows from estimates, writing

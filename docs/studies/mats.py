@@ -1,5 +1,6 @@
-"""Random mats of as many readings as cells, solved without bounds or penalties by our solver and by
-published ones.
+"""Random mats of as many readings as cells, solved by our solver and by published ones.
+
+They are solved without bounds or penalties.
 
 Run it with: python -m docs.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of
 the page.
@@ -50,8 +51,10 @@ STEP_TOLERANCE = 1e-8  # the published test's xtol of least squares
 
 @dataclass(frozen=True)
 class Mats:
-    """sides : of square mats, conductances uniform between 20 µS and 20 mS, read as R·(1 +
-    noise·z), z standard normal.
+    """sides : of square mats.
+
+    Their conductances are uniform between 20 µS and 20 mS, read as R·(1 + noise·z), z standard
+    normal.
 
     draws : mats of each side and noise.
     """
@@ -63,8 +66,9 @@ class Mats:
 
 @dataclass(frozen=True, eq=False)
 class MatAnswer:
-    """conductance : (rows, columns) siemens. evaluations : how often a network was solved.
-    converged : so it says.
+    """conductance : (rows, columns) siemens.
+
+    evaluations : how often a network was solved. converged : so it says.
     """
 
     conductance: Array
@@ -74,8 +78,9 @@ class MatAnswer:
 
 
 class CountedNetwork:
-    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm; counts how
-    often it is asked.
+    """G(g) of a network whose ground is chosen by the readings (rows, columns) ohm.
+
+    It counts how often it is asked.
     """
 
     def __init__(self, measured: Array) -> None:
@@ -98,8 +103,9 @@ class CountedNetwork:
 
 
 def fixed_point(measured: Array) -> MatAnswer:
-    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1, until |G(g) − G_m| < 10⁻¹² S or 1,000
-    times.
+    """g ← max(g − β(G(g) − G_m), 0) from g = G_m, β = 0.1.
+
+    It goes on until |G(g) − G_m| < 10⁻¹² S or 1,000 times.
     """
     network = CountedNetwork(measured)
     conductance = network.wanted

@@ -65,8 +65,9 @@ def loaded_columns(random: np.random.Generator, panel: lampest.Panel) -> Scene:
 
 
 def driven(random: np.random.Generator, panel: lampest.Panel) -> Scene:
-    """Idle lines of either side at ground, behind a resistor, or floating; loads of one line, or of
-    groups.
+    """Idle lines of either side at ground, behind a resistor, or floating.
+
+    Loads are of one line, or of groups.
     """
     states = [0.0, 50.0, 3300.0, float("inf")]
     side = str(random.choice(["rows", "columns"]))
@@ -201,8 +202,9 @@ def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tupl
 
 
 def evidence(exact: Recording) -> float:
-    """By how much the truth is more probable than what the told circuit makes of readings without
-    noise, as −2 log.
+    """By how much the truth is more probable than what the told circuit makes of readings.
+
+    The readings are without noise; the figure is as −2 log.
 
     −2 ln evidence of the told circuit, at σ of the mean frames, less A_CELL for each cell that
     moved, by more than 1 % beside the others; 0 where those are half of the panel or more, or the
@@ -231,8 +233,9 @@ def evidence(exact: Recording) -> float:
 
 
 def named(what: str, check: ModelCheck) -> bool:
-    """Whether the sentence names the right circuit; on a square panel exchanged sides are
-    transposed readings.
+    """Whether the sentence names the right circuit.
+
+    On a square panel exchanged sides are transposed readings.
     """
     names = {
         "series of 140 ohm forgotten": ["series_resistance_ohm near"],
@@ -244,8 +247,9 @@ def named(what: str, check: ModelCheck) -> bool:
 
 
 def false_alarms(first: int, count: int) -> None:
-    """Print how many matched recordings are called wrong, or get advice, by kind, and their
-    sentences.
+    """Print how many matched recordings are called wrong, or get advice, by kind.
+
+    Print their sentences as well.
     """
     seen = Counter[str]()
     alarms = Counter[str]()
@@ -282,8 +286,9 @@ def false_alarms(first: int, count: int) -> None:
 
 
 def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]) -> None:
-    """Print the share of wrong circuits that are noticed, and named: of all, and of those that the
-    data can show.
+    """Print the share of wrong circuits that are noticed, and named.
+
+    It is the share of all, and of those that the data can show.
     """
     for side, of_bits in product(sides, bits):
         noticed = Counter[str]()

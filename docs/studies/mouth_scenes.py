@@ -1,5 +1,6 @@
-"""Scenes for recognition, made without the package's simulation: other patches, other rims, other
-electronics.
+"""Scenes for recognition, made without the package's simulation.
+
+They have other patches, other rims, other electronics.
 
 A film's patch is a square or a circle of 5 to 7 mm, sampled on a grid of its own; rims have hard or
 sloping edges. Cells answer with a factor of their own and all of them less than published, where
@@ -22,8 +23,9 @@ Pressure = Callable[[Array, Array], Array]  # x, y in mm → kPa
 
 @dataclass(frozen=True)
 class Film:
-    """How a film departs from its published curve: all answer `bent` times as much in log, each
-    cell scattered.
+    """How a film departs from its published curve.
+
+    All answer `bent` times as much in log, each cell scattered.
     """
 
     patch_mm: float
@@ -55,8 +57,9 @@ class Scene:
 
 
 def film(rng: np.random.Generator, kind: str) -> Film:
-    """`ideal`: as published; `real`: drawn, up to 20 % less and 15 % scatter; `other`: round
-    patches, harsher.
+    """`ideal`: as published; `real`: drawn; `other`: round patches, harsher.
+
+    `real` has up to 20 % less and 15 % scatter.
     """
     if kind == "ideal":
         return Film(6.0, False, 1.0, 0.0, 0.2)
@@ -91,8 +94,9 @@ def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float
 def annulus(
     rng: np.random.Generator, place: tuple[float, float], outer: float, inner: float, **form: float
 ) -> Scene:
-    """A rim that presses with `rim` kPa in the mean and sucks with `inside`; long, uneven, tilted,
-    with soft edges.
+    """A rim that presses with `rim` kPa in the mean and sucks with `inside`.
+
+    It is long, uneven, tilted, with soft edges.
     """
     long = form.get("long", 1.0)
     turn = rng.uniform(0, np.pi)
@@ -143,8 +147,9 @@ def mouth(
     pressed: bool = False,
     least: float = 24,
 ) -> Scene:
-    """A lamprey's mouth of `least` to 45 mm whose rim bears its suction, or presses with 30 to 80
-    kPa more.
+    """A lamprey's mouth of `least` to 45 mm.
+
+    It is one whose rim bears its suction, or presses with 30 to 80 kPa more.
     """
     most = min(45.0, 0.7 * panel.pitch_mm * min(panel.shape))
     outer = rng.uniform(min(least, most), most)
@@ -163,8 +168,9 @@ def mouth(
 
 
 def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
-    """A mouth whose rim is a closed curve of uneven load: long by up to 1.3, waves of form and of
-    load, tilt, teeth.
+    """A mouth whose rim is a closed curve of uneven load.
+
+    It is long by up to 1.3, with waves of form and of load, tilt, teeth.
 
     Its outer edge is R (1 + Σ a_k cos(kθ − φ_k)) with k of 2 to 5, its load (1 + Σ b_k cos(kθ −
     ψ_k)) with k of 1 to 6, and teeth press inside the rim. The diameter is that of a circle of the
@@ -214,8 +220,9 @@ def wavy_mouth(rng: np.random.Generator, panel: Panel) -> Scene:
 
 
 def with_body(rng: np.random.Generator, made: Scene) -> Scene:
-    """A load with a body of 60 to 140 mm behind it that lies on the panel, from the edge of the
-    load on.
+    """A load with a body of 60 to 140 mm behind it that lies on the panel.
+
+    The body lies from the edge of the load on.
     """
     cx, cy = made.centres_mm[0]
     turn = rng.uniform(0, 2 * np.pi)
@@ -362,8 +369,9 @@ def bubbles(rng: np.random.Generator, panel: Panel) -> Scene:
 
 
 def apart(rng: np.random.Generator, panel: Panel, make: Callable[[], Scene], label: str) -> Scene:
-    """Two of a kind that stand clear by 4 mm, drawn until they do. Raises ValueError where a panel
-    has no room.
+    """Two of a kind that stand clear by 4 mm, drawn until they do.
+
+    Raises ValueError where a panel has no room.
     """
     for _ in range(5000):
         record = make()
@@ -402,8 +410,9 @@ MOUTHS = tuple(kind for kind in MAKERS if "mouth" in kind)
 def cells(
     rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array
 ) -> Array:
-    """(frames, rows, columns) ohm; courses (frames, 2): factors of contact and suction, zero where
-    unloaded.
+    """(frames, rows, columns) ohm.
+
+    courses (frames, 2): factors of contact and suction, zero where unloaded.
     """
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * film_.patch_mm
     inside = np.hypot(*np.meshgrid(offset, offset)) < (
@@ -432,8 +441,9 @@ def cells(
 def recorded(
     rng: np.random.Generator, resistance: Array, real: bool, time: Array
 ) -> tuple[Array, Array]:
-    """(two-point resistances without the 140 ohm in series, σ) ohm, from a divider of 1 kohm, 10
-    bit, 20 readings.
+    """(two-point resistances without the 140 ohm in series, σ) ohm.
+
+    They come from a divider of 1 kohm, 10 bit, 20 readings.
     """
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * (0.01 / 60 if real else 0.0)

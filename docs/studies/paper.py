@@ -13,8 +13,9 @@ from lampest.studies.paper import MEASURED, TIME, Published, Side, paper_study, 
 
 
 def its_solver(panel: Side, published: Published) -> Side:
-    """Return the side that the paper's solver leaves; times are evaluations, at the time that one
-    took the paper.
+    """Return the side that the paper's solver leaves.
+
+    Times are evaluations, at the time that one took the paper.
     """
     changes = {}
     steps = {}

@@ -1,5 +1,6 @@
-"""Which scene gives the paper's numbers: twelve ranges of figure 8 and seven mean errors of table
-I, found by search.
+"""Which scene gives the paper's numbers, found by search.
+
+The numbers are twelve ranges of figure 8 and seven mean errors of table I.
 
 Fitted are the measured map, LSR-CR, LSR-ΔCR and the error of LSM; predicted are both methods with a
 gradient and the range of LSM. The rise of both relative methods has to be within the disc, as
@@ -109,8 +110,9 @@ def inside(mouth: OralDisc, panel: Panel) -> NDArray[np.bool_]:
 def figures_of(
     simulation: Simulation, weights: Weights, methods: Sequence[str]
 ) -> dict[tuple[str, str], float]:
-    """(method, 'low', 'high', 'all', 'initial', 'following' or their 'sd') → ours, in the units of
-    the paper.
+    """(method, figure) → ours, in the units of the paper.
+
+    The figure is 'low', 'high', 'all', 'initial', 'following' or their 'sd'.
     """
     recording = simulate(simulation)
     resting = recording.recorded[recording.role == UNLOADED].mean(axis=0)
@@ -162,8 +164,9 @@ def published() -> dict[tuple[str, str], float]:
 
 
 def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
-    """How far off the numbers of these methods are, in quarters of the published one; deviations
-    count half.
+    """How far off the numbers of these methods are, in quarters of the published one.
+
+    Deviations count half.
 
     Without both gradient methods, what is to be predicted is left out.
     """
@@ -234,8 +237,9 @@ def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
 def search(
     seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Mapping[str, float]]
 ) -> None:
-    """Random places, then differences and small steps of the best ones; prints what is better than
-    all before.
+    """Random places, then differences and small steps of the best ones.
+
+    It prints what is better than all before.
     """
     rng = np.random.default_rng(seed)
     started = time.monotonic()
@@ -275,8 +279,9 @@ def search(
 
 
 def check(file: Path, seeds: int, weights: Weights) -> None:
-    """Every number of a shipped scene with its own seed, median and range over others; and what
-    each effect does.
+    """Every number of a shipped scene with its own seed, median and range over others.
+
+    Also what each effect does.
     """
     ((_, stated),) = read_simulations(file)
     stated = dataclasses.replace(stated, frames=min(stated.frames, 3))

@@ -1,5 +1,6 @@
-"""What methods are good for, as the paper asks: the look of a map. Size and alarm:
-docs/studies/mouths.md.
+"""What methods are good for, as the paper asks: the look of a map.
+
+Size and alarm: docs/studies/mouths.md.
 
     lampest run configs/real_run.yaml
     python -m docs.studies.paper_ranking results/real_run
@@ -53,8 +54,9 @@ def _true_change(case: CaseResult) -> Array:
 
 
 def main() -> None:
-    """Two tables for each folder of results: clean recordings, and those of a panel like the
-    paper's.
+    """Two tables for each folder of results.
+
+    They are of clean recordings, and those of a panel like the paper's.
     """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

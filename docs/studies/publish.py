@@ -64,8 +64,9 @@ def long_recording(path: Path, frames: int) -> None:
 
 
 def heard(kind: str, where: str, seconds: float) -> None:
-    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end; run in a process
-    of its own.
+    """Listen, and print (sequence, latency in s, solve in s) as JSON at the end.
+
+    It is run in a process of its own.
     """
     came: list[tuple[int, float, float]] = []
 

@@ -1,5 +1,6 @@
-"""Every circuit through its own converter: what noise does to cells, how far off they are, whether
-bars hold them.
+"""Every circuit through its own converter.
+
+The questions are what noise does to cells, how far off they are, whether bars hold them.
 
 Run it with: python -m docs.studies.readouts --draws 200 --seed 101
 """
@@ -58,8 +59,9 @@ METHODS = {
 
 
 def measured(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
-    """Frames (frames, rows, columns) of cells as the converter gives them, the first one
-    unloaded.
+    """Frames (frames, rows, columns) of cells as the converter gives them.
+
+    The first one is unloaded.
     """
     readout = scene.circuit
     volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
@@ -71,8 +73,9 @@ def measured(scene: Scene, cells: Array, rng: np.random.Generator) -> Recording:
 
 
 def coverage(name: str, draws: int, seed: int) -> None:
-    """Print coverage, errors over standard deviations and relative errors of one circuit, 6 × 6 to
-    16 × 16.
+    """Print coverage, errors over standard deviations and relative errors of one circuit.
+
+    Sizes are 6 × 6 to 16 × 16.
     """
     readout, series = CIRCUITS[name]
     for method, terms in METHODS.items():
@@ -109,8 +112,9 @@ def coverage(name: str, draws: int, seed: int) -> None:
 
 
 def conditioning(seed: int) -> None:
-    """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes: what the converter alone does to cells
-    of 1 to 10 kohm.
+    """Print √mean diag (JᵀΣ⁻¹J)⁻¹ of log r at three sizes.
+
+    It is what the converter alone does to cells of 1 to 10 kohm.
     """
     for name, (readout, series) in CIRCUITS.items():
         rng = np.random.default_rng(seed)
@@ -130,8 +134,9 @@ def conditioning(seed: int) -> None:
 
 
 def contrast(draws: int, seed: int) -> None:
-    """Print the cell error of plain least squares and of the naive divider on 16 × 16 cells with a
-    contrast of 77.
+    """Print the cell error of plain least squares and of the naive divider.
+
+    It is on 16 × 16 cells with a contrast of 77.
     """
     rng = np.random.default_rng(seed)
     readout, series = CIRCUITS["loaded_columns"]

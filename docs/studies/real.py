@@ -1,5 +1,6 @@
-"""Real recordings: withheld readings, predicted with every penalty and rule, and by established
-methods.
+"""Real recordings: withheld readings, predicted with every penalty and rule.
+
+They are predicted by established methods as well.
 
 Run it with: python -m docs.studies.real [RECORDING ...] [--share 0.1] [--seed 3]
 
@@ -101,8 +102,9 @@ class Withheld:
         return cls(recording, remaining, held, measured[enough[measured]])
 
     def shown(self, readings: Array) -> Array:
-        """Readings on the scale of their noise: codes within the rails; without a readout,
-        percent.
+        """Readings on the scale of their noise: codes within the rails.
+
+        Without a readout, percent.
         """
         scene = self.whole.scene
         recorded = scene.circuit.to_recorded(readings, scene)
@@ -112,8 +114,9 @@ class Withheld:
         return np.asarray(scene.readout.volt_from_recorded(within) / scene.readout.lsb_volt)
 
     def errors(self, predicted: Array) -> Array:
-        """Rms error of the withheld readings of every judged frame; predicted : of all judged
-        frames, as `shown`.
+        """Rms error of the withheld readings of every judged frame.
+
+        predicted : of all judged frames, as `shown`.
         """
         true = self.shown(self.whole.readings().value[self.frames])
         held = self.held[self.frames]
@@ -191,8 +194,9 @@ class Frame:
         return np.where(self.present, float(ratio.mean()), np.log(cells))
 
     def fitted(self, step: Callable[[Array, Array, Array], Array]) -> Array:
-        """Gauss–Newton from equal cells: step(J, misfit, u − u₀), both over the noise, gives the
-        change of u = ln r.
+        """Gauss–Newton from equal cells.
+
+        step(J, misfit, u − u₀), both over the noise, gives the change of u = ln r.
         """
         start = position = self.uniform
         lower, upper = (np.log(bound[0]) for bound in (self.data.lower, self.data.upper))
@@ -229,8 +233,9 @@ def interpolation(frame: Frame) -> Array:
 
 
 def fixed_point(frame: Frame) -> Array:
-    """g ← max(g − β(G(g) − G_m), 0) from g = G_m; a cell without a reading is the mean of its
-    neighbours.
+    """g ← max(g − β(G(g) − G_m), 0) from g = G_m.
+
+    A cell without a reading is the mean of its neighbours.
     """
     requested = 1 / frame.measured
     conductance = frame.interpolated(np.where(frame.present, requested, 0.0))
@@ -245,8 +250,9 @@ def fixed_point(frame: Frame) -> Array:
 
 
 def truncated(frame: Frame) -> Array:
-    """Truncated singular values; the rank predicts the withheld readings best, which nobody could
-    know.
+    """Truncated singular values.
+
+    The rank predicts the withheld readings best, which nobody could know.
     """
 
     def step(share: float) -> Callable[[Array, Array, Array], Array]:

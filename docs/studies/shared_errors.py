@@ -1,5 +1,6 @@
-"""The smoother under real electronics, by an independent simulator: against LSR-ΔCR, and after
-`--from-recording`.
+"""The smoother under real electronics, by an independent simulator.
+
+It stands against LSR-ΔCR, and after `--from-recording`.
 
 Scenes are those of `docs.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells
 that drift by 1 % a minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the
@@ -102,8 +103,9 @@ def measured(
 
 
 def measure(made: Recording, method: str) -> Array:
-    """Median error of cells and of changes, rms error of changes, percent; coverage of cells and of
-    changes.
+    """Median error of cells and of changes, rms error of changes, percent.
+
+    Also the coverage of cells and of changes.
     """
     results = reconstruct(made, Estimator(*METHODS[method]))
     assert made.truth_cell_resistance is not None and results.relative_change_lower is not None
@@ -128,8 +130,9 @@ def measure(made: Recording, method: str) -> Array:
 
 
 def study(count: int, seed: int, calibrate: int, loads: int) -> None:
-    """Print both methods on `count` recordings, and again once `calibrate` further ones have
-    calibrated the scene.
+    """Print both methods on `count` recordings, and again with a calibrated scene.
+
+    They are printed again once `calibrate` further ones have calibrated the scene.
     """
 
     def made(number: int) -> Recording:

@@ -47,8 +47,9 @@ BAND_DRAWS = 2000
 
 
 def prior_root(penalty: lampest.Term) -> Array:
-    """A root of the covariance of u = ln(r/3 kΩ) for λ = 1; of `gradient`, u stands for r/3 kΩ −
-    1.
+    """A root of the covariance of u = ln(r/3 kΩ) for λ = 1.
+
+    Of `gradient`, u stands for r/3 kΩ − 1.
     """
     if penalty.needs_previous:
         return np.eye(SIDE * SIDE) / 100  # the residuals are 100 u
@@ -66,8 +67,9 @@ def prior_root(penalty: lampest.Term) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Standard scores z = (u − û)/σ of all cells (draws, cells), and the chosen weights over the
-    true one (draws).
+    """Standard scores z = (u − û)/σ of all cells (draws, cells), and the chosen weights.
+
+    The chosen weights are over the true one (draws).
     """
 
     scores: Array
@@ -133,16 +135,18 @@ def calibration(
 
 
 def uniform_tail(values: Array) -> float:
-    """The probability that the empirical distribution of uniform values leaves a narrower band than
-    this one does.
+    """The probability that uniform values leave a narrower band than this distribution does.
+
+    It is the empirical distribution of uniform values that leaves the band.
     """
     simulated = np.random.default_rng(0).uniform(size=(BAND_DRAWS, len(values)))
     return float(np.mean(_least_tail(simulated) <= _least_tail(values[None])[0]))
 
 
 def _least_tail(values: Array) -> Array:
-    """The least pointwise probability of the empirical distribution (samples, n) over an even
-    grid.
+    """The least pointwise probability of the empirical distribution over an even grid.
+
+    The distribution is (samples, n).
     """
     places = np.arange(1, POINTS) / POINTS
     count = values.shape[1]

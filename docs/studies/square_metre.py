@@ -1,5 +1,6 @@
-"""Processor time of a frame of many modules: python -m docs.studies.square_metre [MODULES ...]
-[--frames 8]
+"""Processor time of a frame of many modules.
+
+Run it with: python -m docs.studies.square_metre [MODULES ...] [--frames 8].
 
 --weights: instead, errors of cells with one weight for all modules over those with a weight for
 each. --disk: instead, `lampest run` of recordings of so many frames of 100 modules, from disk to
@@ -34,8 +35,9 @@ METHODS: dict[str, tuple[lampest.Term, ...]] = {
 
 @dataclass(frozen=True)
 class Took:
-    """Processor time, ms: of what comes before the first frame, of that, and the median of later
-    ones; and statuses.
+    """Processor time, ms, and statuses.
+
+    The time is that of what comes before the first frame, of that, and the median of later ones.
     """
 
     before: float
@@ -49,8 +51,9 @@ class Took:
 
 
 def recording_of(modules: int, frames: int) -> lampest.Recording:
-    """A mouth for every ten modules of 10 × 10 cells, as nearly square as it goes; 0: one panel of
-    100 × 100.
+    """A mouth for every ten modules of 10 × 10 cells, as nearly square as it goes.
+
+    0: one panel of 100 × 100.
     """
     rows = max(
         n for n in range(1, max(modules, 1) + 1) if modules % n == 0 and n * n <= max(modules, 1)
@@ -110,8 +113,9 @@ def took(
 
 
 def with_one_weight(penalty: lampest.Term, seed: int) -> str:
-    """How own weights scatter, and the median error of cells with a shared one over theirs: of all,
-    of one module.
+    """How own weights scatter, and the median error of cells with a shared one over theirs.
+
+    The error is that of all, of one module.
     """
     layout = Modules(3, 4, EachModule(10, 10)) if seed != 2 else Modules(2, 3, EachModule(6, 4))
     panel = lampest.Panel(modules=layout)
@@ -184,8 +188,9 @@ RUN = [
 
 
 def from_disk_to_disk(frames: int) -> dict[str, tuple[float, float]]:
-    """Method → (s of processor time, MB of peak memory) of the command on a recording of 100
-    modules.
+    """Method → (s of processor time, MB of peak memory) of the command.
+
+    The command runs on a recording of 100 modules.
     """
     found = {}
     with TemporaryDirectory() as folder:

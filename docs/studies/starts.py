@@ -22,8 +22,9 @@ from lampest.studies.study import Cases, Study, of_cases
 
 @dataclass(frozen=True)
 class Tally:
-    """Of one case: frames solved, frames at the best known objective, the worst excess, and
-    distinct minima in a frame.
+    """Of one case: frames solved, and frames at the best known objective.
+
+    Also the worst excess, and distinct minima in a frame.
 
     A frame is at the best known objective φ where no random start ended more than 1e-6 below it, in
     units of φ plus the cost of a cell without a model. random_solved : of `random` solves from
@@ -70,9 +71,10 @@ def tally(case: Case, random_starts: int, seed: int) -> Tally:
 def _objectives(
     case: Case, count: int, generator: np.random.Generator
 ) -> Iterator[tuple[float, list[float], float]]:
-    """Of each frame of a case's sequence: where it ended, infinite where it failed; where solves
-    from random starts r = R_m·exp(uniform(0, ln 60)) end; the cost of a cell if f(r) were zero, at
-    the least cells.
+    """Of each frame of a case's sequence: where it ended, infinite where it failed.
+
+    Also where solves from random starts r = R_m·exp(uniform(0, ln 60)) end; the cost of a cell if
+    f(r) were zero, at the least cells.
     """
     recording = Recording.load(case.path)
     readings = recording.readings()

@@ -57,8 +57,9 @@ def recordings(count: int, seed: int) -> list[tuple[Recording, Array]]:
 
 
 def study(count: int, seed: int) -> None:
-    """Print, for every method and loss, the errors of the frame before, the frame with a wild
-    reading, the next.
+    """Print the errors for every method and loss.
+
+    They are those of the frame before, the frame with a wild reading, the next.
     """
     made = recordings(count, seed)
     print(

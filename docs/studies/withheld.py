@@ -34,8 +34,9 @@ MOST_FRAMES = 10  # evenly spaced ones: neighbouring frames show the same load
 
 
 class Withheld(NamedTuple):
-    """One frame, one draw, one weight. error, interpolated : rms over the withheld readings, in LSB
-    or percent.
+    """One frame, one draw, one weight.
+
+    error, interpolated : rms over the withheld readings, in LSB or percent.
 
     readings : how many were withheld. factor : of the estimator's weights; weights : these, of the
         penalties.
@@ -57,8 +58,9 @@ class Withheld(NamedTuple):
 
 
 def visible(scene: Scene, recorded: Array) -> Array:
-    """Recorded readings on the scale of their noise: codes within the rails; without a readout,
-    percent.
+    """Recorded readings on the scale of their noise: codes within the rails.
+
+    Without a readout, percent.
     """
     if scene.readout is None:
         return np.asarray(100 * np.log(recorded))
@@ -83,8 +85,9 @@ def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array
 def predictions(
     recording: Recording, case: Case, share: float, draws: int, seed: int
 ) -> Iterator[Withheld]:
-    """Every draw and weight of evenly spaced frames. share : of a frame's readings that are values,
-    at least one.
+    """Every draw and weight of evenly spaced frames.
+
+    share : of a frame's readings that are values, at least one.
 
     Readings that no cells allow are neither predicted nor used.
     """
@@ -142,8 +145,9 @@ def predictions(
 def _estimates(
     estimator: Estimator, scene: Scene, readings: Readings
 ) -> Iterator[tuple[float, tuple[float, ...], Array]]:
-    """(factor, weights of the penalties, cells (rows, columns) ohm) at every factor; NaN where a
-    solve failed.
+    """(factor, weights of the penalties, cells (rows, columns) ohm) at every factor.
+
+    NaN where a solve failed.
     """
     data = estimator.data(readings.alone(), Background(scene))
     near = None
@@ -167,8 +171,9 @@ def _estimates(
 def withheld_study(
     share: float, draws: int = 5, seed: int = 0
 ) -> study.Study[Run, study.Cases[Withheld]]:
-    """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share
-    < 1.
+    """The study that withholds a share of each frame's readings.
+
+    Raises InputError unless 0 < share < 1.
     """
     if not 0 < share < 1:
         raise InputError("--share must lie between 0 and 1, such as 0.1")

@@ -1,5 +1,6 @@
-"""The wiring of the tutorial: python docs/tutorial/wiring.py. Pins are those of
-firmware/lampest_board/pins.h.
+"""The wiring of the tutorial.
+
+Run it with: python docs/tutorial/wiring.py. Pins are those of firmware/lampest_board/pins.h.
 """
 
 from pathlib import Path
@@ -77,8 +78,9 @@ def multiplexers(axes: Axes) -> None:
 
 
 def board(axes: Axes) -> None:
-    """The Mega, its supply, ground, selecting pins and the analog input with the reference
-    resistor.
+    """The Mega, its supply, ground, selecting pins and the analog input.
+
+    The analog input is drawn with the reference resistor.
     """
     box(axes, (0.6, 0.6), (2.2, 6.0), "Arduino Mega 2560")
     for y, name in ((6.2, "5V"), (5.2, "D22–D25"), (1.75, "D26–D29"), (1.25, "A0"), (0.85, "GND")):

@@ -1,5 +1,6 @@
-"""The truth of a recording as the text that simulated_board reads: python truth.py RECORDING >
-truth.txt
+"""The truth of a recording as the text that simulated_board reads.
+
+Run it with: python truth.py RECORDING > truth.txt.
 """
 
 import sys

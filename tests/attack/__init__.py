@@ -1,3 +1,4 @@
-"""Attacks on lampest: hostile files, names, values and places. The mark `soak` tries them by the
-thousand.
+"""Attacks on lampest: hostile files, names, values and places.
+
+The mark `soak` tries them by the thousand.
 """

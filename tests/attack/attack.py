@@ -32,8 +32,9 @@ Tries = Callable[[Rng, Path, int], Outcomes]
 
 
 def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., None]]:
-    """Make a test of tries (generator, empty folder, count), each PASSED or a sentence on the
-    failure.
+    """Make a test of tries (generator, empty folder, count).
+
+    Each is PASSED or a sentence on the failure.
 
     quick : count in `make test`; 0: none. full : count under the mark `soak`.
     """
@@ -61,8 +62,9 @@ def attack(quick: int = 1, full: int = 1) -> Callable[[Tries], Callable[..., Non
 
 @dataclass(frozen=True)
 class CompletedCommand:
-    """An ended command: code (negative: a signal that killed it), output, errors, seconds, most
-    bytes.
+    """An ended command: code, output, errors, seconds, most bytes.
+
+    A negative code is a signal that killed it.
     """
 
     code: int

@@ -176,8 +176,9 @@ def test_check_names_zeroed_exchanged_and_foreign_chunks(
 
 
 def _harmed_chunk(rng: Rng, file: h5py.File, foreign: h5py.File) -> str:
-    """Zero, exchange or replace a chunk with a right Fletcher sum, and return the path of its
-    dataset.
+    """Zero, exchange or replace a chunk with a right Fletcher sum.
+
+    Return the path of its dataset.
     """
     nodes = dict(nodes_below(file, "/"))
     long = [
@@ -265,8 +266,9 @@ def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> No
 def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    """A killed recorder's file, damaged: refused or read as it was; repair keeps only what was
-    written.
+    """A killed recorder's file, damaged: refused or read as it was.
+
+    Repair keeps only what was written.
     """
     path = unclosed_recording(
         folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3
@@ -283,8 +285,9 @@ def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(
 def test_repair_takes_no_frames_of_another_recording(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    """The end of a journal is that of another one of the same scene, as old blocks of a disk may
-    be.
+    """The end of a journal is that of another one of the same scene.
+
+    Old blocks of a disk may be so.
     """
     scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
     for number in range(count):

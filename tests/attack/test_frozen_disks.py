@@ -1,5 +1,6 @@
-"""A disk that takes nothing for seconds, as a network disk whose server is busy: all frames come,
-in their order.
+"""A disk that takes nothing for seconds, as a network disk whose server is busy.
+
+All frames come, in their order.
 """
 
 import time
@@ -22,8 +23,9 @@ FROZEN_CALL = 20  # the write to the disk that takes so long
 def test_a_disk_frozen_for_seconds_costs_no_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames wait in the port meanwhile; `fsfreeze` of a mounted disk for six seconds ended the
-    same.
+    """Frames wait in the port meanwhile.
+
+    `fsfreeze` of a mounted disk for six seconds ended the same.
     """
     append: Callable[..., None] = Journal.append
     calls = list[int]()

@@ -1,5 +1,6 @@
-"""Small files that unfold, and scenes that ask for more than a machine has: one sentence, and
-little memory.
+"""Small files that unfold, and scenes that ask for more than a machine has.
+
+They get one sentence, and little memory.
 """
 
 import struct
@@ -146,8 +147,9 @@ def _bounded(completed: CompletedCommand, *words: str) -> str:
 def test_a_tight_address_limit_gives_one_sentence_without_waiting(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    """Libraries that cannot map a segment raise KeyError, wait, or end the process; so that they
-    are not loaded.
+    """Libraries that cannot map a segment raise KeyError, wait, or end the process.
+
+    So they are not loaded.
     """
     work_folder = small_folder(folder / "work")
     commands = (("info", "small.h5"), JOBS, ("plot", "results.h5"))

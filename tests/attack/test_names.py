@@ -1,5 +1,6 @@
-"""Names that would move the cursor, paint, or pretend to be another line: what reaches a terminal
-is plain.
+"""Names that would move the cursor, paint, or pretend to be another line.
+
+What reaches a terminal is plain.
 """
 
 import shutil

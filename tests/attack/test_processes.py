@@ -128,8 +128,9 @@ main()
 
 
 def _solved(folder: Path) -> None:
-    """Write results of two estimators, without error bars, of which a sketch is made in two
-    seconds.
+    """Write results of two estimators, without error bars.
+
+    A sketch is made of them in two seconds.
     """
     scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7, readings=20))
     rng = np.random.default_rng(1)

@@ -1,5 +1,6 @@
-"""Receivers of OSC that are absent, slow, refuse or do not exist, prefixes that mean others, and
-frames too large.
+"""Receivers of OSC that are absent, slow, refuse or do not exist.
+
+Also prefixes that mean others, and frames too large.
 """
 
 import dataclasses
@@ -136,8 +137,9 @@ def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], coun
 
 
 def test_a_value_too_large_for_a_datagram_is_omitted_and_named_once() -> None:
-    """Maps of a panel, and the list of all that sucked during a long day: the numbers of a frame
-    come.
+    """Maps of a panel, and the list of all that sucked during a long day.
+
+    The numbers of a frame come.
     """
     sentences = list[str]()
     detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)

@@ -1,5 +1,6 @@
-"""Hostile results for the C export: numbers that are none or of no panel, and configurations of no
-estimator.
+"""Hostile results for the C export.
+
+They are numbers that are none or of no panel, and configurations of no estimator.
 """
 
 import contextlib

@@ -1,5 +1,6 @@
-"""Values of other types at every public name: each is refused in one sentence, or taken for what it
-says.
+"""Values of other types at every public name.
+
+Each is refused in one sentence, or taken for what it says.
 """
 
 import dataclasses

@@ -1,5 +1,6 @@
-"""Numbers that no panel has, and panels of which next to nothing is left: sentences about the
-panel, no traceback.
+"""Numbers that no panel has, and panels of which next to nothing is left.
+
+They get sentences about the panel, no traceback.
 """
 
 from collections.abc import Iterator

@@ -1,5 +1,6 @@
-"""The simulated board for the tests: built by firmware/Makefile, driven by a truth; the real
-command.
+"""The simulated board for the tests, and the real command.
+
+The board is built by firmware/Makefile, driven by a truth.
 """
 
 import fcntl
@@ -29,8 +30,9 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 @cache
 def built(wiring: str = "two_point") -> Path:
-    """Build firmware/, one process at a time, and return its folder; a missing package fails the
-    test by its name.
+    """Build firmware/, one process at a time, and return its folder.
+
+    A missing package fails the test by its name.
     """
     with (FIRMWARE / "Makefile").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -66,8 +68,9 @@ def bench(
     wiring: str = "two_point",
     sketch: str = "lampest_board",
 ) -> Iterator[Bench]:
-    """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every
-    `period` s.
+    """A board whose panel shows `cells` (frames, rows, columns) ohm.
+
+    It shows one frame after another every `period` s.
     """
     words = (built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf")
     with _running(folder, words, cells, options, period) as running:
@@ -83,8 +86,9 @@ def portable_bench(
     period: float = 1.0,
     sketch: str = ESTIMATING,
 ) -> Iterator[Bench]:
-    """A board with a sketch that estimates, by the constants of an exported folder, as a program of
-    this computer.
+    """A board with a sketch that estimates, as a program of this computer.
+
+    It estimates by the constants of an exported folder.
     """
     build = constants / "build"
     path = FIRMWARE / sketch
@@ -136,8 +140,9 @@ def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any)
 
 
 def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
-    """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at
-    every column.
+    """The same board wired with loaded columns.
+
+    It has a multiplexer of 70 ohm before the rows, 10 kΩ at every column.
     """
     known = {
         "load_ohm": 10_000.0,

@@ -1,5 +1,6 @@
-"""A headless Chromium for the tests, driven through chromedriver's plain HTTP; nothing beyond the
-standard library.
+"""A headless Chromium for the tests, driven through chromedriver's plain HTTP.
+
+It takes nothing beyond the standard library.
 """
 
 import base64
@@ -80,8 +81,9 @@ def ask(method: str, url: str, body: dict[str, Any]) -> Any:
 
 @contextmanager
 def browser(folder: Path, width: int = 1280, height: int = 1000) -> Iterator[Browser]:
-    """A new, empty browser; where the package is missing the test fails with the sentence that
-    names it.
+    """A new, empty browser.
+
+    Where the package is missing the test fails with the sentence that names it.
     """
     chromium = shutil.which("chromium")
     driver = shutil.which("chromedriver")

@@ -78,8 +78,9 @@ def scene_of(circuit, rows=6, columns=5, cells=None, series_ohm=0.0, **keys):
 
 
 def pressed_cells(scene, frames=8, rest=3, seed=0, ohm=4000.0, strength=1.2):
-    """Return cells (frames, rows, columns) ohm: at rest, then under a press that moves along a
-    diagonal.
+    """Return cells (frames, rows, columns) ohm: at rest, then under a press.
+
+    The press moves along a diagonal.
     """
     rng = np.random.default_rng(seed)
     rows, columns = scene.panel.shape

@@ -1,5 +1,6 @@
-"""What stands around the board: missing packages, ports, keys, and costs of its firmware as its
-README has them.
+"""What stands around the board: missing packages, ports, keys, and costs of its firmware.
+
+The costs are as its README has them.
 """
 
 import os
@@ -107,8 +108,9 @@ def test_flash_and_memory_match_the_readme() -> None:
 def test_a_board_keeps_the_shortest_period_of_the_table(
     tmp_path: Path, rows: int, columns: int, readings: int, period_ms: float, rate: float
 ) -> None:
-    """At the shortest period that the board accepts no tick is missed and no frame lost; it is the
-    table's.
+    """At the shortest period that the board accepts no tick is missed and no frame lost.
+
+    It is the table's.
     """
     frames = 40
     with bench(

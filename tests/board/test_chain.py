@@ -1,5 +1,6 @@
-"""Firmware → pseudo-terminal → record → file → cells, compared with the truth on the simulated
-board's pins.
+"""Firmware → pseudo-terminal → record → file → cells, compared with the truth.
+
+The truth is on the simulated board's pins.
 """
 
 from dataclasses import replace
@@ -42,8 +43,9 @@ def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -
 
 
 def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_path: Path) -> None:
-    """The simulated line has a time constant: 100 us leave e^-0.5 of a step at the first sample, 2
-    us leave nothing.
+    """The simulated line has a time constant.
+
+    100 us leave e^-0.5 of a step at the first sample, 2 us leave nothing.
     """
     cells = np.full((1, 2, 2), 1000.0)
     cells[0, 0, 0] = 10.0
@@ -130,8 +132,9 @@ WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}
     "wiring", [pytest.param("two_point", marks=pytest.mark.slow), "loaded_columns"]
 )
 def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> None:
-    """One unloaded frame: without repeats the file's σ is the readout's, as it is for live. One has
-    a dead row.
+    """One unloaded frame: without repeats the file's σ is the readout's, as it is for live.
+
+    One has a dead row.
     """
     truth = np.repeat(some_cells(np.random.default_rng(8), 1, 8, 7), 4, axis=0)
     truth[1:, 5:7, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
@@ -172,8 +175,9 @@ def test_a_recording_without_a_scene_takes_that_of_the_board(tmp_path: Path, wir
 
 
 def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
-    """Volts of every column while each row is driven, (rows, columns): Kirchhoff's current law,
-    node by node.
+    """Volts of every column while each row is driven, (rows, columns).
+
+    They follow from Kirchhoff's current law, node by node.
     """
     volts = np.zeros(cells.shape)
     for row, ohm in enumerate(drive_ohm):
@@ -198,8 +202,9 @@ def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
 def test_noise_free_readings_of_any_size_are_exact_to_the_converter(
     tmp_path: Path, wiring: str, rows: int, columns: int, readings: int
 ) -> None:
-    """Sums are readings · ⌊1024·V/5⌋: every channel, input (A8 to A15 too), switch and byte is
-    where it belongs.
+    """Sums are readings · ⌊1024·V/5⌋.
+
+    Every channel, input (A8 to A15 too), switch and byte is where it belongs.
     """
     rng = np.random.default_rng(rows)
     cells = some_cells(rng, 3, rows, columns)

@@ -1,5 +1,6 @@
-"""The C library of the estimate: the same as lampest's optimum, on the computer and on an emulated
-Cortex-M4F.
+"""The C library of the estimate: the same as lampest's optimum.
+
+It is so on the computer and on an emulated Cortex-M4F.
 """
 
 import ctypes
@@ -34,8 +35,9 @@ MEGA_HERTZ = 16e6
 
 
 def deviations(case, changes):
-    """Return the rms deviation of each frame from the optimum, in standard deviations of the
-    cells.
+    """Return the rms deviation of each frame from the optimum.
+
+    It is in standard deviations of the cells.
     """
     optimum = np.log(case.cell_resistance / case.baseline_resistance)
     square = ((changes - optimum) / case.sigma_own) ** 2
@@ -629,8 +631,9 @@ def test_the_smallest_sufficient_budget_is_chosen(lamprey):
 
 @pytest.mark.slow
 def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
-    """Suction from one frame to the next, for which the smallest budget of the median frame does
-    not suffice.
+    """Suction from one frame to the next.
+
+    The smallest budget of the median frame does not suffice for it.
     """
     estimate = lampest.reconstruct(lampest.datasets.load("cup_air_20kpa"), formulation="reduced")
     case = estimate.result("smooth")

@@ -1,5 +1,6 @@
-"""What goes wrong with a board on a cable: damaged bytes, unplugging, resets, silence, a killed
-recorder, Ctrl-C.
+"""What goes wrong with a board on a cable.
+
+That is damaged bytes, unplugging, resets, silence, a killed recorder, Ctrl-C.
 """
 
 import subprocess
@@ -24,8 +25,9 @@ from tests.bodies import frame_body
 def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
     tmp_path: Path, frames: int
 ) -> None:
-    """Recorded until the board has sent so many frames; the log holds each byte sent, and whether
-    it was hurt.
+    """Recorded until the board has sent so many frames.
+
+    The log holds each byte sent, and whether it was hurt.
     """
     cells = some_cells(np.random.default_rng(8), 40)
     hurt = (

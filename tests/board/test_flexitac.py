@@ -1,5 +1,6 @@
-"""Skins of the package flexitac, live: its own reader over a pseudo-terminal, and the lines of the
-page around it.
+"""Skins of the package flexitac, live.
+
+They go with its own reader over a pseudo-terminal, and the lines of the page around it.
 """
 
 import os
@@ -57,8 +58,9 @@ def codes(scene: lampest.Scene, cells: np.ndarray, seed: int) -> np.ndarray:
 
 @pytest.fixture
 def board(page: Any) -> Iterator[tuple[str, threading.Event]]:
-    """The name of a port that sends frames as the firmware does, and an event that presses the
-    skin.
+    """The name of a port that sends frames as the firmware does.
+
+    Also an event that presses the skin.
     """
     scene: lampest.Scene = page.scene
     resting = np.full(scene.panel.shape, OPEN_OHM)

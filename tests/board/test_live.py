@@ -1,5 +1,6 @@
-"""Board → `lampest live` → Chromium: what a user sees. The screenshot is left at
-results/live_screenshot.png.
+"""Board → `lampest live` → Chromium: what a user sees.
+
+The screenshot is left at results/live_screenshot.png.
 """
 
 import os
@@ -45,8 +46,9 @@ HIDDEN = (
 
 @contextmanager
 def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Popen[str]"]]:
-    """A browser that looks at a running `lampest live`; it ends by Ctrl-C unless it has ended
-    before.
+    """A browser that looks at a running `lampest live`.
+
+    It ends by Ctrl-C unless it has ended before.
     """
     arguments = [str(word) for word in (COMMAND, "live", "--http", "127.0.0.1:0", *words)]
     pipes = {
@@ -89,8 +91,9 @@ def truth_of(path: Path) -> tuple[Array, int]:
 
 
 def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
-    """How blue each cell of the maps is on a screenshot (rows, columns), from the pixels around its
-    centre.
+    """How blue each cell of the maps is on a screenshot (rows, columns).
+
+    It is taken from the pixels around its centre.
 
     A sentence that appears moves the maps, so the screenshot is one before and after which they are
     at the same place.
@@ -282,8 +285,9 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
 
 @pytest.mark.slow
 def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
-    """The board is there before lampest, its mouth comes after TOUCH_S and breathes by 8 % at 1.1
-    Hz.
+    """The board is there before lampest.
+
+    Its mouth comes after TOUCH_S and breathes by 8 % at 1.1 Hz.
     """
     watched = "return document.getElementById('sentence').innerText"
     rng = np.random.default_rng(5)
@@ -309,8 +313,9 @@ def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
-    """Recordings begin with the unloaded frames and go to the working folder; a second one is
-    another file.
+    """Recordings begin with the unloaded frames and go to the working folder.
+
+    A second one is another file.
     """
     cells, _ = truth_of(LAMPREY)
     script = "return document.getElementById('recorded').innerText"
@@ -351,8 +356,9 @@ def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
     "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
 )
 def test_the_open_page_shows_thirty_frames_a_second(tmp_path: Path, seconds: int) -> None:
-    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once; none
-    is lost.
+    """10 × 10 cells, 2 readings, 30 frames a second in real time, recorded and shown at once.
+
+    None is lost.
     """
     cells, _ = truth_of(LAMPREY)
     with (

@@ -1,5 +1,6 @@
-"""Mats of the package matsense, live: the page's lines beside a server that answers as the
-package's own does.
+"""Mats of the package matsense, live.
+
+The page's lines stand beside a server that answers as the package's own does.
 """
 
 import re

@@ -1,5 +1,6 @@
-"""The board's C and the host's Python say the same: numbers, framing, CRC, messages, scan order,
-answers, wiring.
+"""The board's C and the host's Python say the same.
+
+That is numbers, framing, CRC, messages, scan order, answers, wiring.
 """
 
 import ctypes
@@ -372,8 +373,9 @@ def test_differences_between_scene_and_board_are_named() -> None:
 
 
 def test_hello_contains_the_wiring() -> None:
-    """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers; a wiring never heard of is
-    no board.
+    """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers.
+
+    A wiring never heard of is no board.
     """
     greeting = hello()
     assert (greeting.wiring, greeting.reference_milliohm, greeting.drive_milliohm) == (

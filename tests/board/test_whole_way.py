@@ -1,5 +1,6 @@
-"""A board that estimates, from its pins to record, info and live; its sketch runs as a program of
-this computer.
+"""A board that estimates, from its pins to record, info and live.
+
+Its sketch runs as a program of this computer.
 """
 
 import dataclasses
@@ -66,8 +67,9 @@ def recorded(exported, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_recording_holds_sums_and_the_estimates_of_the_library(
     exported, recorded: Path
 ) -> None:
-    """The board takes its baseline from the unloaded frames; the numbers are those of this
-    computer's C, to the bit.
+    """The board takes its baseline from the unloaded frames.
+
+    The numbers are those of this computer's C, to the bit.
     """
     _, budget, case = exported
     recording = Recording.load(recorded)
@@ -156,8 +158,9 @@ def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path
 
 
 def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None:
-    """A damaged message is lost as a whole; a frame without its estimate is a frame, and none has
-    another's.
+    """A damaged message is lost as a whole.
+
+    A frame without its estimate is a frame, and none has another's.
     """
     cells = np.repeat(CELLS[-1:], 60, axis=0) * np.exp(0.05 * np.arange(60))[:, None, None]
     cells[:UNLOADED_FRAMES] = CELLS[0]
@@ -176,8 +179,9 @@ def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None
 
 
 def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) -> None:
-    """The Mega does not know the command; constants of another size leave the estimating board a
-    plain one.
+    """The Mega does not know the command.
+
+    Constants of another size leave the estimating board a plain one.
     """
     (tmp_path / "mega").mkdir()
     with bench(tmp_path / "mega", CELLS[:1]) as board:

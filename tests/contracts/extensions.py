@@ -1,5 +1,6 @@
-"""A user's own term, loss, readout, method, shape, column and plot, as a notebook or a package
-writes them.
+"""A user's own term, loss, readout, method, shape, column and plot.
+
+They are as a notebook or a package writes them.
 
 Nothing but public names; `test_extending` uses these classes through Python, and installs this file
 as a package.
@@ -32,8 +33,9 @@ class Leash(lampest.Term):
 
 @dataclass(frozen=True)
 class Cushion(lampest.Loss):
-    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual; written without the
-    cancellation.
+    """Σ 2c²·(√(1 + (x/c)²) − 1), c the softness in the unit of the residual.
+
+    It is written without the cancellation.
     """
 
     softness: float = 1.0
@@ -46,8 +48,9 @@ class Cushion(lampest.Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Divider(lampest.Readout):
-    """V = Vcc·Z_jk/(Rd + Z_jj): one row driven through Rd, every column with its load; other rows
-    float.
+    """V = Vcc·Z_jk/(Rd + Z_jj).
+
+    One row is driven through Rd, every column with its load; other rows float.
     """
 
     kind: Literal["divider"] = "divider"

@@ -77,8 +77,9 @@ def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str,
 
 
 def check_taken(file: SimpleNamespace, folder: Path) -> None:
-    """Frames, times and start are the expected ones, in the recording's own file too, and every
-    sentence is said.
+    """Frames, times and start are the expected ones, in the recording's own file too.
+
+    Every sentence is said.
     """
     recording, notes = imported(folder, file)
     assert all(any(words in note for note in notes) for words in file.notes), notes

@@ -1,5 +1,6 @@
-"""Advice: what a recording suggests beyond its scene is said with its evidence, and written where a
-user asks.
+"""Advice: what a recording suggests beyond its scene.
+
+It is said with its evidence, and written where a user asks.
 """
 
 from collections.abc import Callable

@@ -1,5 +1,6 @@
-"""Rules of the code, read from its imports: doors of libraries, floors of rooms, contracts of the
-public face alone.
+"""Rules of the code, read from its imports.
+
+They are doors of libraries, floors of rooms, contracts of the public face alone.
 
 A rule is a function from a module's name and syntax tree to its objections. Texts that break the
 rules test them.
@@ -118,8 +119,9 @@ def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
 
 
 def imports(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """(module, name or '') of every import anywhere in a module; a module's name as a text counts,
-    too.
+    """(module, name or '') of every import anywhere in a module.
+
+    A module's name as a text counts, too.
     """
     for node in nodes(tree):
         if isinstance(node, ast.Import):
@@ -168,8 +170,9 @@ def floors(module: str, tree: ast.Module) -> Iterator[str]:
 
 
 def privates(module: str, tree: ast.Module) -> Iterator[str]:
-    """What a module keeps to itself is not imported, nor reached through a name that was
-    imported.
+    """What a module keeps to itself is not imported.
+
+    Nor is it reached through a name that was imported.
     """
     foreign_names = set()
     for node in nodes(tree):
@@ -205,8 +208,9 @@ def variables(module: str, tree: ast.Module) -> Iterator[str]:
 
 
 def faces(module: str, tree: ast.Module) -> Iterator[str]:
-    """A contract is tested from outside: a test of one imports the package alone, and patches
-    nothing inside.
+    """A contract is tested from outside.
+
+    A test of one imports the package alone, and patches nothing inside.
     """
     for name, imported in imports(tree):
         if name.startswith("lampest.") or f"{name}.{imported}" in MODULES:
@@ -237,8 +241,9 @@ def public_functions(tree: ast.Module) -> Iterator[str]:
 
 
 def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[str]]:
-    """Name → modules, of names that stand in several; commands and the public face are called like
-    what they call.
+    """Name → modules, of names that stand in several.
+
+    Commands and the public face are called like what they call.
     """
     homes: dict[str, list[str]] = {}
     for module, tree in modules.items():
@@ -348,8 +353,9 @@ def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
 
 @pytest.mark.parametrize("room", sorted(ROOMS))
 def test_imports_form_no_cycle(room: str) -> None:
-    """Not even for type checkers: modules of a room can be put in an order in which each needs
-    those before it.
+    """There is no cycle, not even for type checkers.
+
+    Modules of a room can be put in an order in which each needs those before it.
     """
     inside = [module for module in MODULES if f"{module}.".startswith(f"lampest.{room}.")]
     needs = {module: set(needed(module)) & set(inside) for module in inside}

@@ -135,8 +135,9 @@ def run(folder: Path, command: str) -> str:
 
 
 def apply(folder: Path, fence: Fence) -> None:
-    """Write a block where its first line says, or apply its diff; the removed text must stand there
-    once.
+    """Write a block where its first line says, or apply its diff.
+
+    The removed text must stand there once.
     """
     if fence.file:
         (folder / fence.file).write_text(fence.text.partition("\n")[2], encoding="utf-8")
@@ -255,8 +256,9 @@ def test_links_and_named_paths_exist(page: Path) -> None:
 
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    """Every link inside it leads somewhere, everything that its pages show has run, and nothing was
-    fetched.
+    """Every link inside it leads somewhere, and everything that its pages show has run.
+
+    Nothing was fetched.
     """
     command = (
         sys.executable,

@@ -1,5 +1,6 @@
-"""What stands around the package: hooks, the workflow beside `.ci/run`, the first screen of the
-help, Excel.
+"""What stands around the package.
+
+It is hooks, the workflow beside `.ci/run`, the first screen of the help, Excel.
 """
 
 import re
@@ -120,8 +121,9 @@ def test_every_extra_is_documented() -> None:
 
 
 def installed_megabytes(*extras: str) -> float:
-    """MB on a disk with blocks of 4 kB of lampest's requirements with these extras, and all that
-    they require.
+    """MB of lampest's requirements with these extras, and all that they require.
+
+    The MB are those on a disk with blocks of 4 kB.
     """
     pending: list[tuple[str, frozenset[str]]] = [("lampest", frozenset(extras))]
     visited: set[tuple[str, frozenset[str]]] = set()

@@ -1,5 +1,6 @@
-"""`lampest export`: what a results file holds comes out of every format through that format's own
-library.
+"""`lampest export`: what a results file holds comes out of every format.
+
+It comes out through that format's own library.
 """
 
 import csv
@@ -34,8 +35,9 @@ Run = Callable[..., SimpleNamespace]
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """Two recordings, one with a failed frame and error bars, one of another size without a
-    truth.
+    """Two recordings, one with a failed frame and error bars.
+
+    The other one is of another size without a truth.
     """
     failing = invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)
     bars = np.indices((3, 4, 5)).sum(axis=0) / 7

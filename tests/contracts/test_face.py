@@ -1,5 +1,6 @@
-"""The public face: every name is there, typed, and cheap until it is used; wrong use is one
-sentence; defaults.
+"""The public face: every name is there, typed, and cheap until it is used.
+
+Wrong use is one sentence; defaults are here, too.
 """
 
 import ast
@@ -337,8 +338,9 @@ def test_errors_name_the_kind_of_a_file_and_a_missing_library(
 
 @pytest.fixture(scope="module")
 def example_names() -> dict[str, object]:
-    """What examples may take without a word: a small recording, also as mine.h5, and what was found
-    of it.
+    """What examples may take without a word.
+
+    It is a small recording, also as mine.h5, and what was found of it.
     """
     scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
     load = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)

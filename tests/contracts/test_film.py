@@ -1,5 +1,6 @@
-"""Films that remember, and responses from known loads, as a user meets them: files, commands,
-results, sentences.
+"""Films that remember, and responses from known loads, as a user meets them.
+
+A user meets them in files, commands, results, sentences.
 """
 
 from collections.abc import Callable

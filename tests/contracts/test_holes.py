@@ -1,5 +1,6 @@
-"""Readings that are missing, at a rail or beyond what bounds allow: they refuse nothing, and
-sentences say so.
+"""Readings that are missing, at a rail or beyond what bounds allow.
+
+They refuse nothing, and sentences say so.
 """
 
 import csv
@@ -76,8 +77,9 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
 
 @pytest.mark.slow
 def test_errors_and_coverage_count_intact_cells(tmp_path: Path, lampest: Command) -> None:
-    """A report compares two estimators on a panel with a hole, an open and a shorted cell and a
-    dead row.
+    """A report compares two estimators on a panel.
+
+    The panel has a hole, an open and a shorted cell and a dead row.
     """
     places = tuple(
         (*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0)
@@ -162,8 +164,9 @@ def solved(
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
-    """Without noise a millionth counts, above and below; a bound that holds nothing back changes no
-    word.
+    """Without noise a millionth counts, above and below.
+
+    A bound that holds nothing back changes no word.
     """
     unloaded = cells()
     loaded = cells()
@@ -181,8 +184,9 @@ def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
 
 
 def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
-    """A cell beyond what the converter resolves takes less than σ from its reading; many such cells
-    take more.
+    """A cell beyond what the converter resolves takes less than σ from its reading.
+
+    Many such cells take more.
     """
     unloaded = cells()
     open_cell = cells()

@@ -1,5 +1,6 @@
-"""Arrays, sheets and archives, what no reader takes, scenes beside a file, bare arrays, and the
-command.
+"""Arrays, sheets and archives, what no reader takes, and scenes beside a file.
+
+Bare arrays, and the command, are here too.
 """
 
 import datetime

@@ -1,5 +1,6 @@
-"""What a notebook asks of lampest: tables and labelled arrays in, pictures in its own axes, short
-lines of objects.
+"""What a notebook asks of lampest.
+
+It asks for tables and labelled arrays in, pictures in its own axes, short lines of objects.
 """
 
 import ast

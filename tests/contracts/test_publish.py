@@ -1,5 +1,6 @@
-"""`lampest live` without a board: each way of `--publish` is heard by its own library, and nobody
-holds up frames.
+"""`lampest live` without a board: each way of `--publish` is heard by its own library.
+
+Nobody holds up frames.
 """
 
 import gc

@@ -1,5 +1,6 @@
-"""The results file: what goes in comes out, other programs open it, texts beside numbers, faults in
-one sentence.
+"""The results file: what goes in comes out, and other programs open it.
+
+Texts beside numbers, and faults in one sentence, are here, too.
 """
 
 import dataclasses

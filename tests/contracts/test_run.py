@@ -1,5 +1,6 @@
-"""A run from end to end: what is skipped, resumed, overridden and kept, in this process and in
-others.
+"""A run from end to end: what is skipped, resumed, overridden and kept.
+
+It is so in this process and in others.
 """
 
 import fcntl
@@ -75,8 +76,9 @@ def test_a_second_run_solves_nothing_unless_fresh(disk: SimpleNamespace, lampest
 
 @pytest.mark.slow
 def test_changed_cases_are_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
-    """Another weight: one case. Another recording of that name: all. A damaged result, or another
-    case's: that one.
+    """Another weight: one case. Another recording of that name: all.
+
+    A damaged result, or another case's: that one.
     """
     out = disk.folder / "out"
     lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
@@ -225,8 +227,9 @@ def test_a_missing_library_gives_one_sentence(
 
 
 def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:
-    """Return code, output and errors of a run that Ctrl-C reaches, in all processes, once so many
-    files exist.
+    """Return code, output and errors of a run that Ctrl-C reaches, in all processes.
+
+    It reaches the run once so many files exist.
     """
     run = Batch(path, count).start(out)
     until(lambda: len(list((out / "cases").glob(pattern))) >= count)

@@ -1,5 +1,6 @@
-"""Sentences on what a beginner types, and on what a file leaves open: each names the mistake and
-what to write.
+"""Sentences on what a beginner types, and on what a file leaves open.
+
+Each names the mistake and what to write.
 """
 
 import re
@@ -334,8 +335,9 @@ CIRCUITS = [
 def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_errors(
     circuit: str, tmp_path: Path, lampest: Command
 ) -> None:
-    """Cells that differ by 5 % pass for errors of the readings where crosstalk is small; pressed
-    ones, for outliers.
+    """Cells that differ by 5 % pass for errors of the readings where crosstalk is small.
+
+    Pressed ones pass for outliers.
 
     With amplifiers nothing but the cells' scatter tells such errors from cells, and changes do not
     depend on them.

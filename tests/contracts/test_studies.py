@@ -1,5 +1,6 @@
-"""The contract of every study: a table, samples with units and pictures; one sentence for a mistake
-in its file.
+"""The contract of every study: a table, samples with units and pictures.
+
+There is one sentence for a mistake in its file.
 """
 
 import csv
@@ -78,8 +79,9 @@ def started(folder: Path, *words: str) -> SimpleNamespace:
 def studied(
     lampest: Command, disk: SimpleNamespace, study: str, text: str, *words: str
 ) -> tuple[SimpleNamespace, Path]:
-    """Run a study, or the script of a page, on a file of that text; return how it ended, and its
-    folder.
+    """Run a study, or the script of a page, on a file of that text.
+
+    Return how it ended, and its folder.
     """
     file = disk.run(text, f"{study}.yaml")
     out = disk.folder / "out"

@@ -1,5 +1,6 @@
-"""What a stranger gets: the wheel, the sdist with all that proves it, and what lampest is built
-from.
+"""What a stranger gets: the wheel, and the sdist with all that proves it.
+
+What lampest is built from belongs to it.
 """
 
 import os

@@ -1,5 +1,6 @@
-"""Words of commands that cannot be, and a full disk: exit code 2, one sentence, nothing of it
-written.
+"""Words of commands that cannot be, and a full disk.
+
+They give exit code 2, one sentence, nothing of it written.
 """
 
 import errno
@@ -68,8 +69,9 @@ def full(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
 def test_a_full_disk_keeps_what_fits(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cases that do not fit have failed. If only all of them together do not, they are collected
-    once there is room.
+    """Cases that do not fit have failed.
+
+    If only all of them together do not, they are collected once there is room.
     """
     run = disk.folder / "run.yaml"
     out = disk.folder / "out"

@@ -134,8 +134,9 @@ def content(path: Path) -> dict[str, Any]:
 
 
 def same(actual: dict[str, Any], reference: dict[str, Any], tolerance: float = 0.0) -> None:
-    """Assert equality bit by bit, or to the tolerance of a solver that a cached factor saves some
-    iterations.
+    """Assert equality bit by bit, or to the tolerance of a solver.
+
+    The solver is one that a cached factor saves some iterations.
     """
     assert set(actual) == set(reference)
     for name, value in actual.items():
@@ -158,8 +159,9 @@ def finished(out: Path) -> int:
 
 
 def killed_again_and_again(tmp_path: Path, cases: Batch, kills: int) -> None:
-    """Kill the command, all its processes or a worker so often, resume each time, and compare every
-    complete folder.
+    """Kill the command, all its processes or a worker so often, and resume each time.
+
+    Compare every complete folder.
     """
     rng = np.random.default_rng(kills)
     count = 0

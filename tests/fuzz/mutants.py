@@ -275,8 +275,9 @@ class Corpus(NamedTuple):
     files: dict[str, tuple[bytes, ...]]
 
     def mutant(self, number: int, kind: str) -> Mutant:
-        """Input number `number` of a kind, the same one in every process: one to four changes of
-        one style.
+        """Input number `number` of a kind, the same one in every process.
+
+        It has one to four changes of one style.
         """
         rng = np.random.default_rng([number, list(KINDS).index(kind)])
         seeds = self.files[kind]
@@ -367,8 +368,9 @@ def good_results(folder: Path) -> bytes:
 
 
 def without_checksums(make: Callable[[Path], Any], folder: Path) -> Any:
-    """What `make` writes in a folder, in the format of older versions or as other programs have
-    it.
+    """What `make` writes in a folder, in another format.
+
+    The format is that of older versions or as other programs have it.
     """
     with patch.object(hdf5, "FORMAT", ("earliest", "v110")):
         return make(folder)
@@ -395,8 +397,9 @@ def choose(choices: Any, rng: np.random.Generator) -> Any:
 
 
 def changed_bytes(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """A cut, a hole, other bytes, a piece of another file, a large number where a size may stand,
-    or a turned bit.
+    """A cut, a hole, other bytes, a piece of another file, or another change of bytes.
+
+    The other change is a large number where a size may stand, or a turned bit.
     """
     at = int(rng.integers(len(content) + 1))
     length = int(rng.integers(1, 64))
@@ -437,8 +440,9 @@ def changed_parts(content: bytes, count: int, rng: np.random.Generator) -> bytes
 
 
 def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:
-    """A line twice, gone or moved; a word for another; a nasty text somewhere; or a change of
-    bytes.
+    """A line twice, gone or moved; a word for another; or another change.
+
+    The other change is a nasty text somewhere, or a change of bytes.
     """
     lines = content.split(b"\n")
     kind = rng.integers(7)
@@ -464,8 +468,9 @@ def changed_text(content: bytes, seeds: tuple[bytes, ...], rng: np.random.Genera
 
 
 def changed_tree(tree: Any, count: int, rng: np.random.Generator) -> bytes:
-    """Other values, keys and shapes in what a YAML file says; written as JSON, which is YAML
-    too.
+    """Other values, keys and shapes in what a YAML file says.
+
+    They may be written as JSON, which is YAML too.
     """
     tree = json.loads(json.dumps(tree))
     for _ in range(count):

@@ -55,8 +55,9 @@ ON_GROUND = lp.GroundedReadout(noise_lsb=0.7)
 def recorded(
     readout: Any = TWO, specified: Any = None, series: float = 140.0, **effects: float
 ) -> lp.Recording:
-    """A hand on some cells, with effects that the scene does not name, or with another readout than
-    the scene has.
+    """A hand on some cells, with effects that the scene does not name.
+
+    Or it is with another readout than the scene has.
     """
     scene = lp.Scene(WIDE, readout, series if readout.unit == "ohm" else 0.0)
     known: dict[str, Any] = {
@@ -99,8 +100,9 @@ def tiled() -> lp.Recording:
 
 
 def disconnected() -> lp.Recording:
-    """Modules without a value, at a rail, dead, and with larger readings than the others; an
-    outlier in a sound one.
+    """Modules without a value, at a rail, dead, and with larger readings than the others.
+
+    There is an outlier in a sound one.
     """
     values = tiled().recorded.copy()
     values[2, 1, 5] *= 1.4
@@ -187,8 +189,9 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
 
 
 def mistakes_row() -> dict[str, Any]:
-    """Warnings of recordings with wrong roles, times or units, with copied frames, or from one
-    unloaded frame on.
+    """Warnings of recordings with wrong roles, times or units, or with copied frames.
+
+    Others are of recordings from one unloaded frame on.
     """
     fine = simulated()
     rows = {}
@@ -389,8 +392,9 @@ def contacts_row() -> dict[str, Any]:
 
 
 def ends_row() -> list[Any]:
-    """Channels that end together: some by chance, with others a little below, all of them, or those
-    of one row.
+    """Channels that end together.
+
+    Some end by chance, with others a little below, all of them, or those of one row.
     """
     steps = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, 45)]
     rows = list[Any]()
@@ -405,8 +409,9 @@ def ends_row() -> list[Any]:
 
 
 def values_row() -> dict[str, Any]:
-    """What single values and deviations say, with a readout and without: a number, a bound, or
-    nothing.
+    """What single values and deviations say, with a readout and without.
+
+    They say a number, a bound, or nothing.
     """
     values = np.full((2, 4, 5), 720.0)
     rows = {}
@@ -634,8 +639,9 @@ def prior_row() -> list[Any]:
 
 
 def breathing_row() -> dict[str, Any]:
-    """Readings that swing with suction and rim, and the belief that they make over three
-    windows.
+    """Readings that swing with suction and rim, and the belief that they make.
+
+    They make it over three windows.
     """
     rng = np.random.default_rng(1)
     times = np.arange(32) / 4
@@ -711,8 +717,9 @@ def breathing_row() -> dict[str, Any]:
 
 
 def patterns_row() -> list[Any]:
-    """Swings of a mouth beside a rod in air and under water, in readings, and changes that the
-    water explains.
+    """Swings of a mouth beside a rod in air and under water, in readings.
+
+    Changes that the water explains are there as well.
     """
     verdict, frame = verdict_of("two")
     rng = np.random.default_rng(3)
@@ -731,8 +738,9 @@ def patterns_row() -> list[Any]:
 
 
 def watch_begun() -> tuple[Watch, lp.Readings]:
-    """A watch before its first frame, and the readings of three frames without a rod and of one
-    with it.
+    """A watch before its first frame, and the readings of four frames.
+
+    Three frames are without a rod and one is with it.
     """
     readings = lp.simulate(
         lp.Simulation(1, 3, WATCHED, frames=1, loads=ON_FILM["rod"][0])
@@ -746,8 +754,9 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
 
 
 def recognised_row() -> list[Any]:
-    """A watch that recognises a rod, a faint one or nothing, at once or again, and a rod that has
-    left before.
+    """A watch that recognises a rod, a faint one or nothing, at once or again.
+
+    It also recognises a rod that has left before.
     """
     verdict, _ = verdict_of("rod")
     rows = list[Any]()
@@ -788,8 +797,9 @@ def recognised_row() -> list[Any]:
 
 
 def steps_row() -> list[Any]:
-    """A watch that follows noise, a rod, a harder press that ends, and the end of the rod; and
-    frames against it.
+    """A watch that follows noise, a rod, a harder press that ends, and the end of the rod.
+
+    Frames are held against it.
     """
     verdict, _ = verdict_of("rod")
     rng = np.random.default_rng(6)
@@ -850,8 +860,9 @@ def steps_row() -> list[Any]:
 
 
 def swings_row() -> list[Any]:
-    """Windows of a mouth beside a rod that are too short, partial and full, and samples of its
-    suction.
+    """Windows of a mouth beside a rod that are too short, partial and full.
+
+    Samples of its suction are there as well.
     """
     verdict, frame = verdict_of("two")
     rng = np.random.default_rng(3)
@@ -903,8 +914,9 @@ def swings_row() -> list[Any]:
 
 
 def outlying_row() -> list[Any]:
-    """Outliers among readings whose errors are like those of their neighbours: one or five, of
-    several sizes.
+    """Outliers among readings whose errors are like those of their neighbours.
+
+    They are one or five, of several sizes.
     """
     root = np.linalg.cholesky(0.95 ** np.abs(np.subtract.outer(np.arange(120), np.arange(120))))
     noise = root @ np.random.default_rng(1).standard_normal(120)
@@ -920,8 +932,9 @@ def outlying_row() -> list[Any]:
 
 
 def watch_over(layout: Modules, cells: lp.Array, dead: int) -> tuple[ImageWatch, lp.Array]:
-    """A panel of modules after three unloaded frames at 0 s, with one that is not read, and σ of
-    its readings.
+    """A panel of modules after three unloaded frames at 0 s, and σ of its readings.
+
+    One of the modules is not read.
     """
     scene = lp.Scene(lp.Panel(modules=layout), TWO, 140.0)
     measured = image_of(layout, cells)
@@ -958,8 +971,9 @@ def state_of(state: Watch) -> list[Any]:
 
 
 def opened_row() -> list[Any]:
-    """A watch over modules of different pasts, one of them dead, and the states that it leaves when
-    windows close.
+    """A watch over modules of different pasts, one of them dead.
+
+    With it come the states that it leaves when windows close.
     """
     layout = Modules(2, 2, EachModule(3, 3))
     levels = np.array([3.0, 2.0, 1.5, 1.0])[:, None, None]
@@ -998,8 +1012,9 @@ def opened_row() -> list[Any]:
 
 
 def image_row() -> list[Any]:
-    """A panel of modules, one of them dead: a load over a seam comes, leaves, and another one comes
-    to its place.
+    """A panel of modules, one of them dead.
+
+    A load over a seam comes, leaves, and another one comes to its place.
     """
     layout = Modules(1, 4, EachModule(4, 4), seam_mm=4.0)
     resting = np.repeat([3000.0, 2000.0, 1500.0, 2500.0], 4) * np.ones((4, 1))
@@ -1020,8 +1035,9 @@ def image_row() -> list[Any]:
 
 
 def windows_row() -> Any:
-    """Windows about places of a panel of modules, and loads that two of them see, or that left
-    before.
+    """Windows about places of a panel of modules, and loads that two of them see.
+
+    Or they are loads that left before.
     """
     scene = lp.Scene(lp.Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), TWO, 140.0)
     rng = np.random.default_rng(9)
@@ -1086,8 +1102,9 @@ def windows_row() -> Any:
 
 
 def answers_row() -> dict[str, Any]:
-    """What is said of loads: alone, together, gone, with breath and pumps of every probability, at
-    two frame rates.
+    """What is said of loads: alone, together, gone, with breath and pumps.
+
+    The pumps are of every probability, and all is said at two frame rates.
     """
     observed = Attachment(
         0.99,
@@ -1141,8 +1158,9 @@ def answers_row() -> dict[str, Any]:
 
 
 def attachments_row() -> Any:
-    """Loads of one recognition after another, which stay, leave, come or fade, alone and many drawn
-    at random.
+    """Loads of one recognition after another, which stay, leave, come or fade.
+
+    They are alone and many drawn at random.
     """
     rng = np.random.default_rng(5)
     courses = []

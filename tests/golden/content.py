@@ -21,8 +21,9 @@ TOLERANCE_FACTOR = 100.0
 
 
 def content(value: Any) -> Any:
-    """Return a result as JSON has it; of a long array some numbers, its mean and the count of what
-    is not finite.
+    """Return a result as JSON has it.
+
+    Of a long array, it has some numbers, its mean and the count of what is not finite.
     """
     if sparse.issparse(value):
         value = value.toarray()
@@ -73,8 +74,9 @@ def rounded(number: float) -> float:
 
 
 def shortened(value: Any) -> Any:
-    """Return a text with its long numbers rounded, since their last digits are rounding; anything
-    else as it is.
+    """Return a text with its long numbers rounded, since their last digits are rounding.
+
+    Anything else is returned as it is.
     """
     if not isinstance(value, str):
         return value
@@ -138,8 +140,9 @@ def largest(values: np.ndarray[Any, Any]) -> float:
 
 
 def unsteady(stored: Any, computed: Any, place: str = "") -> Iterator[tuple[str, float | None]]:
-    """Yield the places at which two computations of the same differ, each with the tolerance that
-    it takes.
+    """Yield the places at which two computations of the same differ.
+
+    Each comes with the tolerance that it takes.
     """
     if isinstance(stored, dict) and isinstance(computed, dict) and stored.keys() == computed.keys():
         for key in stored:

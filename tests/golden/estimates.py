@@ -400,8 +400,9 @@ def in_scene(name: str) -> lp.Recording:
 
 
 def dropping_out(coupled: bool) -> lp.Recording:
-    """A rod over the seams of modules; one is dead, one is not read in the first frame, and none in
-    the last.
+    """A rod over the seams of modules.
+
+    One is dead, one is not read in the first frame, and none in the last.
     """
     panel = lp.Panel(modules=Modules(2, 2, EachModule(3, 4), 4.0, coupled=coupled))
     faults = lp.Faults(dead_modules=((1, 1),))
@@ -424,8 +425,9 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
 
 
 def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
-    """Known resistors of several values on every cell, with other circuit numbers than the scene
-    has.
+    """Known resistors of several values on every cell.
+
+    They are with other circuit numbers than the scene has.
     """
     printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
     calibration = calibrate_resistors(
@@ -442,8 +444,9 @@ def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
 def on_resistors(
     scene: lp.Scene, printed: lp.Array, shift: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
-    """Six frames of known resistors, infinite where there is none, with other channels and these
-    other parts.
+    """Six frames of known resistors, with other channels and these other parts.
+
+    They are infinite where there is none.
     """
     actual = replace(scene, **true)
     memory = true.get("converter_memory")
@@ -460,8 +463,9 @@ def on_resistors(
 
 
 def moved_resistors_row() -> dict[str, Any]:
-    """Resistors that are moved from cell to cell, none at a row and a column: of diodes, wires and
-    a memory, too.
+    """Resistors that are moved from cell to cell, none at a row and a column.
+
+    They are of diodes, wires and a memory, too.
     """
     pull_ups = scenes()["wired pull-ups"]
     diode = replace(scenes()["diodes"].circuit, diode=lp.Diode(drop_volt=0.63), drive_ohm=20.0)
@@ -485,8 +489,9 @@ def moved_resistors_row() -> dict[str, Any]:
 
 
 def refused_resistors_row() -> list[str]:
-    """Why recordings are no calibration: other resistors, none, equal ones, one, drift, hum; and
-    some that are one.
+    """Why recordings are no calibration; and some that are one.
+
+    The reasons are other resistors, none, equal ones, one, drift, hum.
     """
     scene = scenes()["LoadedColumnsReadout"]
     known = np.full(PANEL.shape, np.inf)
@@ -586,8 +591,9 @@ def frame_noise_row() -> list[Any]:
 
 
 def joint_row() -> list[Any]:
-    """All frames as one problem, with errors that all share and some that each has, at three
-    points.
+    """All frames as one problem, at three points.
+
+    It is with errors that all share and some that each has.
     """
     recording = simulated("gain_spread", SHARED_ERRORS)
     rng = np.random.default_rng(2)
@@ -630,8 +636,9 @@ def joint_row() -> list[Any]:
 
 
 def batches_row() -> dict[str, Any]:
-    """Which frames of streams are solved together, by estimator and by readings that are missing,
-    and their cells.
+    """Which frames of streams are solved together, and their cells.
+
+    It is by estimator and by readings that are missing.
     """
     misfit = lp.Misfit(weighting="noise")
     penalty = lp.LogGradient(weight=3.0)
@@ -669,8 +676,9 @@ def batches_row() -> dict[str, Any]:
 
 
 def modules_row() -> list[Any]:
-    """Weights that modules choose together while a load comes; one has another converter, and one
-    is dead.
+    """Weights that modules choose together while a load comes.
+
+    One has another converter, and one is dead.
     """
     layout = Modules(1, 5, EachModule(3, 4), seam_mm=4.0)
     rng = np.random.default_rng(3)

@@ -1,5 +1,6 @@
-"""Rows of inputs: foreign files of every layout, unit and clock, and the ranges of all public
-configurations.
+"""Rows of inputs: foreign files, and the ranges of all public configurations.
+
+The files are of every layout, unit and clock.
 """
 
 import re
@@ -34,8 +35,9 @@ SEVERAL = np.random.default_rng(3).integers(300, 800, (4, 2, 3)).astype(float)
 def frames_text(
     line: Callable[[int, int, int], str] | None = None, title: str = "", comma: str = ","
 ) -> str:
-    """The values as a line a row of the panel, or, by a function of frame, row and column, as a
-    line a value.
+    """The values as a line a row of the panel, or as a line a value.
+
+    A line a value is by a function of frame, row and column.
     """
     texts = []
     for number, frame in enumerate(VALUES):
@@ -223,8 +225,9 @@ def brief(result: Any) -> Any:
 
 
 def units_row() -> dict[str, Any]:
-    """Codes of a converter in every unit, with few digits and with many, and what an import takes
-    them for.
+    """Codes of a converter in every unit, and what an import takes them for.
+
+    They are with few digits and with many.
     """
     known = SEVERAL.reshape(-1, 2, 3)
     rows = {}

@@ -133,8 +133,9 @@ def is_record(value: object) -> bool:
 
 
 def write_table(*rooms: str) -> None:
-    """Write the results of rooms, or of all, a line a row, and the tolerances of those that other
-    processors change.
+    """Write the results of rooms, or of all, a line a row, and tolerances.
+
+    The tolerances are those of the results that other processors change.
     """
     tolerances = json.loads(TOLERANCES.read_text()) if TOLERANCES.exists() else {}
     with TemporaryDirectory() as folder:

@@ -341,8 +341,9 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
 
 
 def limits_row() -> list[lp.Array]:
-    """Cells that multipliers of bounds move: on a bound, near it, within, and between equal
-    bounds.
+    """Cells that multipliers of bounds move.
+
+    They are on a bound, near it, within, and between equal bounds.
     """
     low = np.array([1.0, 1, 1, 1, 2, 2, 0, 1])
     high = np.array([5.0, 5, 5, 5, 8, 8, 50, 1])
@@ -459,8 +460,9 @@ def batch_row() -> dict[str, Any]:
 
 
 def minima_row() -> dict[str, Any]:
-    """The lowest of several minima and its starts, with an estimate of an earlier frame and
-    without.
+    """The lowest of several minima and its starts.
+
+    It is with an estimate of an earlier frame and without.
     """
     begin = point("student", decades=2.0)
     rows = dict[str, Any]()
@@ -480,8 +482,9 @@ def minima_row() -> dict[str, Any]:
 
 
 def verdicts_row() -> dict[str, Any]:
-    """What a check makes of outcomes of every status, at the start, an optimum, worse points and no
-    numbers.
+    """What a check makes of outcomes of every status.
+
+    They are at the start, an optimum, worse points and no numbers.
     """
     plain = point("plain")
     blind = point("penalty")
@@ -599,8 +602,9 @@ def of_solvers() -> Rows:
 
 
 def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
-    """Errors of an estimate with all their parts: those of frames before, and of readings that a
-    frame shares.
+    """Errors of an estimate with all their parts.
+
+    The parts are those of frames before, and of readings that a frame shares.
     """
     at = point(cost, circuit)
     rng = np.random.default_rng(3)
@@ -668,8 +672,9 @@ def weights_row(cost: str) -> dict[str, Any]:
 
 
 def pair_row() -> Any:
-    """Errors of a frame and of its baseline that are solved together, as matrices and as
-    samples.
+    """Errors of a frame and of its baseline that are solved together.
+
+    They are as matrices and as samples.
     """
     model = LinearModel(
         point("change", frames=2), np.zeros(len(point("change", frames=2).nonsmooth))

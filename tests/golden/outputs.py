@@ -727,8 +727,9 @@ CUP = replace(LAMPREY, breath=breathing.Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
 def watched_row() -> list[Any]:
-    """Answers while nothing touches a panel, of a broken frame, with loads that left, and about a
-    new zero.
+    """Answers while nothing touches a panel, and answers of a broken frame.
+
+    Others are with loads that left, and about a new zero.
     """
     recording = simulated(frames=6, baseline_frames=3)
     answers = []
@@ -982,8 +983,9 @@ def commands_row() -> dict[str, Any]:
 
 
 def described_row() -> dict[str, Any]:
-    """Descriptions of recordings with gaps, bounds, lines that touch, modules, and scenes with
-    every entry.
+    """Descriptions of recordings with gaps, bounds, lines that touch, and modules.
+
+    Descriptions of scenes with every entry are here, too.
     """
     texts = {}
     known = {
@@ -1096,8 +1098,9 @@ def pictured_row() -> list[Any]:
 
 
 def timeline_row() -> dict[str, Any]:
-    """Timelines of a mouth, of nothing, of a mouth beside a contact that has left, and after both
-    have left.
+    """Timelines of a mouth, of nothing, and of a mouth beside a contact that has left.
+
+    One more is after both have left.
     """
     present = replace(LAMPREY, since_s=2.0)
     departed = replace(
@@ -1117,8 +1120,9 @@ def timeline_row() -> dict[str, Any]:
 
 
 def strongest_of_files() -> list[Any]:
-    """Pictures of the strongest frame of a recording, of results, and of a recording without
-    unloaded frames.
+    """Pictures of the strongest frame of a recording, and of results.
+
+    One is of a recording without unloaded frames.
     """
     values = np.full((4, 2, 3), 500.0)
     calls = list[Any]()
@@ -1146,8 +1150,9 @@ def strongest_of_files() -> list[Any]:
 
 
 def detected_results_row() -> list[Any]:
-    """Answers to results with noise that frames share, without noise, and of one frame; and what
-    the file says.
+    """Answers to results, and what the file says.
+
+    The results are with noise that frames share, without noise, and of one frame.
     """
     scene = replace(WATCHED, faults=lp.Faults(shorted=((0, 1),), dead_rows=(5,)))
     recording = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
@@ -1186,8 +1191,9 @@ SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
 
 
 def variants_row() -> list[Any]:
-    """Pictures of other circuits, without noise, of frames that failed, and of cells that lie apart
-    or alone.
+    """Pictures of other circuits, without noise, and of frames that failed.
+
+    Others are of cells that lie apart or alone.
     """
     case = invented_case(shape=(1, 2, 3))
     pull_ups = lp.LoadedColumnsReadout(
@@ -1238,8 +1244,9 @@ def variants_row() -> list[Any]:
 
 
 def nwb_row() -> list[Any]:
-    """What sessions of NWB hold, as its library is given it; of somebody who was measured, and of
-    nobody.
+    """What sessions of NWB hold, as its library is given it.
+
+    They are of somebody who was measured, and of nobody.
     """
     subject = lp.MeasuredSubject(
         id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0, note="calm"

@@ -396,8 +396,9 @@ RESULTS: tuple[tuple[str, Any], ...] = (
 
 
 def damaged_row() -> dict[str, Any]:
-    """Sentences on recordings and results with other content; neither is read, nor is anything
-    written.
+    """Sentences on recordings and results with other content.
+
+    Neither is read, nor is anything written.
     """
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
@@ -571,8 +572,9 @@ def interrupted_by(cause: BaseException) -> None:
 
 
 def process_row() -> dict[str, Any]:
-    """Words on errors and sizes, errors in a log, memory that may be taken, and outputs beside
-    inputs.
+    """Words on errors and sizes, errors in a log, and memory that may be taken.
+
+    Words on outputs beside inputs are here, too.
     """
     rows: dict[str, Any] = {
         "sizes": [in_bytes(10.0**n) for n in range(14)],

@@ -79,8 +79,9 @@ def timed(made: type[Any], **known: Any) -> list[Any]:
 
 
 def timed_bench() -> Bench:
-    """A benchmark in which methods, memory and time were left out, and frames failed or have no
-    gap.
+    """A benchmark in which methods, memory and time were left out.
+
+    Frames failed or have no gap.
     """
     frames = timed(
         BenchFrame,
@@ -99,8 +100,9 @@ def timed_bench() -> Bench:
 
 
 def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
-    """Frames of formulations, also of a panel whose errors are unknown and of a frame that
-    failed.
+    """Frames of formulations, also of a panel whose errors are unknown.
+
+    They are also of a frame that failed.
     """
     frames = timed(
         tradeoff.TradeoffFrame,
@@ -294,8 +296,9 @@ def runs_row() -> dict[str, Any]:
 
 
 def budgeted_row() -> list[Any]:
-    """Benchmarks within three budgets, on a clock that solves advance; their seconds are in their
-    cost, some fail.
+    """Benchmarks within three budgets, on a clock that solves advance.
+
+    Their seconds are in their cost, some fail.
     """
     file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
     rows = []
@@ -555,8 +558,9 @@ def weights_study_row() -> dict[str, Any]:
 
 
 def paper_row() -> dict[str, Any]:
-    """The paper beside one side: two mouths of a rod's frames, with estimates that no solver
-    made.
+    """The paper beside one side: two mouths of a rod's frames.
+
+    They are with estimates that no solver made.
     """
     published = paper.read_published(paper.FILE)
     mouths = [replace(simulated(), name=name) for name in ("large", "small")]

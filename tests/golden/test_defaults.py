@@ -1,5 +1,6 @@
-"""Defaults and calibrated numbers stay: those of public classes, and of all modules, as the stored
-tables have them.
+"""Defaults and calibrated numbers stay as the stored tables have them.
+
+They are those of public classes, and of all modules.
 """
 
 import json

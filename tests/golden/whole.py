@@ -1,5 +1,6 @@
-"""Rows of whole pages, of long recordings and of large panels, by limits that are lowered for
-them.
+"""Rows of whole pages, of long recordings and of large panels.
+
+They are by limits that are lowered for them.
 """
 
 import re
@@ -89,8 +90,9 @@ def as_large(row: Callable[..., Any], *known: Any) -> Any:
 
 
 def exact_row() -> Any:
-    """The certificate where every reading is met exactly, and readings that bounds keep from being
-    met.
+    """The certificate where every reading is met exactly.
+
+    It is also of readings that bounds keep from being met.
     """
     known = point("plain")
     partly = point("penalty")
@@ -118,8 +120,9 @@ def exact_row() -> Any:
 
 
 def noisy_start(seed: int) -> problem.Evaluation:
-    """The readings' own start where their noise is three times their size, so that most cells stand
-    at a bound.
+    """The readings' own start where their noise is three times their size.
+
+    The noise is so large that most cells stand at a bound.
     """
     scene = TINY["whole"]
     rng = np.random.default_rng(seed)
@@ -133,8 +136,9 @@ def noisy_start(seed: int) -> problem.Evaluation:
 
 
 def barrier_row() -> Any:
-    """The interior-point method from starts with most cells at a bound, by given bounds or by
-    noise.
+    """The interior-point method from starts with most cells at a bound.
+
+    The cells are there by given bounds or by noise.
     """
     with large():
         begin = point("plain")
@@ -205,8 +209,9 @@ estimators:
 
 
 def parts_row() -> dict[str, Any]:
-    """A recording that is solved in parts of sixteen frames, by a run that is broken off before
-    these are joined.
+    """A recording that is solved in parts of sixteen frames.
+
+    It is solved by a run that is broken off before these are joined.
     """
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         simulated(frames=19, baseline_frames=3).save("long.h5")
@@ -381,8 +386,9 @@ SIMULATIONS = {
 
 
 def simulation_files_row(text: str) -> dict[str, Any]:
-    """Recordings of a simulation file, by default, to one file and to a folder; or why there are
-    none.
+    """Recordings of a simulation file, by default, to one file and to a folder.
+
+    Or it is why there are none.
     """
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
@@ -475,8 +481,9 @@ STORED = ("shape", "dtype", "chunks", "compression", "shuffle", "fletcher32", "m
 
 
 def files_row() -> dict[str, Any]:
-    """How recordings and results are stored: types, chunks, filters and attributes; files that
-    others added to.
+    """How recordings and results are stored: types, chunks, filters and attributes.
+
+    Files that others added to are here, too.
     """
     stored: dict[str, Any] = {"superblock": lookup3(bytes(range(48)))}
 
@@ -514,8 +521,9 @@ def files_row() -> dict[str, Any]:
 
 
 def chunks_row() -> dict[str, Any]:
-    """How values are packed: few and many, smooth and noisy ones, by their first 16 frames and 512
-    values of each.
+    """How values are packed: few and many, smooth and noisy ones.
+
+    They are packed by their first 16 frames and 512 values of each.
     """
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((9, 4, 8))

@@ -1,5 +1,6 @@
-"""Every configuration of the package, found by what it is, and examples of each made from its
-fields' types alone.
+"""Every configuration of the package, found by what it is, and examples of each.
+
+The examples are made from its fields' types alone.
 
 A new configuration, and a new member of a union (a term, a loss, a load, a method, an executor, a
 readout), is seen here without being named.
@@ -50,8 +51,9 @@ TRIES = 2000
 
 @cache
 def configurations() -> tuple[type, ...]:
-    """Every class of the package that YAML is validated into, in the order of modules; bases of
-    others left out.
+    """Every class of the package that YAML is validated into, in the order of modules.
+
+    Bases of others are left out.
     """
     modules = [
         import_module(info.name) for info in pkgutil.walk_packages(lampest.__path__, "lampest.")
@@ -114,8 +116,9 @@ def is_open(field: dataclasses.Field[Any]) -> bool:
 
 @cache
 def examples(kind: type) -> tuple[Any, ...]:
-    """Configurations of a class: one with its defaults, then for every field one that differs
-    there.
+    """Configurations of a class, the first one with its defaults.
+
+    Then for every field there is one that differs there.
     """
     rng = np.random.default_rng(1)
     first = attempted(lambda: kind(**arguments(kind, rng)), lambda made: True)
@@ -130,8 +133,9 @@ def examples(kind: type) -> tuple[Any, ...]:
 
 
 def arguments(kind: type, rng: np.random.Generator) -> dict[str, Any]:
-    """A value for every field without a default and for few of the others, as some classes need one
-    of several.
+    """A value for every field without a default and for few of the others.
+
+    The few are there as some classes need one of several.
     """
     given = (
         field.name for field in dataclasses.fields(kind) if is_open(field) or rng.random() < 0.1

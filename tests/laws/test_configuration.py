@@ -1,5 +1,6 @@
-"""What holds for everything that a user may write as YAML: it is its object, and nothing else is
-taken for it.
+"""What holds for everything that a user may write as YAML.
+
+It is its object, and nothing else is taken for it.
 """
 
 import dataclasses
@@ -117,8 +118,9 @@ def places(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 @EACH_KIND
 def test_numbers_beyond_any_measurement_are_refused_at_any_depth(kind: type) -> None:
-    """Every number of every example: a sentence with line, column and key, before anything computes
-    with it.
+    """Every number of every example: a sentence with line, column and key.
+
+    It comes before anything computes with it.
     """
     every = (
         (path, document)
@@ -186,8 +188,9 @@ def test_a_configuration_is_frozen_and_contains_only_configurations(kind: type) 
 def test_the_kind_distinguishes_the_members_of_a_union(
     members: tuple[type, ...], member: type, word: str
 ) -> None:
-    """In every place that takes the union: the member loads by its word, and no other word of the
-    union's does.
+    """In every place that takes the union the member loads by its word.
+
+    No other word of the union's does.
     """
     assert [alternative for alternative in members if word in words(alternative)] == [member]
     example = dataclasses.replace(examples(member)[0], kind=word)

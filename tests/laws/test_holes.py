@@ -32,8 +32,9 @@ TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 
 
 def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1) -> Recording:
-    """Four frames of unlike cells through the readout, without its converter; holes in the measured
-    ones.
+    """Four frames of unlike cells through the readout, without its converter.
+
+    There are holes in the measured ones.
     """
     rng = np.random.default_rng(seed)
     cells = 2000.0 * np.exp(0.3 * rng.standard_normal(SHAPE)) * np.ones((4, 1, 1))
@@ -88,8 +89,9 @@ def test_single_holes_leave_every_frame_an_estimate(
 
 @pytest.mark.slow
 def test_plain_least_squares_gives_an_unread_cell_wide_error_bars() -> None:
-    """The others stay as good as their own readings make them; that cell's interval is wide and
-    holds the truth.
+    """The others stay as good as their own readings make them.
+
+    That cell's interval is wide and holds the truth.
     """
     elsewhere = []
     held = []

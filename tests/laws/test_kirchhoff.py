@@ -1,5 +1,6 @@
-"""Identities that the two-point resistances of any matrix of cells obey. Tolerances are those of
-mild contrast.
+"""Identities that the two-point resistances of any matrix of cells obey.
+
+Tolerances are those of mild contrast.
 """
 
 import numpy as np
@@ -73,8 +74,9 @@ def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
 @given(panels)
 @QUICK
 def test_any_line_may_be_grounded(cells: Array) -> None:
-    """Paper, equation (5): potential differences do not know which line is tied to ground, nor how
-    well.
+    """Paper, equation (5): potential differences do not know which line is tied to ground.
+
+    Nor do they know how well it is tied.
     """
     resistance = two_point_resistance(cells)
     for line in range(sum(cells.shape)):
@@ -109,8 +111,9 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
 def test_the_convex_start_of_large_panels_converges_quadratically(
     shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Steps as exact as the gradient is small, and a line search that does not stall in the
-    rounding of the values.
+    """Steps are as exact as the gradient is small.
+
+    The line search does not stall in the rounding of the values.
     """
     rng = np.random.default_rng(1)
     cells = 2000 * 10 ** rng.uniform(-0.3, 0.3, shape)

@@ -1,5 +1,6 @@
-"""Matrices over the lines of a panel have the inverse of the whole matrix, at the cost of the
-shorter side.
+"""Matrices over the lines of a panel have the inverse of the whole matrix.
+
+They have it at the cost of the shorter side.
 """
 
 import numpy as np
@@ -66,8 +67,9 @@ def test_the_determinant_equals_that_of_the_laplacian_with_ties(
 def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Estimates, their verification and the check of the circuit: 1 × 800 cells took 1.9 s, and 1 ×
-    1600 12 s.
+    """Estimates, their verification and the check of the circuit.
+
+    1 × 800 cells took 1.9 s, and 1 × 1600 12 s.
     """
     rng = np.random.default_rng(1)
     cells = rng.uniform(900, 2000, (2, *NARROW))
@@ -80,8 +82,9 @@ def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_s
 
 
 def sizes_of_matrices(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The sizes of all matrices that are inverted, or of which a determinant is taken, from here
-    on.
+    """The sizes of all matrices that are inverted, from here on.
+
+    Those of which a determinant is taken count as well.
     """
     sizes = list[int]()
     for module, name in ((np.linalg, "inv"), (np.linalg, "slogdet"), (scipy.linalg, "inv")):

@@ -150,8 +150,9 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
 
 @pytest.mark.slow
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
-    """A load on a finger of the hand is estimated there, not where lines cross on a full
-    rectangle.
+    """A load on a finger of the hand is estimated there.
+
+    It is not estimated where lines cross on a full rectangle.
     """
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
@@ -185,8 +186,9 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
 
 
 def test_an_impossible_reading_is_left_out() -> None:
-    """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells
-    stay right.
+    """One contact fails in every frame.
+
+    The reading goes, the circuit is not blamed, and the cells stay right.
     """
     panel = Panel(6, 6)
     cells = 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))

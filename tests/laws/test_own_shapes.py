@@ -68,8 +68,9 @@ class SquareCandidate(Candidate):
 
 
 def covered_share(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
-    """Share of patches about `centres` within −half and half, its slope by the square's centre and
-    by `half`.
+    """Share of patches about `centres` within −half and half.
+
+    Its slope by the square's centre and by `half` comes with it.
     """
     low = centres - patch_mm / 2
     high = centres + patch_mm / 2

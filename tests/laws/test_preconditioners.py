@@ -1,5 +1,6 @@
-"""What holds of every preconditioner: M⁻¹ between any free cells is linear, symmetric and positive
-definite.
+"""What holds of every preconditioner.
+
+M⁻¹ between any free cells is linear, symmetric and positive definite.
 """
 
 from dataclasses import replace

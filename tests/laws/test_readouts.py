@@ -1,5 +1,6 @@
-"""What every kind of readout obeys, whoever wrote it: its derivatives, its two forms, its way to
-the recorded and back.
+"""What every kind of readout obeys, whoever wrote it.
+
+It is its derivatives, its two forms, its way to the recorded and back.
 
 A kind that joins the union, or that an installed package names, is seen here without being named.
 """
@@ -56,8 +57,9 @@ def scenes() -> Iterator[Any]:
 
 
 def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
-    """The first configuration of a kind that fits, with every sort of wire and with lines that
-    touch.
+    """The first configuration of a kind that fits.
+
+    It is with every sort of wire and with lines that touch.
     """
     for rows, columns in PANELS:
         panel = Panel(rows, columns)
@@ -217,8 +219,9 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
 
 @every_scene
 def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
-    """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand
-    them on.
+    """Wire, contacts and lines that touch are included.
+
+    A kind that makes simulations its own must hand them on.
     """
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
@@ -229,8 +232,10 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
 
 @every_scene
 def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> None:
-    """network ↔ recorded ↔ volt; readings are positive; recorded values move as `direction` says, σ
-    by the slope of `from_recorded`; bounds hold the cells.
+    """network ↔ recorded ↔ volt; readings are positive.
+
+    Recorded values move as `direction` says, σ by the slope of `from_recorded`; bounds hold the
+    cells.
     """
     readout = scene.circuit
     cells = np.exp(cells_of(scene))

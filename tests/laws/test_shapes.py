@@ -99,8 +99,9 @@ def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
 
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
 def test_any_parameters_of_a_fit_give_finite_readings(candidate: Candidate) -> None:
-    """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has
-    such cells.
+    """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres.
+
+    No network has such cells.
     """
     panel = Panel(6, 6)
     rng = np.random.default_rng(4)
@@ -142,8 +143,9 @@ def test_labels_and_kinds_are_unique() -> None:
 
 
 def test_the_rim_of_any_mouth_balances_its_suction() -> None:
-    """The rim's force is the suction's, however long or uneven it is; extra pressure comes on top
-    of it.
+    """The rim's force is the suction's, however long or uneven it is.
+
+    Extra pressure comes on top of it.
     """
     level = OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0)
     uneven = {

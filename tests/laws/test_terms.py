@@ -1,5 +1,6 @@
-"""What holds for every cost term with every loss. The tests walk the unions: a new term is tested
-as it is.
+"""What holds for every cost term with every loss.
+
+The tests walk the unions: a new term is tested as it is.
 """
 
 import dataclasses
@@ -34,8 +35,9 @@ GRID = np.linspace(-3, 3, 121) * CORNER
 
 @dataclasses.dataclass(frozen=True)
 class GemanMcClure(Loss):
-    """Σ x²/(1 + (x/c)²): a user's own loss that is bounded, and so flat far out that slopes are
-    small differences.
+    """Σ x²/(1 + (x/c)²): a user's own loss that is bounded.
+
+    It is so flat far out that slopes are small differences.
     """
 
     convex = False
@@ -86,8 +88,9 @@ def example(frames: int, seed: int = 0) -> tuple[Data, Array]:
 
 
 def state(data: Data, cells: Array, scale: float = 1.0) -> State:
-    """One frame with every length of the axis of ohms multiplied by `scale`; numbers as CasADi's
-    matrices.
+    """One frame with every length of the axis of ohms multiplied by `scale`.
+
+    Numbers are as CasADi's matrices.
     """
     frame = {"cell_resistance": cells[0].ravel(), "reading": two_point_resistance(cells[0]).ravel()}
     columns = {
@@ -177,8 +180,9 @@ def test_the_gradient_is_the_derivative_of_the_cost(
 def test_the_hessian_is_the_derivative_of_the_gradient(
     term: type[Term], words: dict[str, Any], loss: Loss, formulation: str, frames: int
 ) -> None:
-    """The program's Hessian of its Lagrangian against central differences of the Lagrangian's
-    gradient.
+    """The program's Hessian of its Lagrangian against central differences.
+
+    The differences are those of the Lagrangian's gradient.
     """
     program = Program.build(
         Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames),
@@ -222,8 +226,9 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
 def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
     term: type[Term], words: dict[str, Any], loss: Loss, frames: int
 ) -> None:
-    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute
-    losses are smoothed.
+    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ.
+
+    Absolute losses are smoothed.
     """
     cost = Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames)
     data, cells = example(frames)
@@ -254,8 +259,9 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
 def test_the_residual_scales_with_its_unit(term: type[Term], words: dict[str, Any]) -> None:
-    """With all resistances doubled a residual in ohm doubles; a percentage, a ratio, a standard
-    deviation stays.
+    """With all resistances doubled a residual in ohm doubles.
+
+    A percentage, a ratio, a standard deviation stays.
     """
     data, cells = example(1)
     chosen = term(**words)
@@ -313,8 +319,9 @@ def test_losses_equal_their_published_formulas() -> None:
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
-    """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals
-    are slopes.
+    """The least of the lowered objective over p, q ≥ 0 is weight·loss.
+
+    The start lies inside; duals are slopes.
     """
     weight = 0.7
     unit = 25.0

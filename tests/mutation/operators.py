@@ -100,8 +100,9 @@ def sites(node: ast.AST, names: tuple[str, ...]) -> Iterator[tuple[ast.expr, str
 
 
 def enclosing_function(definitions: tuple[ast.AST, ...]) -> str:
-    """Return the name of the innermost function as `code.co_qualname` has it; "" outside
-    functions.
+    """Return the name of the innermost function as `code.co_qualname` has it.
+
+    It is "" outside functions.
     """
     if not definitions or isinstance(definitions[-1], ast.ClassDef):
         return ""

@@ -1,5 +1,6 @@
-"""Pytest plugin that records which functions of the package each passed test calls, and its
-duration.
+"""Pytest plugin that records which functions of the package each passed test calls.
+
+It records the test's duration, too.
 """
 
 import json

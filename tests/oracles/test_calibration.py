@@ -143,8 +143,9 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_resistors_of_several_values_determine_every_number_of_every_line(kind: str) -> None:
-    """Resistors and reference of 0.1 %: each line is found to what its σ says, and the scene says
-    so.
+    """Each line is found to what its σ says, and the scene says so.
+
+    Resistors and reference are of 0.1 %.
     """
     rng = np.random.default_rng(KINDS.index(kind))
     shape = (4, 5)
@@ -171,8 +172,9 @@ def test_resistors_of_several_values_determine_every_number_of_every_line(kind: 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_sound_calibrations_are_accepted_and_within_their_deviations(kind: str) -> None:
-    """50 boards and sets of resistors of 1 %, 3 to 12 frames: none is refused, and errors are as
-    large as stated.
+    """50 boards and sets of resistors of 1 %, 3 to 12 frames.
+
+    None is refused, and errors are as large as stated.
     """
     scores = []
     for seed in range(50):
@@ -285,8 +287,9 @@ def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
 
 
 def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
-    """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures
-    each.
+    """The fit alone, with data that are as it supposes.
+
+    There are 40 films of 60 cells under 4 pressures each.
     """
     rng = np.random.default_rng(3)
     gains = []
@@ -336,8 +339,9 @@ def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
 
 
 def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
-    """One load of 24 stands aside: cells at its edge feel half as much, which its place leaves
-    open.
+    """One load of 24 stands aside.
+
+    Cells at its edge feel half as much, which its place leaves open.
     """
     pressure = np.tile([5.0, 5.0, 2.0, 2.0], (24, 1))
     place = np.where(pressure == 2.0, 1.0, 0.0)
@@ -375,8 +379,9 @@ def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
 
 @pytest.mark.slow
 def test_wrong_lists_of_loads_are_refused_or_named() -> None:
-    """Units, a radius, frames that are late, lines that lie on each other, and one weight that is
-    doubled.
+    """Units, a radius, frames that are late, and lines that lie on each other.
+
+    One weight is doubled, too.
     """
     bench = Bench(5, Panel(5, 5), repeat=0.03, frames=3)
     groups, known = moved_over(bench, [5.0], 25.0, 10.0)

@@ -1,5 +1,6 @@
-"""Error bars against definitions, numerical integration, and what errors do when the noise is drawn
-again and again.
+"""Error bars against definitions, numerical integration, and what errors do.
+
+The errors are those when the noise is drawn again and again.
 """
 
 from collections.abc import Iterator
@@ -86,8 +87,9 @@ def test_the_covariance_is_that_of_laplace(weight: float) -> None:
 
 
 def test_a_cell_at_a_bound_is_released_separately() -> None:
-    """Each cell that a penalty holds at its lower bound has the variance of a panel on which it is
-    free, too.
+    """Each cell that a penalty holds at its lower bound has the variance of a free one.
+
+    It is the variance of a panel on which it is free, too.
     """
     measured = two_point_resistance(panel_cells())
     sigma = 0.003 * measured
@@ -147,8 +149,9 @@ def test_an_unsuitable_penalty_leaves_wider_error_bars() -> None:
 
 
 def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
-    """A reference that is off moves baseline and frame alike; where the frame is the baseline,
-    nothing is common.
+    """A reference that is off moves baseline and frame alike.
+
+    Where the frame is the baseline, nothing is common.
     """
     cells = panel_cells()
     frames = np.repeat(cells[None], 3, axis=0)
@@ -163,8 +166,9 @@ def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
 
 @pytest.mark.slow
 def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
-    """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals
-    still hold them.
+    """Intervals still hold pressed cells beyond the amplifiers' rail.
+
+    A penalty pulls them up against it.
     """
     readout = VirtualGroundReadout(
         drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0
@@ -195,8 +199,9 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
 
 
 def test_an_interval_exceeds_the_bounds_only_by_the_noise_of_the_reading() -> None:
-    """Cells of 100 Ω ± 10 %: free, near the lower and the upper bound, between two that are one,
-    and held at either.
+    """Cells of 100 Ω ± 10 %.
+
+    They are free, near the lower and the upper bound, between two that are one, and held at either.
     """
     cells = np.full((1, 1, 6), 100.0)
     lower, upper = np.log(

@@ -1,5 +1,6 @@
-"""What "verified" means: no cell would move, whatever the scale of its reading, and the point is a
-minimum.
+"""What "verified" means: no cell would move, and the point is a minimum.
+
+No cell would move, whatever the scale of its reading.
 
 Readings come from statements of the circuits that share no code with the package: of extreme panels
 in 50 digits.
@@ -119,8 +120,9 @@ def solution_of(
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("name", EXTREME_PANELS)
 def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
-    """Plain least squares of exact readings; the optimum has no misfit, and no large reading hides
-    a small one.
+    """Plain least squares of exact readings.
+
+    The optimum has no misfit, and no large reading hides a small one.
     """
     cells = EXTREME_PANELS[name]
     measured = in_digits(cells)
@@ -139,8 +141,9 @@ def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: 
 
 @pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
 def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
-    """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a
-    thousandth.
+    """Readings of shorts are nothing beside the others.
+
+    They were off by 3·10⁻⁶, and in a row by a thousandth.
     """
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
     cells[place] *= 1e-9
@@ -204,8 +207,9 @@ def verified(point: Evaluation) -> Solution:
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
-    """Cells of the smaller kind scattered by `relative_error`, which only their own small readings
-    show.
+    """Cells of the smaller kind scattered by `relative_error`.
+
+    Only their own small readings show it.
 
     Clusters, a checkerboard, a block or stripes, up to nine decades apart.
     """
@@ -223,8 +227,9 @@ def test_wrong_small_cells_are_never_verified(number: int, relative_error: float
 
 
 def test_a_factor_may_succeed_on_rounding() -> None:
-    """Forty cells of which only neighbours' differences are told: no pivot is small, the smallest
-    bend is 10⁻¹³.
+    """Forty cells of which only neighbours' differences are told.
+
+    No pivot is small, the smallest bend is 10⁻¹³.
     """
     count = 40
     random = np.random.default_rng(2)
@@ -239,8 +244,9 @@ def test_a_factor_may_succeed_on_rounding() -> None:
 
 
 def test_a_single_wrong_small_cell_is_not_verified() -> None:
-    """Everything is met but one shorted cell, which is off by a tenth: first-order conditions hold
-    and nobody signs.
+    """Everything is met but one shorted cell, which is off by a tenth.
+
+    First-order conditions hold and nobody signs.
     """
     cells = changed((2, 3), 1e-6)
     perturbed = cells.copy()
@@ -252,8 +258,9 @@ def test_a_single_wrong_small_cell_is_not_verified() -> None:
 
 
 def test_the_certificate_names_a_saddle() -> None:
-    """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm: φ = (r − 1000)² + 2
-    (100 log r)².
+    """One cell whose reading says 1000 ohm and whose previous frame said 1 ohm.
+
+    Thus φ = (r − 1000)² + 2 (100 log r)².
 
     Between the two minima the cost is stationary, and largest.
     """
@@ -287,8 +294,9 @@ def test_undetermined_cells_are_called_a_plateau() -> None:
 
 @pytest.mark.parametrize("noise", [None, 0.05])
 def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -> None:
-    """Cells three millionths off are verified where the noise is ten thousand times as large, and
-    only there.
+    """Cells three millionths off are verified where the noise is large, and only there.
+
+    It is ten thousand times as large.
     """
     measured = in_digits(USUAL_CELLS)
     sigma = None if noise is None else noise * measured
@@ -300,8 +308,9 @@ def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -
 def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gradient(
     share: float, optimum: bool
 ) -> None:
-    """All cells are as before but for rounding; the readings of two loaded cells are missed by 60
-    percent.
+    """All cells are as before but for rounding.
+
+    The readings of two loaded cells are missed by 60 percent.
     """
     unloaded = USUAL_CELLS * (
         1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL_CELLS.shape)

@@ -1,5 +1,6 @@
-"""Recognition against scenes whose truth is known, its parts, and what it makes of frames over
-time.
+"""Recognition against scenes whose truth is known.
+
+With it come its parts, and what it makes of frames over time.
 """
 
 from dataclasses import replace
@@ -219,8 +220,9 @@ def test_two_mouths_are_recognised_as_two(
 @pytest.mark.slow
 @pytest.mark.parametrize("reading_error", [0.0, 0.05])
 def test_static_errors_of_readings_are_allowed_for(reading_error: float) -> None:
-    """A panel of which every reading is off by 5 %, the same in all frames: its unloaded cells are
-    off by a half.
+    """A panel of which every reading is off by 5 %, the same in all frames.
+
+    Its unloaded cells are off by a half.
     """
     recording = recorded(MOUTH, unmodelled=Unmodelled(reading_error=0.05), frames=1)
     verdict = verdicts_of(frames_of(recording, errors=ModelErrors(reading_error=reading_error)))[-1]
@@ -253,8 +255,9 @@ def test_the_field_ignores_a_single_outlying_reading() -> None:
 
 @pytest.mark.slow
 def test_an_unknown_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
-    """Under a line few cells change; suction that a rim cancels in every patch could be made to
-    explain them.
+    """Under a line few cells change.
+
+    Suction that a rim cancels in every patch could be made to explain them.
     """
     angles = (((40, 20), 70, 20), ((60, 45), 80, -35), ((30, 60), 50, 80), ((85, 20), 40, 60))
     form = {"width_mm": 14, "mass_g": 300}
@@ -279,8 +282,9 @@ def test_an_unknown_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
 
 
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
-    """Where readings are straight in ln r, it is that of a Gaussian with the prior's covariance
-    through them.
+    """Where readings are straight in ln r, it is that of a Gaussian through them.
+
+    The Gaussian has the prior's covariance.
     """
     frame = frames_of(recorded(frames=1))[0]
     cells = PANEL.rows * PANEL.columns
@@ -316,8 +320,9 @@ def test_an_outlier_does_not_move_the_mouth(ohm: float, place: tuple[int, int]) 
 
 @pytest.mark.slow
 def test_strong_suction_excludes_a_smaller_disc(tmp_path: Path) -> None:
-    """Cells that suction opens change the readings by little more, but by much where they would
-    close again.
+    """Cells that suction opens change the readings by little more.
+
+    But they change them by much where they would close again.
     """
     scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
     load = OralDisc(
@@ -430,8 +435,9 @@ def test_a_bare_panel_shows_nothing_for_ten_minutes(seed: int) -> None:
 
 @pytest.mark.parametrize("minutes", [1.0, 10.0])
 def test_memory_of_another_kind_is_not_detected(minutes: float) -> None:
-    """15 % of what cells have answered stays and fades exponentially, each cell's by a fifth more
-    or less.
+    """15 % of what cells have answered stays and fades exponentially.
+
+    Each cell's does by a fifth more or less.
     """
     recording = load_that_leaves(None, frames=60)
     cells = recording.truth_cell_resistance
@@ -449,8 +455,9 @@ def test_memory_of_another_kind_is_not_detected(minutes: float) -> None:
 
 
 def test_a_step_of_the_noise_is_not_a_load(tmp_path: Path) -> None:
-    """A recording not made with this package, in whose first frames ripple steps: a load was 1.5
-    times as probable.
+    """A recording not made with this package, in whose first frames ripple steps.
+
+    A load was 1.5 times as probable.
     """
     bare, *_ = attached("nothing", 4.0, 98004)
     bare.save(tmp_path / "bare.h5")

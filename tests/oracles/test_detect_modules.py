@@ -1,5 +1,6 @@
-"""Recognition on panels of modules, of mouths that no package made, and of a load's size against a
-random walk.
+"""Recognition on panels of modules, and of mouths that no package made.
+
+It is also of a load's size against a random walk.
 """
 
 from dataclasses import replace
@@ -110,8 +111,9 @@ def test_a_window_equals_the_network_of_its_modules() -> None:
 def test_recognition_examines_only_changed_places(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One of 36 modules carries a rod: one window opens, and a bounded number of looks examines
-    this module alone.
+    """One of 36 modules carries a rod.
+
+    One window opens, and a bounded number of looks examines this module alone.
     """
     examined = list[tuple[int, ...]]()
     verdict = Detector.verdict
@@ -137,8 +139,9 @@ def test_recognition_examines_only_changed_places(
 
 @pytest.mark.slow
 def test_breath_is_judged_in_uninterrupted_windows() -> None:
-    """A deep breath is no row of steps: by 14 % of its suction, it changes the readings by more
-    than half of the load.
+    """A deep breath is no row of steps.
+
+    By 14 % of its suction, it changes the readings by more than half of the load.
 
     Nor is an outlier in two frames of three. The first 8 s of another mouth leave a breath of 6 %
     at 0.7 Hz open: frames after a full window are judged before the next is full. The first seconds
@@ -152,8 +155,9 @@ def test_breath_is_judged_in_uninterrupted_windows() -> None:
 
 @pytest.mark.slow
 def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waves of 0.2 kPa at 0.7 Hz change all cells: under a load by other parts than those that
-    readings share.
+    """Waves of 0.2 kPa at 0.7 Hz change all cells.
+
+    Under a load they do by other parts than those that readings share.
     """
 
     def in_waves(pressure: Array) -> Array:

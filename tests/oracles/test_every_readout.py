@@ -1,5 +1,6 @@
-"""Every readout against netlists that are solved resistor by resistor, with ideal sources and
-without Z.
+"""Every readout against netlists that are solved resistor by resistor.
+
+They are solved with ideal sources and without Z.
 """
 
 from dataclasses import replace
@@ -235,8 +236,9 @@ def test_slopes_of_all_addresses_give_the_change_of_each_reading(name: str) -> N
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: int | None) -> None:
-    """Idle lines that float, are held, pulled by less and by more than Rd, on both sides; with
-    outlines and wire.
+    """Idle lines that float, are held, pulled by less and by more than Rd, on both sides.
+
+    They are with outlines and wire.
     """
     rng = np.random.default_rng(3)
     shape = (4, 6) if driven == "rows" else (6, 4)
@@ -294,8 +296,9 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
 
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
-    """Two-point readings of two and three groups, their channels told for each line, against
-    netlists.
+    """Two-point readings of two and three groups against netlists.
+
+    Their channels are told for each line.
     """
     rng = np.random.default_rng(4)
     rows, columns = (tuple(np.round(rng.uniform(50, 90, size=count), 1)) for count in (5, 6))
@@ -397,8 +400,9 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     ],
 )
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
-    """The cells of a dead line are open; its voltages affect neither bounds nor starts of other
-    cells.
+    """The cells of a dead line are open.
+
+    Its voltages affect neither bounds nor starts of other cells.
     """
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
@@ -471,8 +475,9 @@ def test_two_point_readings_exclude_the_series_resistance_of_each_line(
 
 
 def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> Array:
-    """Volt at the loads while a row is driven: the current at which diode and network share the
-    supply.
+    """Volt at the loads while a row is driven.
+
+    The current is the one at which diode and network share the supply.
     """
     saturation = readout.diode.at_ampere / np.expm1(
         readout.diode.drop_volt / readout.diode.slope_volt
@@ -544,8 +549,9 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
-    """All channels and the reference drawn anew for every panel: errors in units of the error
-    bars.
+    """All channels and the reference are drawn anew for every panel.
+
+    Errors are in units of the error bars.
     """
     cells = cells_of()
     rng = np.random.default_rng(8)
@@ -602,8 +608,9 @@ TWO_PANELS = [
 
 @pytest.mark.parametrize("ohm", TWO_PANELS)
 def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: Any) -> None:
-    """Cells on the other side of the largest reading are 20 to 100 times as large; starts were
-    there, or nowhere.
+    """Cells on the other side of the largest reading are 20 to 100 times as large.
+
+    Starts were there, or nowhere.
     """
     idle, idle_load, drive, load, level = ohm
     readout = DrivenReadout(
@@ -625,8 +632,9 @@ def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: A
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_a_penalty_does_not_lead_to_the_other_panel(formulation: Any) -> None:
-    """Cells of 300 kilo-ohm cost less than the true ones of 3 kilo-ohm, and further starts reach
-    them.
+    """Cells of 300 kilo-ohm cost less than the true ones of 3 kilo-ohm.
+
+    Further starts reach them.
     """
     readout = DrivenReadout(
         driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0
@@ -665,8 +673,9 @@ def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
 
 @pytest.mark.slow
 def test_starts_of_random_circuits_equal_their_cells() -> None:
-    """Before there was a choice of panels, two of five were wrong by half and more; some cells are
-    truly alike.
+    """Before there was a choice of panels, two of five were wrong by half and more.
+
+    Some cells are truly alike.
     """
     rng = np.random.default_rng(5)
     wrong = 0
@@ -688,8 +697,9 @@ def test_starts_of_random_circuits_equal_their_cells() -> None:
 
 
 def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
-    """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm, cell for
-    cell.
+    """The unloaded readings of cells of 1 kilo-ohm are those of cells of 7 kilo-ohm.
+
+    They are so cell for cell.
     """
     readout = DrivenReadout(
         idle_load_ohm=0.0, drive_ohm=120.0, load_ohm=1000.0, adc_bits=16, noise_lsb=1.0
@@ -703,8 +713,9 @@ def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
 
 
 def test_a_panel_that_is_taken_by_its_prior_alone_is_a_doubt() -> None:
-    """The readings speak for the true cells, on the side where they fall; that they usually rise
-    speaks against.
+    """The readings speak for the true cells, on the side where they fall.
+
+    That they usually rise speaks against.
     """
     readout = DrivenReadout(
         driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0

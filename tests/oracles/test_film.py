@@ -142,8 +142,9 @@ def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Ar
 
 
 def test_a_specified_film_is_corrected() -> None:
-    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells; frames
-    see moments only.
+    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells.
+
+    Frames see moments only.
     """
     for specified, worst in ((TRUE_FILM, 0.02), (None, np.inf)):
         pressed, truth = of_truth(pressed_film(TRUE_FILM, specified))
@@ -236,8 +237,9 @@ def pressures(
 
 @pytest.mark.parametrize("stays", [0.0, 0.02])
 def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
-    """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later
-    presses.
+    """A load for ten frames, then what stays of it, with errors of a thousandth.
+
+    A small load later presses.
     """
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
@@ -250,8 +252,9 @@ def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
 
 
 def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None:
-    """A cell that nobody touches conducts more by 1 % a minute; changes are known to a
-    thousandth.
+    """A cell that nobody touches conducts more by 1 % a minute.
+
+    Changes are known to a thousandth.
     """
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
@@ -270,8 +273,9 @@ def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None
 def test_an_attached_load_is_never_taken_for_the_zero(
     load: Shape, approach: float, seed: int, film: Film | None
 ) -> None:
-    """True cells drift and have noise of 0.7 %; a load is attached once it has reached 0.1 kPa
-    anywhere.
+    """True cells drift and have noise of 0.7 %.
+
+    A load is attached once it has reached 0.1 kPa anywhere.
     """
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
     scene = Scene(

@@ -1,5 +1,6 @@
-"""The health of a panel: faults are named with the line of the scene that says so, and clean
-recordings have none.
+"""The health of a panel: faults are named with the line of the scene that says so.
+
+Clean recordings have none.
 """
 
 from collections.abc import Callable
@@ -83,8 +84,9 @@ def shorted_cell(plan: Plan) -> tuple[str, Health]:
 def test_faults_of_lines_and_cells_are_reported_with_their_line(
     fault: Callable[[Plan], tuple[str, Health]], share: float
 ) -> None:
-    """On even films lines that touch read as single ones do where idle lines are driven, so films
-    are uneven here.
+    """On even films lines that touch read as single ones do where idle lines are driven.
+
+    So films are uneven here.
     """
     uneven = [plan for plan in map(Plan.drawn, range(120)) if np.std(np.log(plan.cells)) > 0.1]
     lines = [

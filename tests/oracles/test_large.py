@@ -1,5 +1,6 @@
-"""Conjugate gradients on larger panels find what a factorisation finds; their preconditioner is
-what it says.
+"""Conjugate gradients on larger panels find what a factorisation finds.
+
+Their preconditioner is what it says.
 """
 
 from collections.abc import Callable
@@ -118,8 +119,9 @@ def by_products(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluation:
-    """The readings' own start with so much relative noise that a third of its cells, or most, stand
-    at a bound.
+    """The readings' own start with much relative noise.
+
+    It is so much that a third of its cells, or most, stand at a bound.
     """
     generator = np.random.default_rng(seed)
     scene = Scene(Panel(*shape), TwoPointReadout())
@@ -184,8 +186,9 @@ def by_differences(barrier: Barrier, function: Callable[[Barrier], Any]) -> Arra
 
 
 def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> None:
-    """With JᵀWJ at the start, where second derivatives are indefinite, and with these after one
-    step.
+    """With JᵀWJ at the start, and with second derivatives after one step.
+
+    At the start these are indefinite.
     """
     push = np.random.default_rng(1).standard_normal(barrier.conductance.shape) / barrier.conductance
     later = barrier.advanced()
@@ -201,8 +204,9 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
 
 
 def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
-    """From equal cells to a verified minimum, in fewer iterations than one for every ten cells of
-    the patch.
+    """From equal cells to a verified minimum in few iterations.
+
+    They are fewer than one for every ten cells of the patch.
 
     The patch has a hundredth of its resistance: in log r the cost of LSR-∇CR is concave there.
     """

@@ -1,6 +1,4 @@
-"""The rungs of the ladder against closed forms and the full solution, and the paper's own
-solver.
-"""
+"""Rungs of the ladder against closed forms and the full solution, and the paper's own solver."""
 
 from pathlib import Path
 from typing import Any
@@ -83,8 +81,9 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(
 
 
 def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
-    """Lines outweigh cells in what conjugate gradients minimise; they must not stop before a cell
-    is resolved.
+    """Lines outweigh cells in what conjugate gradients minimise.
+
+    They must not stop before a cell is resolved.
     """
     shape = (30, 30)
     single = resting(shape)
@@ -106,8 +105,9 @@ def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
 def test_the_converged_published_method_reaches_the_verified_optimum(
     method: str, term: CellResistance
 ) -> None:
-    """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a
-    percent.
+    """Three frames of a panel whose middle is pressed harder and harder.
+
+    They are exact to a tenth of a percent.
     """
     rng = np.random.default_rng(4)
     panel = Panel(4, 5)

@@ -1,5 +1,6 @@
-"""A right circuit is not called wrong, a wrong one is noticed and the right one named, where the
-data can show it.
+"""A right circuit is not called wrong, a wrong one is noticed and the right one named.
+
+This holds where the data can show it.
 """
 
 from dataclasses import replace
@@ -132,8 +133,9 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     ids=["a resistance in series", "a leak"],
 )
 def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed: int) -> None:
-    """Half of the cells change by a few percent, which a wrong circuit or an effect would bring
-    about as well.
+    """Half of the cells change by a few percent.
+
+    A wrong circuit or an effect would bring this about as well.
     """
     rng = np.random.default_rng(seed)
     scene = Scene(Panel(12, 9), circuit)
@@ -155,8 +157,9 @@ def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed:
 
 @pytest.mark.slow
 def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
-    """With 3 % of noise some cells of nearly every panel would have to be negative; tails must be
-    uniform or larger.
+    """With 3 % of noise some cells of nearly every panel would have to be negative.
+
+    Tails must be uniform or larger.
     """
     readout = TwoPointReadout()
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
@@ -222,8 +225,9 @@ WIDE_PANEL = Panel(8, 8)
 
 
 def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
-    """Codes of one scene, six unloaded frames and six with three pressed cells, described by
-    another scene.
+    """Codes of one scene, described by another scene.
+
+    Six frames are unloaded and six have three pressed cells.
     """
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))

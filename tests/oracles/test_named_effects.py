@@ -1,5 +1,6 @@
-"""An effect is a key of the scene: absent it is not modelled and costs nothing, `estimated` results
-hold its number.
+"""An effect is a key of the scene: absent it is not modelled and costs nothing.
+
+`estimated` results hold its number.
 """
 
 import re
@@ -34,8 +35,9 @@ WEIGHTED = Misfit(weighting="noise")
 
 
 def standing_load(seed: int, **keys: object) -> Recording:
-    """A load with sharp edges on a mat with an outline; it stands from the first measured frame and
-    sways by 2 %.
+    """A load with sharp edges on a mat with an outline.
+
+    It stands from the first measured frame and sways by 2 %.
     """
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))

@@ -1,5 +1,6 @@
-"""What frames say of their own noise, and still cells of errors that all frames share, against
-drawn ones.
+"""What frames say of their own noise, and still cells of shared errors, against drawn ones.
+
+Shared errors are those that all frames share.
 """
 
 from dataclasses import replace
@@ -39,8 +40,9 @@ MIN_COVERAGE = 0.85
 def drawn(
     rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0
 ) -> Array:
-    """Deviations about their mean, in σ: noise, a gain a frame, an offset a line, a wave that all
-    lines share.
+    """Deviations about their mean, in σ.
+
+    They are noise, a gain a frame, an offset a line, a wave that all lines share.
     """
     loud = 3000.0
     noise = rng.standard_normal((frames, LINES, CHANNELS))
@@ -118,8 +120,9 @@ def test_loads_and_wrong_noise_cause_no_outliers() -> None:
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None:
-    """Under the load it would move the cells of its row and column by a tenth and more, whatever
-    its value is.
+    """Under the load it would move the cells of its row and column by a tenth and more.
+
+    It would do so whatever its value is.
     """
     recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen = recording.recorded.copy()
@@ -138,8 +141,9 @@ def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None
 
 @pytest.mark.parametrize("noise", [0.05, 0.2, 0.4, 0.6, 1.0, 3.0])
 def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) -> None:
-    """`noise` is in steps of the converter; a load moves half of the rows and none of the
-    others.
+    """A load moves half of the rows and none of the others.
+
+    `noise` is in steps of the converter.
     """
     rng = np.random.default_rng(int(100 * noise))
     flagged = 0
@@ -152,8 +156,9 @@ def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) ->
 
 
 def test_outliers_are_detected_under_a_breathing_load() -> None:
-    """Readings go by ten to forty σ from frame to frame, and lags of their median hid leaps of five
-    times as much.
+    """Readings go by ten to forty σ from frame to frame.
+
+    Lags of their median hid leaps of five times as much.
     """
     rng = np.random.default_rng(3)
     detected = 0
@@ -193,8 +198,9 @@ def recorded(
     frames: int = 8,
     unloaded: int = 5,
 ) -> Recording:
-    """Frames of a panel pressed on a few cells: means of 20 readings of 12 bits of a divider across
-    1000 ohm.
+    """Frames of a panel pressed on a few cells.
+
+    They are means of 20 readings of 12 bits of a divider across 1000 ohm.
 
     gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the
         scene's.
@@ -290,8 +296,9 @@ def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int)
 
 
 def own_part(recording: Recording) -> tuple[float, float]:
-    """Share of cells whose error beside their frame's median is within the own part, and its size
-    over that error.
+    """Share of cells with errors within the own part, and its size over that error.
+
+    The error of a cell is that beside its frame's median.
     """
     estimate = reconstruct(recording, LSM)
     error = log_errors(estimate)
@@ -332,8 +339,9 @@ SERIES = Systematic(series_tolerance_ohm="estimated")
 def test_own_deviations_cover_errors_that_differ_between_cells(
     effect: dict[str, float], keys: dict[str, str]
 ) -> None:
-    """Ripple raises some cells and lowers others, a gain moves each by its resistance, a series
-    loaded ones by more.
+    """Ripple raises some cells and lowers others.
+
+    A gain moves each by its resistance, a series loaded ones by more.
     """
     scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.7), 140.0, **keys)
     plain = Simulation(1, 8, scene, baseline_frames=5, frames=4, unmodelled=Unmodelled(**effect))
@@ -376,8 +384,9 @@ STATIC_LINE = "systematic: {reading_error: estimated}"
     ],
 )
 def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, seeds: range) -> None:
-    """Large ones bend the answer and press cells against their bounds; no cells give the readings
-    of the largest.
+    """Large ones bend the answer and press cells against their bounds.
+
+    No cells give the readings of the largest.
     """
     recordings = [recorded(seed, scene_of(0.7, STATIC), static=size) for seed in seeds]
     sizes = [
@@ -398,8 +407,9 @@ def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, se
 
 
 def test_error_bars_allow_for_uncertain_static_errors() -> None:
-    """An error of 0.2 % is too small to be advised; intervals of such recordings contained 72 to 84
-    %.
+    """An error of 0.2 % is too small to be advised.
+
+    Intervals of such recordings contained 72 to 84 %.
     """
     recordings = [
         recorded(seed, scene_of(2.5, STATIC), 2.5, static=0.002) for seed in (40, 44, 46, 47)
@@ -517,8 +527,9 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("loaded", [1, 2])
 def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path) -> None:
-    """As where one frame too many is called unloaded: no median of three shows it. Detect says it
-    once.
+    """As where one frame too many is called unloaded: no median of three shows it.
+
+    Detect says it once.
     """
     recording = lampest.datasets.load("rod")
     frames = [0, 1, 2, *range(8, 8 + loaded), *range(12, 15)]
@@ -535,8 +546,9 @@ def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path
 
 
 def test_a_varying_gain_is_not_taken_for_a_load_in_the_unloaded_frames() -> None:
-    """The supply moves all readings of a frame; without MAX_GAIN one in fifteen such recordings
-    passed for touched.
+    """The supply moves all readings of a frame.
+
+    Without MAX_GAIN one in fifteen such recordings passed for touched.
     """
     recording = lampest.datasets.load("lamprey_35mm")
     circuit = recording.scene.circuit

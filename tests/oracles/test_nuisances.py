@@ -1,5 +1,6 @@
-"""Leaks, contacts and saturation are taken off the frames that have them; the network is written
-anew here.
+"""Leaks, contacts and saturation are taken off the frames that have them.
+
+The network is written anew here.
 """
 
 from dataclasses import replace
@@ -33,8 +34,9 @@ def panel(
     saturated: float = 1.0,
     **keys: str,
 ) -> Recording:
-    """A hand on some cells; contact : of a row, so many ohm more, from a frame on. saturated :
-    share of full scale.
+    """A hand on some cells.
+
+    contact : of a row, so many ohm more, from a frame on. saturated : share of full scale.
 
     keys : of the scene.
     """
@@ -66,8 +68,9 @@ def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
-    """In the only loaded frame one reading is off by 25 ohm, which neighbours in time cannot
-    show.
+    """In the only loaded frame one reading is off by 25 ohm.
+
+    Neighbours in time cannot show this.
     """
     recording = panel(seed)
     recorded = recording.recorded[: UNLOADED + 1].copy()
@@ -162,8 +165,9 @@ def test_the_edge_of_a_large_load_is_not_taken_for_a_contact() -> None:
 
 @pytest.mark.slow
 def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
-    """Channels of 3 ohm shift the cells of a rim, which are as low as 100 ohm, by several
-    percent.
+    """Channels of 3 ohm shift the cells of a rim by several percent.
+
+    These are as low as 100 ohm.
     """
     for mouth in ("lamprey_25mm", "lamprey_35mm"):
         assert not [

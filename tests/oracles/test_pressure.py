@@ -1,5 +1,6 @@
-"""Pressure from resistance against pressures put in: round trips, coverage of the interval, flags,
-open ends.
+"""Pressure from resistance against pressures put in.
+
+Round trips, coverage of the interval, flags and open ends are tested.
 """
 
 import dataclasses
@@ -79,8 +80,9 @@ def test_the_simulation_applies_the_response_of_the_scene() -> None:
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("sd", [0.003, 0.05, 0.2])
 def test_the_interval_covers_the_truth(name: str, sd: float) -> None:
-    """4,000 draws of estimate, response and temperature coefficient, each with the error that it is
-    said to have.
+    """4,000 draws of estimate, response and temperature coefficient.
+
+    Each has the error that it is said to have.
     """
     generator = np.random.default_rng([7, round(1000 * sd)])
     scene = SCENES[name]

@@ -1,5 +1,6 @@
-"""The program of node voltages: IPOPT solves it alone, and its optima are those of the solver
-without voltages.
+"""The program of node voltages: IPOPT solves it alone.
+
+Its optima are those of the solver without voltages.
 """
 
 import subprocess
@@ -298,8 +299,9 @@ def test_the_total_conductance_can_be_fixed_or_limited() -> None:
 
 
 def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
-    """The formula of a mean: the standard deviation is σ/√n where all readings have the same
-    noise.
+    """The formula of a mean.
+
+    The standard deviation is σ/√n where all readings have the same noise.
     """
     scene = lampest.Scene(lampest.Panel(4, 5), READOUTS["two_point"])
     reading = lampest.two_point_resistance(np.full((4, 5), 1000.0))

@@ -1,5 +1,7 @@
-"""No other solver finds less: random problems, heavy weights, absolute losses, joint pairs, two
-minima, far-off models.
+"""No other solver finds less.
+
+Compared are random problems, heavy weights, absolute losses, joint pairs, two minima, far-off
+models.
 
 The costs are those of a second statement of the equations, `tests/least_cost.py`. Under the mark
 `soak` a thousand random problems are compared.
@@ -115,8 +117,9 @@ def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool)
 
 @pytest.mark.parametrize(("seed", "number"), PROBLEMS)
 def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
-    """There may be no estimate where too little is read, or where the sentence says that arithmetic
-    is at its end.
+    """There may be no estimate where too little is read.
+
+    The same holds where the sentence says that arithmetic is at its end.
     """
     problem = RandomProblem.drawn(seed, number)
     try:
@@ -131,8 +134,9 @@ def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
 
 @pytest.mark.slow
 def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
-    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: once it took all
-    iterations.
+    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise.
+
+    Once it took all iterations.
     """
     problem = replace(RandomProblem.drawn(97, 130), joint=True)
     cost = problem.estimator.cost(problem.scene, 2, partial=problem.data.partial)
@@ -174,8 +178,9 @@ def solved(
 def solved_with(
     kind: str, weight: float, *, scaled: bool, loss: Loss, noise: float
 ) -> tuple[Solution, LeastCost]:
-    """A pair jointly, or the frame alone for a penalty that compares nothing; and the same stated
-    anew.
+    """A pair jointly, or the frame alone for a penalty that compares nothing.
+
+    And the same stated anew.
     """
     measured, sigma = pressed(noise)
     term = term_types()[kind](weight=weight, loss=loss)
@@ -200,8 +205,9 @@ def solved_with(
     ],
 )
 def test_heavy_squares_are_verified(kind: str, weight: float, scaled: bool) -> None:
-    """Second derivatives are rounding along what a penalty leaves free; at 10¹² a frame may end
-    with that sentence.
+    """Second derivatives are rounding along what a penalty leaves free.
+
+    At 10¹² a frame may end with that sentence.
     """
     solution, least = solved_with(kind, weight, scaled=scaled, loss=Squared(), noise=0.01)
     if weight > 1e9 and solution.status in (Status.ROUNDED, Status.STALLED):
@@ -265,8 +271,9 @@ def test_absolute_losses_of_a_large_panel_take_no_more_steps(
 
 @pytest.mark.slow
 def test_more_starts_find_the_lower_of_two_minima() -> None:
-    """A mouth of 25 mm through channels of 20 ohm that the scene does not tell; once 0.4 to 0.7 %
-    above the lower.
+    """A mouth of 25 mm through channels of 20 ohm that the scene does not tell.
+
+    Once it was 0.4 to 0.7 % above the lower.
     """
     scene = Scene(Panel(10, 10), TwoPointReadout(), water=Water(50))
     disc = OralDisc(
@@ -298,8 +305,9 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
-    """A foam skin, nearly open where nothing presses, with contacts, memory and joined rows that
-    its scene omits.
+    """A foam skin, nearly open where nothing presses.
+
+    It has contacts, memory and joined rows that its scene omits.
     """
     random = np.random.default_rng(3)
     side = 16

@@ -51,8 +51,9 @@ def loaded(side: int = 8, factor: float = 0.15) -> Array:
 
 
 def with_errors(cells: Array, seed: int, static: float = 0.0) -> tuple[Array, Array]:
-    """Readings (frames, rows, columns) and σ of their noise; static : error of each reading in all
-    frames.
+    """Readings (frames, rows, columns) and σ of their noise.
+
+    static : error of each reading in all frames.
     """
     rng = np.random.default_rng(seed)
     exact = two_point_resistance(cells)
@@ -76,8 +77,9 @@ def log_error(cells: Array, truth: Array) -> float:
 def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(
     seed: int,
 ) -> None:
-    """σ says 0.3 %; s is then 23, of Student's t with three degrees of freedom between 13 and
-    23.
+    """σ says 0.3 %.
+
+    s is then 23, of Student's t with three degrees of freedom between 13 and 23.
     """
     truth = loaded()
     data, cost = problem_of(truth, seed, static=0.07)
@@ -194,8 +196,9 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
 
 
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
-    """The bars of the same weight, given as a number, are smaller; most where the weight matters
-    most.
+    """The bars of the same weight, given as a number, are smaller.
+
+    They are so most where the weight matters most.
     """
     recording = frames_under_load(0.07, 2)
     chosen = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])

@@ -34,8 +34,9 @@ def test_intervals_of_a_mean_contain_it(count: int) -> None:
 
 
 def test_parts_widen_the_interval_of_correlated_frames() -> None:
-    """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much as that of independent
-    frames.
+    """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much.
+
+    The comparison is with that of independent frames.
     """
     held = np.zeros(2)
     for noise in np.random.default_rng(3).standard_normal((SERIES, 300)):
@@ -53,8 +54,9 @@ def with_change(estimator: str, change: float, below: float, above: float) -> Ca
 
 
 def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
-    """Two normal errors of 3 and 4: the difference has 5. Unequal arms: those that face each other
-    count.
+    """Two normal errors of 3 and 4: the difference has 5.
+
+    Unequal arms: those that face each other count.
     """
     for change, expected in ((1.96 * 5 + 0.01, True), (1.96 * 5 - 0.01, False)):
         pair = disagreements(
@@ -79,8 +81,9 @@ def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
 
 
 def test_the_prediction_error_is_the_deviation_of_fresh_readings() -> None:
-    """Shrunk readings, model = s·y: E|fresh − model|² = 1 + s² + (1 − s)²·signal, in units of the
-    noise.
+    """Shrunk readings, model = s·y: E|fresh − model|² = 1 + s² + (1 − s)²·signal.
+
+    It is in units of the noise.
     """
     rng = np.random.default_rng(5)
     shape = (400, 5, 5)

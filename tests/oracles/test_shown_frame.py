@@ -1,5 +1,6 @@
-"""The frame that pictures show: the one in which the film feels what was applied, suction
-included.
+"""The frame that pictures show.
+
+It is the one in which the film feels what was applied, suction included.
 """
 
 from pathlib import Path
@@ -26,8 +27,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize("panel", ["clean", "real"])
 @pytest.mark.parametrize("name", ["air_10kpa", "air_20kpa", "water_10kpa", "water_20kpa"])
 def test_the_shown_frame_contains_a_sucking_cup(name: str, panel: str) -> None:
-    """Before it does, its rim alone moves readings further; also where cells differ by factors and
-    readings are off.
+    """Before it does, its rim alone moves readings further.
+
+    Also where cells differ by factors and readings are off.
     """
     if panel == "clean":
         recording = Recording.load(ROOT / "data" / f"cup_{name}.h5")

@@ -1,5 +1,6 @@
-"""Simulated recordings against closed forms, the shipped files and the published figures; each
-unmodelled effect.
+"""Simulated recordings against closed forms, the shipped files and the published figures.
+
+Each unmodelled effect is tested too.
 """
 
 import dataclasses
@@ -51,8 +52,9 @@ def shipped(name: str) -> Recording:
 
 
 def change(values: Array) -> Array:
-    """Change in percent of a full frame, all loads in place, against the mean of the three unloaded
-    frames.
+    """Change in percent of a full frame against the mean of the three unloaded frames.
+
+    All loads are in place in the full frame.
     """
     return 100 * (values[10] / values[:3].mean(axis=0) - 1)
 
@@ -140,8 +142,9 @@ def test_suction_decays_and_is_pumped_up_and_pulled_off() -> None:
 def test_the_simulated_lamprey_resembles_the_papers(
     name: str, covered: tuple[int, int], centre: tuple[int, int]
 ) -> None:
-    """Paper, figure 8-a: −82.6 % to −1.8 %; figure 9: a mouth of 35 mm covers 4 × 4 cells, one of
-    25 mm 3 × 3.
+    """Paper, figure 8-a: −82.6 % to −1.8 %.
+
+    Figure 9: a mouth of 35 mm covers 4 × 4 cells, one of 25 mm 3 × 3.
     """
     recording = shipped(name)
     measured = change(recording.readings().value)
@@ -242,8 +245,9 @@ def test_the_cohort_has_thirty_different_lampreys() -> None:
 
 
 def test_a_real_scene_equals_the_clean_one_on_another_panel() -> None:
-    """The same loads, times and water; one panel for all eight, which the scene does not tell
-    of.
+    """The same loads, times and water.
+
+    There is one panel for all eight, which the scene does not tell of.
     """
     panels = set()
     for path in SIMULATED:

@@ -1,5 +1,6 @@
-"""A converter's small memory is named where evidence shows it, and the edge of a load is not taken
-for one.
+"""A converter's small memory is named where evidence shows it.
+
+The edge of a load is not taken for one.
 """
 
 from dataclasses import replace
@@ -21,8 +22,9 @@ COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
 def recording_of(
     readout: Readout, cells: Array, memory: float, generator: np.random.Generator
 ) -> Recording:
-    """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share of the
-    channel before.
+    """A recording of cells (frames, rows, columns) ohm by a converter with a memory.
+
+    The converter keeps a share of the channel before.
     """
     volt = with_memory(readout, memory, readout.exact_reading(cells))
     codes = np.round(volt / readout.lsb_volt + generator.standard_normal(volt.shape))
@@ -58,8 +60,9 @@ def test_understated_noise_is_not_taken_for_memory() -> None:
 
 
 def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
-    """Edge cells that follow the load in the order of the scan have changed by a share of what the
-    load has.
+    """Edge cells have changed by a share of what the load has.
+
+    These are the ones that follow the load in the order of the scan.
     """
     generator = np.random.default_rng(100)
     cells = 2000 * np.exp(generator.choice([0.05, 0.3]) * generator.standard_normal((8, 8)))

@@ -1,5 +1,6 @@
-"""The smoother against dense matrices, a minimiser that knows its stated cost alone, and simulated
-truth.
+"""The smoother against dense matrices, a minimiser and simulated truth.
+
+The minimiser knows its stated cost alone.
 """
 
 from dataclasses import replace
@@ -47,8 +48,9 @@ def panel(
     systematic: Systematic | Literal["none"] | None = None,
     resting: int = RESTING,
 ) -> Recording:
-    """A rod from the fifth frame on, a tap in the ninth alone; the readout's noise, nothing
-    else.
+    """A rod from the fifth frame on, a tap in the ninth alone.
+
+    There is the readout's noise, nothing else.
     """
     rng = np.random.default_rng(seed)
     cells = np.tile(
@@ -157,8 +159,9 @@ def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> 
 
 @pytest.mark.slow
 def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
-    """Φ of six frames written out once more, from Kirchhoff's laws, minimised by BFGS from the end
-    and beside it.
+    """Φ of six frames written out once more, from Kirchhoff's laws.
+
+    It is minimised by BFGS from the end and beside it.
     """
     recording = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
     estimator = Estimator(ROBUST, "smoother")
@@ -269,8 +272,9 @@ def test_shared_errors_widen_the_error_bars_of_cells() -> None:
 
 
 def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
-    """An offset of each row of 0.4 LSB rms. A misfit that does not know of it leaves 0.7 of the
-    change's error.
+    """An offset of each row of 0.4 LSB rms.
+
+    A misfit that does not know of it leaves 0.7 of the change's error.
     """
     recording = panel(5, systematic="none", resting=5)
     rng = np.random.default_rng(5)

@@ -1,5 +1,6 @@
-"""Why each term beyond the paper exists: a scene on which it wins; and the error bars that the
-arrival carries on.
+"""Why each term beyond the paper exists: a scene on which it wins.
+
+The error bars that the arrival carries on are tested too.
 """
 
 from dataclasses import replace
@@ -69,8 +70,9 @@ DISC = OralDisc(
 
 @cache
 def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
-    """Two unloaded frames, then `frames` of a load that swings by `depth` once in nine frames;
-    noise of 0.5 %.
+    """Two unloaded frames, then `frames` of a load that swings; noise of 0.5 %.
+
+    The load swings by `depth` once in nine frames.
     """
     rng = np.random.default_rng(seed)
     course = Course(breathing_hz=1 / 9, breathing_depth=depth)
@@ -142,8 +144,9 @@ WINS: dict[
 
 @pytest.mark.parametrize("claim", WINS)
 def test_a_term_wins_on_its_scene(claim: str) -> None:
-    """Against plain least squares and the terms before it, each with its best weight in
-    hindsight.
+    """Against plain least squares and the terms before it.
+
+    Each has its best weight in hindsight.
     """
     place, own, alternatives, margin = WINS[claim]
     recorded = scene(*place)
@@ -154,8 +157,9 @@ def test_a_term_wins_on_its_scene(claim: str) -> None:
 
 @pytest.mark.parametrize("term", COMPARING_TERMS, ids=lambda term: f"{term.kind}-{term.loss.kind}")
 def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
-    """From starts some factor of four apart. The relative change has up to three minima there and
-    must be searched.
+    """From starts some factor of four apart.
+
+    The relative change has up to three minima there and must be searched.
     """
     rng = np.random.default_rng(9)
     recorded = scene(CUP, 1, 0.0, 10)
@@ -173,8 +177,9 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 @pytest.mark.parametrize("reads_both", [False, True])
 def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
-    """What errors of the baseline and of the previous frame add, against estimates from displaced
-    ones.
+    """What errors of the baseline and of the previous frame add.
+
+    It is held against estimates from displaced ones.
     """
     rng = np.random.default_rng(8)
     shape = (3, 4)
@@ -190,8 +195,9 @@ def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
     data = Data(given, measured / 9, measured * 1e3)
 
     def moved(step: Array) -> Array:
-        """log r from a previous frame and a baseline that are displaced by `step` in their
-        logarithms.
+        """log r from a previous frame and a baseline that are displaced.
+
+        They are displaced by `step` in their logarithms.
         """
         previous, baseline = known * np.exp(step.reshape(2, *shape))
         shifted = replace(data, given=replace(data.given, previous=previous, baseline=baseline))
@@ -228,8 +234,9 @@ def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:
 
 @cache
 def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
-    """The whole panel pressed in rhythm; a disc that breathes; a rod that stands; a disc that
-    attaches at frame 5.
+    """The whole panel pressed in rhythm, and three loads.
+
+    These are a disc that breathes; a rod that stands; a disc that attaches at frame 5.
     """
     rng = np.random.default_rng(seed)
     count = np.arange(frames + 2) - 2
@@ -259,8 +266,9 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     ("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)]
 )
 def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float) -> None:
-    """Nothing chosen, against the logarithmic change from the previous frame with its best weight
-    in hindsight.
+    """Nothing chosen, against the logarithmic change from the previous frame.
+
+    The latter has its best weight in hindsight.
     """
     errors = []
     best_errors = []
@@ -295,8 +303,9 @@ def walk(seed: int, percent: float, frames: int = 12) -> Recording:
 def test_error_bars_match_the_errors(
     percent: float, ratio: tuple[float, float], coverage: tuple[float, float]
 ) -> None:
-    """Where cells walk as the term says; where they rest, bars allow for a walk that is not
-    there.
+    """Error bars match where cells walk as the term says.
+
+    Where they rest, bars allow for a walk that is not there.
     """
     spread = []
     inside = []

@@ -1,5 +1,6 @@
-"""Weights chosen by the data, their curves and rules, against definitions, the cost stated anew,
-and hindsight.
+"""Weights chosen by the data, their curves and rules.
+
+They are held against definitions, the cost stated anew, and hindsight.
 
 Error bars of draws of the prior are calibrated, and withheld readings are predicted."""
 
@@ -75,8 +76,9 @@ def measured_data(
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
 def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: float) -> None:
-    """Of the linear estimate with two penalties, as a sum over the noise; and what the point's own
-    errors add.
+    """Of the linear estimate with two penalties, as a sum over the noise.
+
+    And what the point's own errors add.
     """
     estimator = Estimator(
         (Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced"
@@ -133,8 +135,9 @@ def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", [0, pytest.param(17, marks=pytest.mark.slow)])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
-    """Open cells differ from their neighbours by megohms, and the estimate must not swing with the
-    weight.
+    """Open cells differ from their neighbours by megohms.
+
+    The estimate must not swing with the weight.
     """
     recording = Recording.load("data/insole_standing.h5", slice(frame, frame + 3))
     weights = []
@@ -152,8 +155,9 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
 @pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
 def test_a_large_panel_distinguishes_uneven_cells_from_static_errors(static: float) -> None:
-    """Cells that differ at random by 30 %, and readings that err by five times their noise in the
-    same way always.
+    """Cells that differ at random by 30 %, and readings that err.
+
+    The readings err by five times their noise in the same way always.
     """
     rng = np.random.default_rng(3)
     shape = (24, 20)
@@ -196,8 +200,9 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
 
 
 def test_a_warning_names_a_chosen_weight_that_prevents_the_fit() -> None:
-    """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too
-    large.
+    """A penalty on log r with a weight a thousand times too large.
+
+    Half of the cells are loaded.
     """
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
     values = lampest.two_point_resistance(truth)
@@ -325,8 +330,9 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
 
 
 def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
-    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not
-    change.
+    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1.
+
+    It is so up to what λ does not change.
     """
     recording = bump()
     problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))

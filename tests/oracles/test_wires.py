@@ -1,5 +1,6 @@
-"""Wire, contacts, touching lines, a converter's memory: told, the cells are found; not told, they
-are not.
+"""Wire, contacts, touching lines, a converter's memory.
+
+Told, the cells are found; not told, they are not.
 
 The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 100617, 2020;
 MIT)."""
@@ -155,8 +156,9 @@ def test_responses_to_wire_are_the_derivatives_of_readings(
 
 
 def test_a_reading_bounds_the_cell_with_its_wire() -> None:
-    """Of a small cell at the far end the wire is most of the reading: r ≥ R_m would forbid the
-    truth.
+    """Of a small cell at the far end the wire is most of the reading.
+
+    r ≥ R_m would forbid the truth.
     """
     cells = np.full((5, 6), 3000.0)
     cells[0, 0] = 5.0
@@ -172,8 +174,9 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
 def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
-    """Of cells on one crossing the sum of conductances is right; each alone has bars without end,
-    and says so.
+    """Of cells on one crossing the sum of conductances is right.
+
+    Each alone has bars without end, and says so.
     """
     recording = simulated(
         Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none")
@@ -208,8 +211,9 @@ def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines
     "term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"]
 )
 def test_shares_determined_only_by_a_penalty_reach_their_optimum(term: Term) -> None:
-    """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of
-    them did not end.
+    """The valley of cells that are parallel is curved.
+
+    A straight step leaves it, and hundreds of them did not end.
     """
     recording = simulated(
         Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),)))
@@ -246,8 +250,9 @@ def contacted(
 
 @each_readout
 def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
-    """Contacts are equal in both frames: error bars of changes are far narrower than those of
-    cells.
+    """Contacts are equal in both frames.
+
+    Error bars of changes are far narrower than those of cells.
     """
     estimate = solved(contacted(readout, 5))
     bars = estimate.cell_resistance_errors / estimate.cell_resistance
@@ -257,8 +262,9 @@ def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
 @pytest.mark.slow
 @each_readout
 def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
-    """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton
-    method.
+    """The whole cost of a baseline, with everything unknown at once.
+
+    It is in the hands of a quasi-Newton method.
     """
     recording = contacted(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
@@ -347,8 +353,9 @@ def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
 
 @each_converter
 def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
-    """A capacitor holds a part of each channel of a frame that is scanned over and over, one after
-    the other.
+    """A capacitor holds a part of each channel of a frame.
+
+    The frame is scanned over and over, one channel after the other.
     """
     volt = volts(readout, (5, 4))
     expected = np.empty_like(volt)
@@ -470,8 +477,9 @@ def test_currents_and_voltages_equal_those_of_badcrossbar(
 
 
 def test_networks_fed_from_the_other_sides_are_mirror_images() -> None:
-    """badcrossbar knows rows that enter at the left and columns that leave at the bottom; the
-    others are turned.
+    """badcrossbar knows rows that enter at the left and columns that leave at the bottom.
+
+    The others are turned.
     """
     cells = log_normal_cells(5, 8)
     ties = np.full(13, 1e-3)

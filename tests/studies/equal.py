@@ -32,8 +32,9 @@ Row = dict[str, float]
 
 
 def relative_difference(first: Any, second: Any) -> float:
-    """max |a − b| / max(|a|, |b|) over all values; equal values, NaN with NaN too, differ by 0, a
-    lone NaN by ∞.
+    """max |a − b| / max(|a|, |b|) over all values.
+
+    Equal values, NaN with NaN too, differ by 0, a lone NaN by ∞.
     """
     a = np.asarray(first, float)
     b = np.asarray(second, float)
@@ -78,8 +79,9 @@ def agrees(differences: Row, cells: float) -> bool:
 
 
 def compare(before: Path, after: Path) -> tuple[dict[str, Row], list[str]]:
-    """Rows for each recording × estimator and each recording's readings, and the groups that one of
-    them lacks.
+    """Rows for each recording × estimator and each recording's readings, and lone groups.
+
+    Lone groups are those that one of them lacks.
     """
     with h5py.File(before) as first, h5py.File(after) as second:
         first_groups, second_groups = (
@@ -98,8 +100,9 @@ def compare(before: Path, after: Path) -> tuple[dict[str, Row], list[str]]:
 
 
 def equal(before: Path, after: Path, cells: float) -> bool:
-    """Whether both files hold the same cases, cells within the tolerance, statuses and flags the
-    same.
+    """Whether both files hold the same cases.
+
+    Cells are the same within the tolerance, statuses and flags the same.
     """
     rows, lone = compare(before, after)
     return (
@@ -108,8 +111,9 @@ def equal(before: Path, after: Path, cells: float) -> bool:
 
 
 def weights_and_rest(differences: Row) -> tuple[float, tuple[float, str]]:
-    """The largest difference of a weight, NaN without any, and that of all other datasets with its
-    name.
+    """The largest difference of a weight, and that of all other datasets with its name.
+
+    The former is NaN without any.
     """
     weights = [value for key, value in differences.items() if key.startswith("weight/")]
     remaining = [
@@ -123,8 +127,9 @@ def weights_and_rest(differences: Row) -> tuple[float, tuple[float, str]]:
 
 
 def show(rows: dict[str, Row], lone: list[str], cells: float) -> None:
-    """Print the table, and below it the groups of one file only; readings appear where they
-    differ.
+    """Print the table, and below it the groups of one file only.
+
+    Readings appear where they differ.
     """
     width = max(map(len, rows), default=9)
     largest = 0.0

@@ -1,5 +1,6 @@
-"""The benchmark, random mats and the solvers that judge ours: scipy's and published ones. No time
-is asserted.
+"""The benchmark, random mats and the solvers that judge ours: scipy's and published ones.
+
+No time is asserted.
 """
 
 from dataclasses import replace

@@ -1,5 +1,6 @@
-"""Whether suction moves, or something else: windows and courses of suction of which every reading
-is known.
+"""Whether suction moves, or something else.
+
+It is told from windows and courses of suction of which every reading is known.
 """
 
 import numpy as np
@@ -31,8 +32,9 @@ def window(
     wild: bool = False,
     strong: float = 1.0,
 ) -> Breath:
-    """8 s at four frames a second in which parts swing by so much at 1.1 Hz, on a film that answers
-    unevenly.
+    """8 s at four frames a second in which parts swing by so much at 1.1 Hz.
+
+    They are on a film that answers unevenly.
 
     Each reading is that of a cell; half of them lie under the rim. edges : six cells swing, as no
     fit knows. slower : by so much does the place swing more slowly. waves : what all readings share
@@ -203,8 +205,9 @@ def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int
 
 @pytest.mark.slow
 def test_rare_and_frequent_bumps_are_not_pumping() -> None:
-    """At one in a minute and one in twenty seconds; two of twenty courses may pass the level by
-    chance.
+    """At one in a minute and one in twenty seconds.
+
+    Two of twenty courses may pass the level by chance.
     """
     passed = []
     for seed in range(10):

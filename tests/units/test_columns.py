@@ -1,5 +1,6 @@
-"""Columns of results: the union is walked, and a further one is a line in a script or a name in a
-package.
+"""Columns of results: the union is walked.
+
+A further one is a line in a script or a name in a package.
 """
 
 import dataclasses

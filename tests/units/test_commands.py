@@ -1,5 +1,6 @@
-"""Commands as a newcomer meets them: help, mistakes of typing, overrides, pictures, what stays,
-what is refused.
+"""Commands as a newcomer meets them.
+
+These are help, mistakes of typing, overrides, pictures, what stays, what is refused.
 """
 
 import re

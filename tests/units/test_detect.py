@@ -1,5 +1,6 @@
-"""What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and
-what it cannot say.
+"""What `lampest detect` is made of, and what it cannot say.
+
+It is made of sentences, events, --json, detections.h5 and the timeline.
 """
 
 from dataclasses import replace
@@ -70,8 +71,9 @@ def recorded(seed: int = 2, **known: Any) -> Recording:
 
 @pytest.mark.slow
 def test_pumps_identify_a_mouth_without_visible_breath() -> None:
-    """At one frame a second; a cup that leaks as fast, without pumps, stays something that
-    sucks.
+    """At one frame a second.
+
+    A cup that leaks as fast, without pumps, stays something that sucks.
     """
     known: dict[str, Any] = {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5, "seed": 5}
     known |= {"scene": Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0)}

@@ -1,5 +1,6 @@
-"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, with workers
-that die.
+"""Where cases run changes nothing but time.
+
+They run here, in processes, on a Dask cluster, with workers that die.
 """
 
 import ctypes
@@ -309,8 +310,9 @@ def test_frames_are_counted_while_cases_are_solved(
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder, with a blank and quotes in its name, with an authority's certificate and one that
-    it signed.
+    """A folder with an authority's certificate and one that it signed.
+
+    It has a blank and quotes in its name.
     """
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates")

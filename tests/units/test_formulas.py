@@ -42,8 +42,9 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
 
 
 def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
-    """−2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells, with the odds of each
-    moved cell.
+    """−2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells.
+
+    It is with the odds of each moved cell.
     """
     with_moved = covariance + np.diag(moved.astype(float))
     volume = np.linalg.slogdet(with_moved)[1] - np.linalg.slogdet(covariance)[1]
@@ -71,8 +72,9 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Four frames, two under each load: of the first the strongest cell moves by a quarter, of the
-    second another.
+    """Four frames, two under each load.
+
+    Of the first the strongest cell moves by a quarter, of the second another.
     """
     logarithm = np.full((4, 2, 3), 0.1)
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
@@ -91,8 +93,9 @@ def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
 def test_a_forked_child_renews_only_the_locks_of_cached_properties(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A property's lock would be held there for ever by a thread of the parent; the module's own is
-    free again.
+    """A property's lock would be held there for ever by a thread of the parent.
+
+    The module's own is free again.
     """
     held = RLock()
     waiting: Any = cached_property(len)

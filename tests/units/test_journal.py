@@ -1,5 +1,6 @@
-"""Files whose writer was killed: read as far as they are whole; damage in them is found, and repair
-drops it.
+"""Files whose writer was killed: read as far as they are whole.
+
+Damage in them is found, and repair drops it.
 """
 
 import zlib
@@ -104,8 +105,9 @@ def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) 
 
 @pytest.mark.parametrize("damaged", [None, 5])
 def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:
-    """Checksums of older versions: of the columns of a row alone, without a salt and the row's
-    number.
+    """Checksums of older versions: of the columns of a row alone.
+
+    They are without a salt and the row's number.
     """
     meant = Recording.load(killed).recorded
     with h5py.File(killed.with_name("growing.h5"), "r+") as file:

@@ -1,5 +1,6 @@
-"""Libraries: what is said where one is missing, and which commands do without those that take long
-to import.
+"""Libraries: what is said where one is missing, and which commands do without some.
+
+These are the ones that take long to import.
 """
 
 import ast

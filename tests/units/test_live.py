@@ -1,5 +1,6 @@
-"""The live engine, without a board and without a browser; memory and open files of what runs for
-weeks.
+"""The live engine, without a board and without a browser.
+
+Memory and open files of what runs for weeks are tested too.
 """
 
 import dataclasses
@@ -69,8 +70,9 @@ def pictures(estimator: Estimator, recording: Recording, baseline: int = 3) -> l
 
 
 def of_every_frame(name: str) -> Estimator:
-    """A method that takes every frame's own weight, since only a batch knows which will be the
-    strongest.
+    """A method that takes every frame's own weight.
+
+    It does so since only a batch knows which will be the strongest.
     """
     return dataclasses.replace(METHODS[name], auto_weight=AutoWeight(per="frame"))
 
@@ -79,8 +81,9 @@ def of_every_frame(name: str) -> Estimator:
 def test_findings_of_the_other_process_reach_later_frames(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Weights, lower minima and error bars: a load that stays is soon seen as by an engine that
-    waits for them.
+    """Weights, lower minima and error bars.
+
+    A load that stays is soon seen as by an engine that waits for them.
     """
     monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])

@@ -1,5 +1,6 @@
-"""The live page's server: views, guests, addresses, tokens, and what the page itself may ask
-for.
+"""The live page's server: views, guests, addresses and tokens.
+
+What the page itself may ask for is tested too.
 """
 
 import contextlib
@@ -34,8 +35,9 @@ MAX_CLOSING_SECONDS = 3.0
 
 @contextlib.contextmanager
 def page_at(host: str, *given: Any, **actions: Any) -> Iterator[SimpleNamespace]:
-    """A running server with what it shows; `ask` opens a connection and returns the answer,
-    `status` its code.
+    """A running server with what it shows.
+
+    `ask` opens a connection and returns the answer, `status` its code.
 
     On the loopback address requests have the cookie of a visitor, unless a token is given.
     """

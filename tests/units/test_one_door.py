@@ -1,5 +1,6 @@
-"""File, live replay, a board's frames and the user's own loop: the same cells, whatever the scene
-names.
+"""File, live replay, a board's frames and the user's own loop: the same cells.
+
+They are the same whatever the scene names.
 """
 
 from dataclasses import dataclass, replace
@@ -55,8 +56,9 @@ STEPS = ("without_outliers", "estimate_noise", "resolved", "warnings_of")
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, cells that are broken in truth, and how it is estimated; least : share of readings
-    that are none.
+    """A scene, cells that are broken in truth, and how it is estimated.
+
+    least : share of readings that are none.
     """
 
     scene: Scene

@@ -1,5 +1,6 @@
-"""Kinds of pictures: the union is walked, a further one is a class in a script or a name in a
-package.
+"""Kinds of pictures: the union is walked.
+
+A further one is a class in a script or a name in a package.
 """
 
 from dataclasses import replace

@@ -1,5 +1,6 @@
-"""Readings that firmware changed before it sent them are recognised, refused and, where possible,
-restored.
+"""Readings that firmware changed before it sent them.
+
+They are recognised, refused and, where possible, restored.
 """
 
 from dataclasses import replace

@@ -1,5 +1,6 @@
-"""The wire: what is sent comes back, whole or in single bytes, garbage before and after; damage is
-never a frame.
+"""The wire: what is sent comes back, and damage is never a frame.
+
+It comes back whole or in single bytes, garbage before and after.
 """
 
 from collections.abc import Callable
@@ -112,8 +113,9 @@ def test_hello_and_answer_are_decoded_and_commands_are_not_messages() -> None:
 def test_cuts_and_surrounding_garbage_lose_no_frame(
     sent: list[Frame], before: bytes, after: bytes, data: st.DataObject
 ) -> None:
-    """However the line is cut into pieces, all frames arrive; the garbage before has no zero in it
-    or it may be cut.
+    """However the line is cut into pieces, all frames arrive.
+
+    The garbage before has no zero in it or it may be cut.
     """
     wire = before + b"".join(message(frame_body(frame)) for frame in sent) + b"\0" + after
     receiver = Receiver()
@@ -129,8 +131,9 @@ def test_cuts_and_surrounding_garbage_lose_no_frame(
 
 @given(frames(), st.data())
 def test_up_to_three_flipped_bits_are_noticed(frame: Frame, data: st.DataObject) -> None:
-    """CRC-16/CCITT has a distance of 4 at these lengths; changed COBS codes almost never end with
-    the data as well.
+    """CRC-16/CCITT has a distance of 4 at these lengths.
+
+    Changed COBS codes almost never end with the data as well.
     """
     wire = bytearray(message(frame_body(frame)))
     bits = data.draw(st.sets(st.integers(8, 8 * len(wire) - 9), min_size=1, max_size=3))
@@ -171,8 +174,9 @@ def test_impossible_content_with_a_right_crc_is_garbage() -> None:
 
 
 def test_estimates_are_decoded_and_impossible_ones_are_garbage() -> None:
-    """A board in whose numbers a bit turned unseen by the CRC has sent no estimate rather than a
-    wrong one.
+    """A board with a bit turned in its numbers has sent no estimate rather than a wrong one.
+
+    The bit turned unseen by the CRC.
     """
     change = np.linspace(-27, 27, 256, dtype=np.float32).reshape(16, 16)
     (estimate,) = received(message(estimate_body(Estimate(3, 2**32 - 1, change))))

@@ -114,8 +114,9 @@ def test_a_page_is_self_contained_and_recommends_nothing_without_truth_and_noise
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
 def test_a_report_of_any_shape_is_written_despite_failures(shape: tuple[int, int, int]) -> None:
-    """Also where no frame was solved, or where a change is NaN because the unloaded panel was
-    not.
+    """Also where no frame was solved, or where a change is NaN.
+
+    It is NaN because the unloaded panel was not solved.
     """
     cases = [certain(invented_case(method, shape=shape)) for method in METHODS[:2]]
     cases.append(invented_case("failed", shape=shape, failed=tuple(range(shape[0]))))
@@ -154,8 +155,9 @@ def test_reports_are_reproducible_and_wrong_input_gives_one_sentence(tmp_path: P
 
 
 def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
-    """An estimate in which 1 kPa presses clearly; all errors are own ones unless `maps` has common
-    ones.
+    """An estimate in which 1 kPa presses clearly.
+
+    All errors are own ones unless `maps` has common ones.
     """
     known = {
         "pressure_common": np.zeros(SHAPE),
@@ -165,8 +167,9 @@ def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
 
 
 def maps() -> tuple[np.ndarray, np.ndarray]:
-    """kPa: nothing, then a block of 2 × 3 cells at rows 4 and 5, columns 6 to 8, then one cell in
-    the corner.
+    """kPa: nothing, then a block of 2 × 3 cells, then one cell in the corner.
+
+    The block is at rows 4 and 5, columns 6 to 8.
     """
     pressure = np.full(SHAPE, 0.1)
     errors = np.full(SHAPE, 0.2)

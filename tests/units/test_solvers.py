@@ -1,5 +1,6 @@
-"""Solvers: the least-squares loop against scipy's, second derivatives that serve twice, and IPOPT's
-starts.
+"""Solvers: the least-squares loop against scipy's.
+
+Second derivatives that serve twice, and IPOPT's starts, are tested too.
 """
 
 from dataclasses import replace
@@ -72,8 +73,9 @@ def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
 def test_second_derivatives_are_factored_once_and_reused(
     monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    """Evaluations of the cost, products with ∇²φ and factorisations are counted in the third
-    frame.
+    """Evaluations of the cost, products with ∇²φ and factorisations are counted.
+
+    They are counted in the third frame.
     """
     bench = BenchFile(schema=1, sizes=(8,))
     counts = dict[str, int]()
@@ -105,8 +107,9 @@ def test_second_derivatives_are_factored_once_and_reused(
 
 
 def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
-    """Of a frame's cost, its data and the optimum that Newton's method finds, (1, rows, columns)
-    ohm.
+    """Of a frame's cost, its data and the optimum, (1, rows, columns) ohm.
+
+    The optimum is the one that Newton's method finds.
     """
     rod = lampest.Rod(centre_mm=(20.0, 25.0), diameter_mm=25.0, mass_g=400.0)
     scene = lampest.Scene(lampest.Panel(5, 6), readout)
@@ -130,8 +133,9 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
 def test_ipopt_reaches_the_optimum_from_near_and_far(
     kind: str, readout: Readout, method: str
 ) -> None:
-    """IPOPT never takes the start for the answer; with its own multipliers it needs few
-    iterations.
+    """IPOPT never takes the start for the answer.
+
+    With its own multipliers it needs few iterations.
     """
     cost, data, cells = problem(readout, method)
     solver = Ipopt(cost, Settings(), readout, None, EXCITATIONS[kind])

@@ -1,5 +1,6 @@
-"""Listeners: who is admitted; from those that never read frames go on, nothing piles up, and the
-end is not held up.
+"""Listeners: who is admitted; from those that never read nothing piles up.
+
+Frames go on, and the end is not held up.
 """
 
 import gc

@@ -1,5 +1,6 @@
-"""The trade-off on tiny panels, shipped files of studies, tables of pages, the atlas of extremes;
-times are no test.
+"""The trade-off on tiny panels, shipped files of studies, tables of pages, atlas of extremes.
+
+Times are no test.
 """
 
 from dataclasses import replace

@@ -1,5 +1,6 @@
-"""Several threads estimate at the same time: the same cells as one after the other, also beside
-cancellation and forks.
+"""Several threads estimate at the same time: the same cells as one after the other.
+
+They do so also beside cancellation and forks.
 
 CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end
 is looked at. The threads of BLAS are a state of the process.
@@ -174,8 +175,9 @@ def test_a_dropped_owner_waits_for_a_guarded_call_and_runs_no_python_code_meanwh
 
 @pytest.mark.slow
 def test_processes_forked_during_estimates_can_estimate() -> None:
-    """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while
-    they are computed.
+    """Also where a fork interrupts what holds a lock.
+
+    Python 3.11 locks cached properties while they are computed.
     """
     run(
         """

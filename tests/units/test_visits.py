@@ -1,5 +1,6 @@
-"""Visits as a biologist counts them: rows with clock times over recordings and folders, which
-nothing ends.
+"""Visits as a biologist counts them.
+
+They are rows with clock times over recordings and folders, which nothing ends.
 """
 
 import csv
@@ -116,8 +117,9 @@ def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: s
 
 
 def test_a_reason_applies_to_its_time() -> None:
-    """After 55 minutes nothing shows within minutes, and after nine seconds nothing at 4.5 s at the
-    earliest.
+    """After 55 minutes nothing shows within minutes.
+
+    After nine seconds nothing shows at 4.5 s at the earliest.
     """
     silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
     assert "earliest" not in answer_of(silent, 4.0)[2]
@@ -129,8 +131,9 @@ def test_a_reason_applies_to_its_time() -> None:
 def test_a_folder_of_recordings_gives_one_table(
     tmp_path: Path, lampest: Callable[..., Any]
 ) -> None:
-    """Two recordings of one name, with clocks and in folders of their own; their visits are
-    exported from the file.
+    """Two recordings of one name, with clocks and in folders of their own.
+
+    Their visits are exported from the file.
     """
     recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
     season = tmp_path / "season"
@@ -242,8 +245,9 @@ def test_few_cells_becoming_even_are_not_taken_for_a_departed_load() -> None:
 
 
 def test_a_wave_at_half_the_frame_rate_has_the_depth_of_a_breath() -> None:
-    """The sine of the wave is hardly sampled: the prior bounds the amplitude, and nothing is
-    divided by zero.
+    """The sine of the wave is hardly sampled.
+
+    The prior bounds the amplitude, and nothing is divided by zero.
     """
     times = np.arange(0, 8, 0.25)
     rise = np.repeat([-2.0, 1.0], 20)

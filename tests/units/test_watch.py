@@ -1,5 +1,6 @@
-"""Loads that come and go at awkward times: in unloaded frames, before them, beside another, in the
-last moment.
+"""Loads that come and go at awkward times.
+
+These are in unloaded frames, before them, beside another, in the last moment.
 """
 
 import dataclasses
@@ -137,8 +138,9 @@ def test_a_load_in_the_last_frames_is_recognised() -> None:
 
 @pytest.mark.slow
 def test_a_poorly_visible_load_arrives_and_leaves() -> None:
-    """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of
-    the touch.
+    """Pull-ups of 35 kohm: readings change little.
+
+    The step of a release is less than that of the touch.
     """
     readout = LoadedColumnsReadout(
         polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7

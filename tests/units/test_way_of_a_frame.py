@@ -18,8 +18,9 @@ NO_OBJECT = "file, page, stream"
 
 
 def traced_classes(action: Any) -> list[str]:
-    """Return the names of the package's classes in the order in which `action` first makes an
-    object of them.
+    """Return the names of the package's classes in the order of their first objects.
+
+    The order is that in which `action` first makes an object of them.
     """
     classes: list[str] = []
 

@@ -185,8 +185,9 @@ def complete_frames(count: int, session: int = 0) -> list[tuple[int, int, int]]:
 
 
 def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tuple[int, int]]:
-    """Frames every 10 ms, without those that are gone, on a clock that jumps by so many ms at a
-    frame.
+    """Frames every 10 ms, without those that are gone.
+
+    They are on a clock that jumps by so many ms at a frame.
     """
     clock = (
         100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number)
@@ -477,8 +478,9 @@ def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
 
 
 def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
-    """Images of two boards' frames (board, number, time, arrival), looked at on each arrival; board
-    −1 sends none.
+    """Images of two boards' frames (board, number, time, arrival).
+
+    They are looked at on each arrival; board −1 sends none.
     """
     image = Alignment(2)
     complete = list[tuple[int | None, ...]]()
@@ -505,8 +507,9 @@ def test_the_next_board_leads_during_the_absence_of_the_first() -> None:
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
-    """A part that began 0.4 periods before belongs to the frame; the second board leads once the
-    first is late.
+    """A part that began 0.4 periods before belongs to the frame.
+
+    The second board leads once the first is late.
     """
     alignment = Alignment(2)
     late = 1.5 * PERIOD + LATE_SECONDS
@@ -525,8 +528,9 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
 
 
 def test_a_returning_board_is_shown_at_any_phase() -> None:
-    """Frames of the returning board arrive after those of the leading one, which must wait for them
-    again.
+    """Frames of the returning board arrive after those of the leading one.
+
+    The leading one must wait for them again.
     """
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
@@ -562,8 +566,9 @@ def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
 def image_of(
     monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]
 ) -> tuple[list[Sample], list[str]]:
-    """The image of four boards that send these samples and then fall silent, and what is said
-    meanwhile.
+    """The image of four boards, and what is said meanwhile.
+
+    The boards send these samples and then fall silent.
     """
     states = list[str]()
     silent = set[str]()
@@ -588,8 +593,9 @@ def image_of(
 
 
 def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second board lacks the frames 2 and 3, the third hangs, is opened anew and says that it
-    lost two frames.
+    """The second board lacks the frames 2 and 3, and the third hangs.
+
+    The third is opened anew and says that it lost two frames.
     """
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
@@ -773,8 +779,9 @@ def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
 
 
 def test_a_frame_has_the_estimate_sent_before_it() -> None:
-    """A lost, garbled, late or failed estimate costs nothing but itself, and is no reason to give a
-    line up.
+    """A lost, garbled, late or failed estimate costs nothing but itself.
+
+    It is no reason to give a line up.
     """
     line = stream._Line("url", None, None, lambda: False)
     run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
@@ -800,8 +807,9 @@ def test_a_frame_has_the_estimate_sent_before_it() -> None:
 
 
 def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A silent board is identified anew; one that scans on is believed, one that does not has
-    restarted.
+    """A silent board is identified anew.
+
+    One that scans on is believed, one that does not has restarted.
     """
     monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
     for arrived, answers, ending, sizes, since in ENDED_RUNS:

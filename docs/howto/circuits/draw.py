@@ -1,5 +1,6 @@
-"""The drawings of docs/howto/readouts.md, one for each circuit: python
-docs/howto/circuits/draw.py.
+"""The drawings of docs/howto/readouts.md, one for each circuit.
+
+Run it with: python docs/howto/circuits/draw.py.
 """
 
 from pathlib import Path
