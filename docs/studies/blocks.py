@@ -5,9 +5,13 @@ The blocks are of many or of one.
 python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25] [--turns 5]: processor time of a
 frame with error bars in inverses of a matrix of all lines but one, medians of turns A B A B, of 24
 frames under a rod.
+
+python -m docs.studies.blocks --jumping --period 0.1 [--sides 10 16]: the frames jump between four
+rods.
 """
 
 import argparse
+from dataclasses import replace
 from time import process_time
 
 import numpy as np
@@ -34,6 +38,7 @@ def main() -> None:
     parser.add_argument("--sides", type=int, nargs="+", default=[10, 16, 20])
     parser.add_argument("--period", type=float, default=0.25, help="s between frames")
     parser.add_argument("--turns", type=int, default=5, help="of which the median counts")
+    parser.add_argument("--jumping", action="store_true", help="frames jump between four rods")
     options = parser.parse_args()
     titles = (
         "panel",
@@ -46,7 +51,8 @@ def main() -> None:
     print(f"| {' | '.join(titles)} | largest difference of ln r |")
     print("|---" * (len(titles) + 1) + "|")
     for side in options.sides:
-        recording = _recording(side, options.period)
+        make = jumping_between_rods if options.jumping else under_a_rod
+        recording = make(side, options.period)
         with ONE_BLAS_THREAD:
             unit = inverse_time(
                 np.random.default_rng(0).random((2 * side - 1, 2 * side - 1))
@@ -58,10 +64,44 @@ def main() -> None:
                 print(f"| {side} × {side} | {name} | {figures} | {difference:.0e} |", flush=True)
 
 
-def _recording(side: int, period: float) -> lampest.Recording:
+def under_a_rod(side: int, period: float) -> lampest.Recording:
+    """Return frames of a rod in the middle."""
+    middle = (side - 1) / 2
+    return _of_rod(side, period, (middle, middle), diameter=3.0, mass_g=800)
+
+
+def jumping_between_rods(side: int, period: float) -> lampest.Recording:
+    """Return frames that show four rods in turn."""
+    low, middle, high = ((side - 1) * share for share in (0.25, 0.5, 0.75))
+    recordings = [
+        _of_rod(side, period, (middle, middle), diameter=2.5, mass_g=500),
+        _of_rod(side, period, (low, low), diameter=3.0, mass_g=700),
+        _of_rod(side, period, (high, middle), diameter=3.5, mass_g=900),
+        _of_rod(side, period, (middle, high), diameter=4.0, mass_g=1100),
+    ]
+    recorded = recordings[0].recorded.copy()
+    for place, frame in enumerate(recordings[0].measured_frames().tolist()):
+        recorded[frame] = recordings[place % len(recordings)].recorded[frame]
+    return replace(
+        recordings[0],
+        recorded=recorded,
+        raw_sums=None,
+        truth_cell_resistance=None,
+        truth_pressure=None,
+        simulation=None,
+    )
+
+
+def _of_rod(
+    side: int, period: float, centre: tuple[float, float], diameter: float, mass_g: float
+) -> lampest.Recording:
+    """Return frames of a rod; centre and diameter in pitches."""
     panel = lampest.Panel(side, side)
-    middle = panel.pitch_mm * (side - 1) / 2
-    rod = lampest.Rod(centre_mm=(middle, middle), diameter_mm=3 * panel.pitch_mm, mass_g=800)
+    rod = lampest.Rod(
+        centre_mm=(panel.pitch_mm * centre[0], panel.pitch_mm * centre[1]),
+        diameter_mm=diameter * panel.pitch_mm,
+        mass_g=mass_g,
+    )
     scene = lampest.Scene(
         panel, lampest.TwoPointReadout(adc_bits=12, noise_lsb=1.0, readings=4), 140.0
     )

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from math import sqrt
 from multiprocessing import parent_process
 from time import perf_counter
 
@@ -32,6 +33,8 @@ MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more t
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
 # Of a network: with more, inverse Hessians cost more than they save (docs/studies/speed.md).
 MAX_BLOCK_CELLS = 400
+# Mean of squared differences of two frames over σ²; with noise alone it is 2.
+MAX_NOISE_SQUARES = 4.0
 
 
 def push_streams(
@@ -101,8 +104,8 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     """Generate the stream after each of its next frames, with the frame's step.
 
     Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis,
-    all from the last estimate on. Frames that the batch does not solve are pushed alone. Where no
-    block is possible, a single frame is pushed.
+    see `_solved_block`. Frames that the batch does not solve are pushed alone. Where no block is
+    possible, a single frame is pushed.
 
     Parameters
     ----------
@@ -116,12 +119,59 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
         count = min(len(readings.value), MAX_BLOCK_FRAMES)
     if count > 1:
-        solved = _solved_together(
-            [stream] * count, readings[:count], InverseHessians.nothing(count, size)
-        )
+        solved = _solved_block(stream, readings[:count])
     for number in range(count):
         stream, step = solved.get(number) or stream.push(readings[number])
         yield stream, step
+
+
+def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream, Step]]:
+    """Return the stream after each frame of a block and the frame's step, by number.
+
+    Leaders are solved from the last estimate on, and all others from the estimate and the inverse
+    Hessian of the leader whose readings are nearest. Frames that jump between a few loads are then
+    close to their starts.
+    """
+    count = len(readings.value)
+    inverses = InverseHessians.nothing(count, stream.scene.panel.crossings)
+    leaders, nearest = leading_frames(readings)
+    if len(leaders) == 1:
+        return _solved_together([stream] * count, readings, inverses)
+    leading = [stream if number in leaders else None for number in range(count)]
+    solved = _solved_together(leading, readings, inverses)
+    following = list[Stream | None]([None] * count)
+    for number in sorted(set(range(count)) - set(leaders)):
+        leader = nearest[number]
+        following[number] = solved[leader][0] if leader in solved else stream
+        inverses.copy(leader, number)
+    return solved | _solved_together(following, readings, inverses)
+
+
+def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
+    """Return the frames that lead, and the nearest leader of every frame, by number.
+
+    The first frame leads. Every further leader is the frame that differs most from those before it,
+    until √n of n frames lead, or no frame differs by more than noise.
+    Source: Gonzalez, Theor. Comput. Sci. 38, 293, 1985 (farthest-first traversal).
+
+    Parameters
+    ----------
+    readings : Readings
+        Frames, (frames, rows, columns).
+    """
+    count = len(readings.value)
+    sigma = 1.0 if readings.sigma is None else readings.sigma
+    scaled = (readings.value / sigma).reshape(count, -1)
+    noise = 0.0 if readings.sigma is None else MAX_NOISE_SQUARES
+    leaders = [0]
+    squares = [np.mean((scaled - scaled[0]) ** 2, axis=1)]
+    while len(leaders) < sqrt(count):
+        least = np.min(squares, axis=0)
+        if least.max() <= noise:
+            break
+        leaders.append(int(np.argmax(least)))
+        squares.append(np.mean((scaled - scaled[leaders[-1]]) ** 2, axis=1))
+    return leaders, [leaders[place] for place in np.argmin(squares, axis=0)]
 
 
 def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:

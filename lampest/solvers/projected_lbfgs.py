@@ -73,6 +73,11 @@ class InverseHessians:
             np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none
         )
 
+    def copy(self, panel: int, other: int) -> None:
+        """Let another panel begin with the inverse Hessian of a panel, in place."""
+        for values in (self.inverse, self.position, self.free, self.positive, self.worn):
+            values[other] = values[panel]
+
     def distance(self, panels: Numbers, position: Array) -> Array:
         """Return the largest |δ log r| since M was made, for the chosen panels.
 
