@@ -18,14 +18,15 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.trust_region import SUFFICIENT_DECREASE
-from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE
+from lampest.solvers.acceptance import decreases_enough
+from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
+from lampest.solvers.direction import conductance_change, log_change
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.projected_newton import STEPS
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
+from lampest.solvers.steps import STEPS
 
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
@@ -313,20 +314,19 @@ def _advanced(
     length = np.ones((len(panels), 1))
     low = points.position - STEPS.max_step
     high = points.position + STEPS.max_step
-    most = -np.expm1(-STEPS.max_step)  # relative change of a conductance
+    most = conductance_change(np.asarray(STEPS.max_step))
     trial = points
     moved = np.zeros(len(panels), dtype=bool)
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
     # step, at last to 0.
     for attempt in range(STEPS.max_tries + 1):
-        target = points.position - np.log1p(-np.minimum(length * step, most))
+        target = points.position + log_change(np.minimum(length * step, most))
         trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))
         gain = points.at.objectives - trial.at.objectives
         expected = np.abs((points.gradient * (trial.position - points.position)).sum(axis=1))
-        invisible = MIN_DECREASE_SHARE * np.abs(points.at.objectives)
-        # Armijo's condition; where the decrease is within rounding, the gradient must halve.
-        halved = (np.abs(gain) <= invisible) & (trial.residual <= points.residual / 2)
-        moved = np.where(expected > invisible, gain >= SUFFICIENT_DECREASE * expected, halved)
+        moved = decreases_enough(
+            gain, expected, points.at.objectives, points.residual, trial.residual
+        )
         stays = moved | (length[:, 0] == 0)
         if stays.all():
             break

@@ -1,0 +1,148 @@
+"""Direction of a step: the minimiser of the quadratic model within trust radius and bounds.
+
+The unknowns are relative changes s of the conductances, g ← g·(1 − s), in which readings are
+closest to quadratic. With u = log r, δu = −log(1 − s) = s + s²/2 + …, so that the Hessian in s is
+∇²φ + diag(∇φ).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.cost.problem import Evaluation
+from lampest.panel.panel import Array
+from lampest.panel.trust_region import Linear, SubproblemStep, restricted, steihaug
+from lampest.solvers.iterate import Iterate
+from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor, preconditioner
+from lampest.solvers.steps import STEPS
+
+Mask = NDArray[np.bool_]
+# (moving cells, step s, lowest and highest s) → cells that keep moving; the others stay at the
+# bound that they reached.
+ActiveSet = Callable[[Mask, Array, Array, Array], Mask]
+
+
+def log_change(share: Array) -> Array:
+    """Return the change δu = −log(1 − s) of log r for a relative change s of a conductance."""
+    return np.asarray(-np.log1p(-share))
+
+
+def conductance_change(change: Array) -> Array:
+    """Return the relative change s = 1 − exp(−δu) of a conductance for a change δu of log r."""
+    return np.asarray(-np.expm1(-change))
+
+
+def shares_conductance(at: Evaluation) -> bool:
+    """Return whether lines touch and no penalty determines how parallel cells share conductance.
+
+    Steps in log r then keep the shares near those of the start.
+    """
+    wiring = at.data.wiring
+    return (
+        wiring is not None
+        and bool(wiring.joined)
+        and all(term.reads_measurement for term in at.cost.terms)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticModel:
+    """Quadratic model gᵀs + ½ sᵀHs of the cost about a point.
+
+    Attributes
+    ----------
+    product : callable
+        s → H s over all cells.
+    preconditioner : Preconditioner
+        M ≈ H.
+    exact : bool
+        Whether H has all second derivatives of the cost; otherwise it is the Gauss–Newton matrix.
+    """
+
+    product: Linear
+    preconditioner: Preconditioner
+    exact: bool = True
+
+    @classmethod
+    def of(cls, point: Iterate) -> "QuadraticModel":
+        """Return the exact model about a point.
+
+        Its preconditioner is the newest one, unless the point has moved too far from it.
+        """
+        hessian = point.hessian
+        cached = point.newest
+        if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
+            cached = preconditioner(hessian, hessian.free)
+        in_log_r = shares_conductance(point.at)
+        curved = np.zeros_like(hessian.gradient) if in_log_r else hessian.gradient
+        return cls(lambda step: hessian.product(step) + curved * step, cached)
+
+    def gauss_newton(self, point: Iterate) -> "QuadraticModel":
+        """Return the model with the Gauss–Newton matrix, which has no negative curvature."""
+        hessian = point.hessian
+        factor = gauss_newton_factor(hessian, hessian.free) or self.preconditioner
+        return QuadraticModel(hessian.gauss_newton_product, factor, exact=False)
+
+
+def hold_beyond_bounds(moving: Mask, step: Array, low: Array, high: Array) -> Mask:
+    """Return the cells that keep moving: those whose step stays within the bounds."""
+    return moving & ~((step < low) | (step > high))
+
+
+def newton_direction(
+    point: Iterate, model: QuadraticModel, radius: float, active_set: ActiveSet
+) -> SubproblemStep:
+    """Return the minimiser δu of the quadratic model within the trust radius and the bounds.
+
+    Conjugate gradients solve the model over the moving cells. Cells that the active set stops are
+    fixed at their bound, and the model is solved again over the others.
+
+    Parameters
+    ----------
+    point : Iterate
+    model : QuadraticModel
+    radius : float
+        Trust radius in the norm of the preconditioner.
+    active_set : callable
+        Which cells keep moving, see `hold_beyond_bounds`.
+    """
+    at = point.at
+    gradient = point.hessian.gradient
+    in_log_r = shares_conductance(at)
+    room = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
+    limits = [np.clip(change, -STEPS.max_step, STEPS.max_step) for change in room]
+    low, high = limits if in_log_r else map(conductance_change, limits)
+    # Forcing term: superlinear convergence (Nocedal & Wright 2006, section 7.1).
+    accuracy = min(0.1, point.residual**0.5)
+    limit = STEPS.max_products[point.hessian.dense]
+    moving = point.hessian.free
+    step = np.zeros(moving.size)
+    slope = gradient
+    products = 0
+    negative = False
+    clipped = False
+    for _ in range(STEPS.max_tries):
+        chosen = np.flatnonzero(moving)
+        part = restricted(model.product, chosen, moving.size)
+        inverse = model.preconditioner.over(moving, at.cell_resistance)
+        solved = steihaug(part, inverse, slope[chosen], accuracy, radius, most_products=limit)
+        products = max(products, solved.products)
+        negative = negative or solved.negative
+        step[chosen] = solved.step
+        staying = active_set(moving, step, low, high)
+        within = np.clip(step, low, high)
+        clipped = clipped or not np.array_equal(within, step)
+        step = within
+        if np.array_equal(staying, moving) or not staying.any():
+            break
+        moving = staying
+        # Gradient of the model over the moving cells, with the others at their bounds: g + H
+        # s_fixed
+        slope = gradient + model.product(np.where(moving, 0.0, step))
+    decrease = solved.decrease
+    if clipped:
+        decrease = -float(gradient @ step + 0.5 * step @ model.product(step))
+    change = step if in_log_r else log_change(step)
+    return SubproblemStep(change, solved.length, decrease, negative, products)

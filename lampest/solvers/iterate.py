@@ -1,0 +1,197 @@
+"""A point of the projected Newton method, with its derivatives and its certificate."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+
+import numpy as np
+
+from lampest.cost.problem import Evaluation
+from lampest.panel.panel import Array
+from lampest.solvers.bounds import MILLIONTH, moved_by
+from lampest.solvers.certificate import Certificate, Definiteness, certificate
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.preconditioners import Preconditioner
+from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.solution import Outcome, Status
+from lampest.solvers.steps import STEPS
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A point of the iteration with its derivatives.
+
+    Attributes
+    ----------
+    hessian : Hessian
+        Derivatives of the smoothed cost.
+    objective : float
+        The smoothed cost φ.
+    preconditioner : Preconditioner or None
+        Preconditioner M of an earlier point.
+    gauss_newton : int
+        Number of Gauss–Newton steps that are left before a direction of negative curvature is
+        followed.
+    convex : bool
+        Whether no direction up to this point had negative curvature.
+    damping : float
+        μ of the next Levenberg step.
+    expected : float
+        Length of the next step of log r, extrapolated from the decrease of the residual.
+    nearby : Certificate or None
+        Certificate of an earlier point.
+    certificate : Certificate or None
+        Certificate of this point, once `certified` has computed it.
+    """
+
+    hessian: Hessian
+    objective: float
+    preconditioner: Preconditioner | None = None
+    gauss_newton: int = STEPS.gauss_newton
+    convex: bool = True
+    damping: float = STEPS.min_damping
+    expected: float = inf
+    nearby: Certificate | None = None
+    certificate: Certificate | None = None
+
+    @classmethod
+    def of(
+        cls,
+        at: Evaluation,
+        smoothing: Smoothing,
+        preconditioner: Preconditioner | None = None,
+        *,
+        convex: bool = True,
+    ) -> "Iterate":
+        """Return the first iterate of a solve, or of another smoothing."""
+        return cls(Hessian(at, smoothing), smoothing.objective(at), preconditioner, convex=convex)
+
+    @property
+    def at(self) -> Evaluation:
+        """The cost at this point."""
+        return self.hessian.at
+
+    @cached_property
+    def residual(self) -> float:
+        """Largest entry of the projected gradient, relative to the cost's scale."""
+        return float(self.hessian.residual)
+
+    @cached_property
+    def gap(self) -> float:
+        """Duality gap Σ w·(|x| − z·x) of the smoothed absolute losses.
+
+        It is relative to the cost's scale.
+        """
+        if not len(self.at.nonsmooth):
+            return 0.0
+        return (
+            self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
+        )
+
+    def sharp(self, tolerance: float) -> bool:
+        """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
+        # The reference is the cost itself, but at least min_smoothed_cost and at most one cost
+        # scale.
+        return self.gap <= tolerance * min(
+            1.0, max(self.at.objective / self.at.cost_scale, STEPS.min_smoothed_cost)
+        )
+
+    def sharpened(self) -> "Iterate":
+        """Return the same point with a tenth of the smoothing width."""
+        smoothing = self.hessian.smoothing
+        return Iterate.of(
+            self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex
+        )
+
+    def certified(self) -> "Iterate":
+        """Return this point with its certificate.
+
+        The certificate reuses a factor while the Hessian has hardly changed.
+        """
+        if self.certificate is not None:
+            return self
+        previous = self.nearby
+        hessian = self.hessian
+        if previous and previous.factor and previous.definiteness is Definiteness.POSITIVE:
+            near = previous.factor.distance(self.at.cell_resistance) <= STEPS.refactor_distance**2
+            if near and np.array_equal(np.flatnonzero(hessian.free), previous.factor.cells):
+                return replace(self, certificate=previous.after(hessian))
+        return replace(self, certificate=certificate(hessian, self.preconditioner))
+
+    @property
+    def converges(self) -> bool:
+        """Whether the next step is expected to be short enough for a certificate.
+
+        It is if a certificate of this point holds after it.
+        """
+        return self.expected <= STEPS.refactor_distance**2 and not len(self.at.nonsmooth)
+
+    @property
+    def known(self) -> Certificate | None:
+        """The newest certificate: of this point if it is computed, otherwise of an earlier one."""
+        return self.certificate or self.nearby
+
+    @property
+    def settled(self) -> bool:
+        """Whether this is a certified strict minimum, or a plateau.
+
+        A plateau is without any gradient or direction of descent.
+        """
+        verdict = self.certificate
+        return verdict is not None and (
+            verdict.settled or (not self.residual and verdict.lower is None)
+        )
+
+    @property
+    def below_saddle(self) -> "Iterate | None":
+        """The certificate's point of lower cost next to a saddle.
+
+        None without a certificate or such a point.
+        """
+        lower = None if self.certificate is None else self.certificate.lower
+        return (
+            None
+            if lower is None
+            else Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
+        )
+
+    @property
+    def newest(self) -> Preconditioner | None:
+        """The factor of ∇²φ of the newest certificate.
+
+        Without one, it is the preconditioner of an earlier point.
+        """
+        return (
+            self.preconditioner
+            if self.known is None or self.known.factor is None
+            else self.known.factor
+        )
+
+    def outcome(self, status: Status, iterations: int) -> Outcome:
+        """Return the outcome at this point.
+
+        The certificate's Newton step is taken first if it comes from a factor, is long enough to
+        improve the estimate, and short enough for the certificate to remain valid.
+        """
+        final = self.certificate
+        cells = self.at.cell_resistance
+        dual = self.hessian.smoothing.slope(self.at.nonsmooth)
+        exact = final is not None and final.factor is not None and final.settled and not len(dual)
+        if (
+            final is not None
+            and exact
+            and MILLIONTH / 1000 < np.abs(final.step).max() <= STEPS.refactor_distance
+        ):
+            cells = np.exp(self.at.position + final.step.reshape(cells.shape))
+        return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
+
+    def at_step(self, step: Array) -> "Iterate | None":
+        """Return the point after a step of u (flat), clipped to the bounds.
+
+        None if its network cannot be solved.
+        """
+        if (at := moved_by(self.at, step)) is None:
+            return None
+        return Iterate.of(
+            at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex
+        )
