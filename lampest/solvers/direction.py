@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 ActiveSet = Callable[[Mask, Array, Array, Array], Mask]
 
 
-def log_change(share: Array) -> Array:
+def log_resistance_change(share: Array) -> Array:
     """Return the change δu = −log(1 − s) of log r for a relative change s of a conductance."""
     return np.asarray(-np.log1p(-share))
 
@@ -144,5 +144,5 @@ def newton_direction(
     decrease = solved.decrease
     if clipped:
         decrease = -float(gradient @ step + 0.5 * step @ model.product(step))
-    change = step if in_log_r else log_change(step)
+    change = step if in_log_r else log_resistance_change(step)
     return SubproblemStep(change, solved.length, decrease, negative, products)

@@ -21,7 +21,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.solvers.acceptance import decreases_enough
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
-from lampest.solvers.direction import conductance_change, log_change
+from lampest.solvers.direction import conductance_change, log_resistance_change
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.smoothing import Smoothing
@@ -320,7 +320,7 @@ def _advanced(
     # Backtracking line search: u − log(1 − t·s), t shortened for the panels that have not found a
     # step, at last to 0.
     for attempt in range(STEPS.max_tries + 1):
-        target = points.position + log_change(np.minimum(length * step, most))
+        target = points.position + log_resistance_change(np.minimum(length * step, most))
         trial = points.elsewhere(np.where(length > 0, np.clip(target, low, high), points.position))
         gain = points.at.objectives - trial.at.objectives
         expected = np.abs((points.gradient * (trial.position - points.position)).sum(axis=1))

@@ -35,7 +35,7 @@ from lampest.solvers.termination import History, late_or_stalled
 
 
 @dataclass(frozen=True)
-class Parts:
+class NewtonParts:
     """Exchangeable parts of an iteration.
 
     Attributes
@@ -72,13 +72,13 @@ class ProjectedNewton(Solver):
     from_afar : bool
         Whether the start is far from an optimum of a cost with several minima, and its central path
         is followed first.
-    parts : Parts
+    parts : NewtonParts
         Direction, active set, acceptance and termination.
     """
 
     preconditioner: Preconditioner | None = None
     from_afar: bool = False
-    parts: Parts = Parts()
+    parts: NewtonParts = NewtonParts()
 
     @property
     def name(self) -> str:
@@ -153,7 +153,7 @@ class ProjectedNewton(Solver):
         return iterate.outcome(Status.ITERATIONS, iteration)
 
 
-def descent_step(point: Iterate, parts: Parts = Parts()) -> Iterate | None:
+def descent_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
     """Return the next point; None if no step lowers the cost.
 
     While directions of negative curvature persist, the trust-region step and Levenberg's step are
@@ -166,7 +166,7 @@ def descent_step(point: Iterate, parts: Parts = Parts()) -> Iterate | None:
     return min(trials, key=lambda candidate: candidate.objective, default=None)
 
 
-def trust_region_step(point: Iterate, parts: Parts) -> Iterate | None:
+def trust_region_step(point: Iterate, parts: NewtonParts) -> Iterate | None:
     """Return the next point by a trust-region step; None if no radius gives an accepted step.
 
     Every iteration begins with an infinite radius: one-sided readings curve the cost on one side

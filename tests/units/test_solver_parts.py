@@ -1,4 +1,4 @@
-"""Parts of the projected Newton method: each is exchanged in a solve, and tested alone."""
+"""NewtonParts of the projected Newton method: each is exchanged in a solve, and tested alone."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,12 +20,12 @@ from lampest.solvers.direction import (
     QuadraticModel,
     conductance_change,
     hold_beyond_bounds,
-    log_change,
+    log_resistance_change,
     newton_direction,
 )
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import evaluated
-from lampest.solvers.projected_newton import Parts, ProjectedNewton
+from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 from lampest.solvers.steps import STEPS
@@ -50,7 +50,7 @@ def start() -> Evaluation:
     return evaluated(estimator.cost(SCENE, 1), data, data.uniform_start)
 
 
-def solved(start: Evaluation, parts: Parts) -> Outcome:
+def solved(start: Evaluation, parts: NewtonParts) -> Outcome:
     """The outcome of a solve with some parts."""
     return ProjectedNewton(start.cost, Settings(), parts=parts).solve(start.data, start)
 
@@ -58,7 +58,7 @@ def solved(start: Evaluation, parts: Parts) -> Outcome:
 @pytest.fixture(scope="module")
 def minimum(start: Evaluation) -> lampest.Array:
     """The cells at which the usual parts end."""
-    outcome = solved(start, Parts())
+    outcome = solved(start, NewtonParts())
     assert outcome.status is Status.OPTIMUM
     return outcome.cell_resistance
 
@@ -94,17 +94,17 @@ def any_decrease(point: Iterate, trial: Iterate, predicted: float) -> bool:
 @pytest.mark.parametrize(
     "parts",
     [
-        Parts(direction=gradient_direction),
-        Parts(active_set=project_alone),
-        Parts(acceptance=any_decrease),
-        Parts(termination=lambda data, history: None),
+        NewtonParts(direction=gradient_direction),
+        NewtonParts(active_set=project_alone),
+        NewtonParts(acceptance=any_decrease),
+        NewtonParts(termination=lambda data, history: None),
     ],
     ids=["direction", "active set", "acceptance", "termination"],
 )
 def test_a_solve_with_another_part_ends_at_the_same_minimum(
-    start: Evaluation, minimum: lampest.Array, parts: Parts
+    start: Evaluation, minimum: lampest.Array, parts: NewtonParts
 ) -> None:
-    """Parts change the way, and no result."""
+    """NewtonParts change the way, and no result."""
     outcome = solved(start, parts)
     assert outcome.status is Status.OPTIMUM
     assert_allclose(outcome.cell_resistance, minimum, rtol=SAME_MINIMUM)
@@ -123,8 +123,8 @@ def counted(usual: Callable[..., object], calls: list[str], name: str) -> Callab
 def test_a_solve_asks_every_part(start: Evaluation) -> None:
     """No default stands beside a part."""
     calls: list[str] = []
-    usual = vars(Parts())
-    parts = Parts(**{name: counted(part, calls, name) for name, part in usual.items()})
+    usual = vars(NewtonParts())
+    parts = NewtonParts(**{name: counted(part, calls, name) for name, part in usual.items()})
     solved(start, parts)
     # newton_direction itself asks the active set
     assert set(calls) == set(usual)
@@ -136,14 +136,14 @@ def test_a_solve_ends_as_its_termination_says(start: Evaluation) -> None:
     def after_two(data: Data, history: History) -> Status | None:
         return Status.STALLED if len(history) > 2 else None
 
-    outcome = solved(start, Parts(termination=after_two))
+    outcome = solved(start, NewtonParts(termination=after_two))
     assert outcome.status is Status.STALLED
     assert outcome.iterations == 2
 
 
 def test_a_solve_whose_steps_are_all_refused_does_not_claim_an_optimum(start: Evaluation) -> None:
     """Without an accepted step, a point with a gradient is a breakdown."""
-    outcome = solved(start, Parts(acceptance=lambda point, trial, predicted: False))
+    outcome = solved(start, NewtonParts(acceptance=lambda point, trial, predicted: False))
     assert outcome.status is not Status.OPTIMUM
 
 
@@ -173,8 +173,8 @@ def test_cells_beyond_a_bound_stop_and_all_others_keep_moving() -> None:
 def test_changes_of_log_r_and_of_conductance_are_inverse() -> None:
     """−log(1 − s) and 1 − exp(−δu)."""
     share = np.array([-3.0, -0.5, 0.0, 1e-12, 0.74])
-    assert_allclose(conductance_change(log_change(share)), share, rtol=1e-12, atol=0)
-    assert_allclose(np.exp(-log_change(share)), 1 - share, rtol=1e-12)
+    assert_allclose(conductance_change(log_resistance_change(share)), share, rtol=1e-12, atol=0)
+    assert_allclose(np.exp(-log_resistance_change(share)), 1 - share, rtol=1e-12)
 
 
 def test_a_step_is_accepted_from_the_smallest_sufficient_decrease_on() -> None:
@@ -217,5 +217,5 @@ def test_the_time_limit_comes_before_a_stall() -> None:
 def test_solvers_with_different_parts_are_different(start: Evaluation) -> None:
     """Solvers are kept by their value."""
     solver = ProjectedNewton(start.cost, Settings())
-    assert replace(solver, parts=Parts(active_set=project_alone)) != solver
-    assert replace(solver, parts=Parts()) == solver
+    assert replace(solver, parts=NewtonParts(active_set=project_alone)) != solver
+    assert replace(solver, parts=NewtonParts()) == solver
