@@ -40,8 +40,8 @@ from lampest.files.process import delayed_interrupt
 from lampest.files.typed import check_positive_fields
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.linear import IGNORANCE
+from lampest.posterior.matrices import positive_inverse
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.solution import (
