@@ -38,7 +38,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "casadi": (
         "files.process",
         "panel.compiled",
-        "panel.network",
+        "panel.tied_network",
         "cost",
         "formulation",
         "estimate.own_program",

@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.addressed import AddressedNetwork
+from lampest.panel.difference_network import HeldNetwork, excitations
 from lampest.panel.kirchhoff import laplacian
-from lampest.panel.network import HeldNetwork, Network, excitations
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
 from lampest.panel.readouts.diode import Diode

@@ -16,9 +16,11 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.addressed import AddressedNetwork
-from lampest.panel.network import DifferenceNetwork, Network, ReadCircuit, excitations
+from lampest.panel.difference_network import DifferenceNetwork, excitations
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.tied_network import ReadCircuit
 
 
 @dataclass(frozen=True)
