@@ -52,7 +52,7 @@ DOORS: dict[str, tuple[str, ...]] = {
         "cost.problem",
         "recording.readings",
         "estimate.calibration",
-        "estimate.model_check",
+        "estimate.explanation",
         "estimate.own_program",
         "formulation",
         "solvers",
