@@ -116,11 +116,7 @@ class Question(ComparedFrames):
 
         None without a fit, or with more than MAX_MISSING bounds.
         """
-        return (
-            Explanation.of(self.specified, self, patient=True)
-            if self._shares[0] <= MAX_MISSING
-            else None
-        )
+        return Explanation.of(self.specified, self, patient=True) if self._few_bounds else None
 
     @cached_property
     def fault(self) -> str:
@@ -152,63 +148,31 @@ class Question(ComparedFrames):
             f"below its series resistance, {excess[place]:.3g} times its noise"
         )
 
+    @property
+    def _few_bounds(self) -> bool:
+        """Whether few readings are bounds."""
+        return self._shares[0] <= MAX_MISSING
+
+    @property
+    def _complete(self) -> bool:
+        """Whether enough readings are values, so that circuits and effects can be compared."""
+        missing = self._shares[1]
+        return missing <= MAX_MISSING and (self._few_bounds or bool(self.below))
+
     def check(self, besides: CircuitEffects) -> ModelCheck:
         """Return the check of the circuit against its rivals and against these effects."""
-        bounded, missing = self._shares
         noise = self.widening
-        fault = self.fault
-        explanation = self.explanation
-        few_bounds = bounded <= MAX_MISSING
-        # No fit and no contradiction: too many bounds, or the solver failed.
-        if explanation is None and not fault:
-            if not few_bounds:
-                lawful = (
-                    f"no readings break a law of the circuit; {100 * bounded:.0f} % of them "
-                    "are bounds"
-                )
-                return ModelCheck(explains=True, sentence=lawful).with_doubts(
-                    "no cells were fitted"
-                )
-            return ModelCheck(
-                None, "the circuit was not checked: no fit of its cells was found", noise=noise
-            )
-        # Rivals and effects compete by evidence if enough readings are values.
-        best = BetterExplanation()
-        complete = missing <= MAX_MISSING and (few_bounds or bool(self.below))
-        if complete:
-            best = better_rival(self, None if fault else explanation)
-            if (
-                besides.name
-                and (besides.fits_noise or not fault)
-                and (not best.name or besides.count < best.count)
-            ):
-                best = besides
-        # Verdict in words: the fault, the best alternative, or neither; then the noise.
-        if not complete:
-            sentence = (
-                f"{fault or EXPLAINED}; other circuits were not tried, too many readings "
-                "are missing or bounds"
-            )
-        elif fault:
-            others = (
-                f"{best.name} does" if best.name else "no other circuit that was tried gives them"
-            )
-            sentence = f"{fault}; {others}"
-        else:
-            sentence = (
-                f"{best.name} explains the readings better: {best.reason}"
-                if best.name
-                else EXPLAINED
-            )
-        named_best = bool(best.name) and best is besides
-        explains = not fault and not best.name
+        if self.explanation is None and not self.fault:
+            return self._check_without_cells()
+        best = self._better(besides) if self._complete else BetterExplanation()
+        explains = not self.fault and not best.name
         check = ModelCheck(
             explains,
-            sentence,
+            self._verdict(best),
             best.name,
             noise,
             besides.common_change,
-            named_best,
+            bool(best.name) and best is besides,
             besides.loaded_at_rest,
         )
         scatter = (
@@ -222,6 +186,50 @@ class Question(ComparedFrames):
             else ""
         )
         return check.with_doubts(scatter, nearly)
+
+    def _check_without_cells(self) -> ModelCheck:
+        """Return the check where there is no fit and no contradiction.
+
+        Too many readings are bounds, or the solver failed.
+        """
+        if self._few_bounds:
+            return ModelCheck(
+                None,
+                "the circuit was not checked: no fit of its cells was found",
+                noise=self.widening,
+            )
+        lawful = (
+            f"no readings break a law of the circuit; {100 * self._shares[0]:.0f} % of them "
+            "are bounds"
+        )
+        return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
+
+    def _better(self, besides: CircuitEffects) -> BetterExplanation:
+        """Return the better explanation by evidence: another circuit, or these effects."""
+        best = better_rival(self, None if self.fault else self.explanation)
+        if (
+            besides.name
+            and (besides.fits_noise or not self.fault)
+            and (not best.name or besides.count < best.count)
+        ):
+            return besides
+        return best
+
+    def _verdict(self, best: BetterExplanation) -> str:
+        """Return the verdict in words: the fault, the best alternative, or neither."""
+        if not self._complete:
+            return (
+                f"{self.fault or EXPLAINED}; other circuits were not tried, too many readings "
+                "are missing or bounds"
+            )
+        if self.fault:
+            others = (
+                f"{best.name} does" if best.name else "no other circuit that was tried gives them"
+            )
+            return f"{self.fault}; {others}"
+        if best.name:
+            return f"{best.name} explains the readings better: {best.reason}"
+        return EXPLAINED
 
     def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit.

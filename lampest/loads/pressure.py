@@ -326,23 +326,14 @@ class PressureTrack:
             As in `pressure_of`.
         """
         change = self._change(ratio)
-        remembered = self._kept(ratio, time)
         # The mean film, and the alternatives with one strength increased: their differences are
         # errors by the film's memory.
         answer, *answers = -self._of_films(self.films.at_once, change, time)
-        effective, *_ = self._of_films(self.films.effective, change, time)
         expected, *alternatives = self._of_films(self.films.pressure, change, time)
-        share = np.where(effective == 0, 1.0, expected / np.where(effective == 0, 1.0, effective))
-
-        def of_change(moved: Array) -> Array:
-            """Return p if ln r differed by `moved` at all times.
-
-            Hysteresis loops scale with the load.
-            """
-            return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
-
+        of_change = self._pressure_by_change(change, expected, time)
         # Error bars: estimate, residue and temperature, and response in quadrature in ln r; then
         # mapped to pressure.
+        remembered = self._kept(ratio, time)
         curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
         shared = TWO_SIDED * np.hypot(
             remembered, np.hypot(response_sd(self.scene, answer), curve_sd) * answer
@@ -352,13 +343,15 @@ class PressureTrack:
             rose = np.log(upper) - np.log(ratio)
         below = np.hypot(fell, shared)
         above = np.hypot(rose, shared)
+        open_kpa = _distance(alternatives, expected)
         least = of_change(above)
         most = of_change(-below)
-        errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
-        open_kpa = _distance(alternatives, expected)
-        empty = VACUUM_KPA - self.films.water
-        least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
+        least = np.maximum(
+            expected - np.hypot(expected - least, TWO_SIDED * open_kpa),
+            VACUUM_KPA - self.films.water,
+        )
         most = expected + np.hypot(most - expected, TWO_SIDED * open_kpa)
+        errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
         errors = np.hypot(errors, open_kpa)
         # Split of the error: each cell's own part, and the rest, which cells share.
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
@@ -371,8 +364,6 @@ class PressureTrack:
             clear = -answer > NOISE_REACH * np.hypot(
                 np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer)
             )
-        lowest, highest = self.films.response.told_kpa
-        saturated = (least + self.films.water < lowest) | (most + self.films.water > highest)
         pressing = clear & (expected > 0) & ~self.scene.broken
         return Pressure(
             expected,
@@ -381,9 +372,34 @@ class PressureTrack:
             errors,
             individual,
             common,
-            saturated.astype(np.uint8),
+            self._saturated(least, most).astype(np.uint8),
             pressing.astype(np.uint8),
         )
+
+    def _pressure_by_change(
+        self, change: Array, expected: Array, time: float
+    ) -> Callable[[Array], Array]:
+        """Return the function of `moved` → p if ln r differed by `moved` at all times.
+
+        Hysteresis loops scale with the load.
+
+        Parameters
+        ----------
+        change, expected : array
+            ln r/r_rest, and the pressure of the mean film, kPa.
+        time : float
+            s.
+        """
+        effective, *_ = self._of_films(self.films.effective, change, time)
+        share = np.where(effective == 0, 1.0, expected / np.where(effective == 0, 1.0, effective))
+        return lambda moved: np.asarray(
+            share * self._of_films(self.films.effective, change + moved, time)[0]
+        )
+
+    def _saturated(self, least: Array, most: Array) -> NDArray[np.bool_]:
+        """Return whether an interval, water included, exceeds what the response determines."""
+        lowest, highest = self.films.response.told_kpa
+        return np.asarray((least + self.films.water < lowest) | (most + self.films.water > highest))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Return the track after a frame of r/r_baseline (rows, columns) at a time in s.

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 
 import h5py
 import numpy as np
@@ -248,14 +249,49 @@ def _journal_for(sample: Sample, path: Path) -> contextlib.AbstractContextManage
     )
 
 
-def _counts(sample: Sample, *, behind: bool) -> Counter[str]:
-    """Return the counts of a frame.
+@dataclass(eq=False)
+class Tally:
+    """Counts of a recording while it grows.
 
-    They are itself, frames lost before it, missing readings of a module, and its events.
+    Attributes
+    ----------
+    count : Counter
+        Frames, lost frames, frames without the readings of a module, frames that the port still
+        contained at the end, and events.
+    unestimated : Counter
+        Reasons why a board that estimates did not estimate frames.
+    last : Sample or None
+        Newest sample; None before the first one.
     """
-    count = Counter[str](frames=1, lost=sample.lost, parted=sample.missing > 0, behind=behind)
-    count.update(sample.events)
-    return count
+
+    count: Counter[str] = dataclasses.field(default_factory=Counter)
+    unestimated: Counter[str] = dataclasses.field(default_factory=Counter)
+    last: Sample | None = None
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.count["frames"]
+
+    def add(self, sample: Sample, *, behind: bool) -> None:
+        """Count a frame, frames lost before it, missing readings of a module, and its events."""
+        self.last = sample
+        self.count.update(frames=1, lost=sample.lost, parted=sample.missing > 0, behind=behind)
+        self.count.update(sample.events)
+        self.unestimated.update(filter(None, [sample.frame.unestimated]))
+
+    def progress(self, sample: Sample | None, state: str = "") -> Progress:
+        """Return the progress with the newest sample, or with the state of the board."""
+        return Progress(sample, self.frames, self.count["lost"], state)
+
+    def results(self) -> dict[str, Any]:
+        """Return the counts by the names of `Recorded`."""
+        return {
+            **{name: self.count[name] for name in ("frames", "lost", "parted", "behind")},
+            "clock_jumps": self.count[CLOCK_JUMPED],
+            "clock_stopped": self.count[CLOCK_STOPPED] > 0,
+            "unestimated": tuple(self.unestimated.items()),
+        }
 
 
 def record(  # noqa: PLR0913 # the options of a command
@@ -307,11 +343,9 @@ def record(  # noqa: PLR0913 # the options of a command
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
-    count = Counter[str]()
+    tally = Tally()
     states = [""]
-    last = None
-    unestimated = Counter[str]()
-    with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
+    with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
                 batches = samples_of(
@@ -323,39 +357,35 @@ def record(  # noqa: PLR0913 # the options of a command
                     if batch:
                         states[:] = [""]
                         journal = journal or stack.enter_context(_journal_for(batch[0], out))
-                        journal.append(batch, baseline - count["frames"], keys)
-                    for last in batch:
-                        count.update(_counts(last, behind=bool(ended_by())))
-                        unestimated.update(filter(None, [last.frame.unestimated]))
-                        on_progress(Progress(last, count["frames"], count["lost"], ""))
+                        journal.append(batch, baseline - tally.frames, keys)
+                    for sample in batch:
+                        tally.add(sample, behind=bool(ended_by()))
+                        on_progress(tally.progress(sample))
                     if not batch and states[-1]:
-                        on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
+                        on_progress(tally.progress(None, states[-1]))
         except KeyboardInterrupt:
-            if not last:
+            if not tally.last:
                 raise
         except InputError as error:
-            before = f"; the {count['frames']} frames that came before are in {out}" if last else ""
-            raise InputError(f"{error}{before}") from error
+            before = f"; the {tally.frames} frames that came before are in {out}"
+            raise InputError(f"{error}{before if tally.last else ''}") from error
         finally:
-            made = finished(out) if last else None
-        if made is None or last is None:
+            made = finished(out) if tally.last else None
+        if made is None or tally.last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        complete = bool(ended_by()) or count["frames"] == frames
+        complete = bool(ended_by()) or tally.frames == frames
         silent = (
             0.0
             if seconds is None or complete
-            else max(seconds - last.time - last.hello.period, 0.0)
+            else max(seconds - tally.last.time - tally.last.hello.period, 0.0)
         )
         scene, _, noise = made
         return Recorded(
             path=out,
             scene=scene,
-            restarts=last.session,
-            clock_jumps=count[CLOCK_JUMPED],
-            clock_stopped=count[CLOCK_STOPPED] > 0,
-            **{name: count[name] for name in ("frames", "lost", "parted", "behind")},
+            restarts=tally.last.session,
+            **tally.results(),
             ended_by=ended_by(),
-            unestimated=tuple(unestimated.items()),
             noise_lsb=noise,
             silent=round(silent, 3),
         )
