@@ -32,7 +32,8 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     inverse = np.empty((*ties.shape, rows + columns), dtype=within.dtype)
     between = shares @ within
     inverse[..., rows:, rows:] = within
-    inverse[..., :rows, rows:], inverse[..., rows:, :rows] = between, between.swapaxes(-1, -2)
+    inverse[..., :rows, rows:] = between
+    inverse[..., rows:, :rows] = between.swapaxes(-1, -2)
     inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
     np.einsum("...ii->...i", inverse)[..., :rows] += 1 / row_sums
     return inverse

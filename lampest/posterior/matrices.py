@@ -43,9 +43,7 @@ def swept(table: Array, place: int) -> Array:
     column = table[:, place].copy()
     # dger adds in place, in a fifth of the time of np.outer.
     table = blas.dger(-1 / pivot, row, column, a=table.T, overwrite_a=True).T
-    table[place], table[:, place], table[place, place] = (
-        row / abs(pivot),
-        column / abs(pivot),
-        -1 / pivot,
-    )
+    table[place] = row / abs(pivot)
+    table[:, place] = column / abs(pivot)
+    table[place, place] = -1 / pivot
     return table

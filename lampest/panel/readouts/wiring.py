@@ -385,5 +385,6 @@ def incidence(rows: int, columns: int) -> Array:
     """Return Bᵀ, (rows, columns, lines): +1 at a cell's row, −1 at its column."""
     matrix = np.zeros((rows, columns, rows + columns))
     row, column = np.indices((rows, columns))
-    matrix[row, column, row], matrix[row, column, rows + column] = 1.0, -1.0
+    matrix[row, column, row] = 1.0
+    matrix[row, column, rows + column] = -1.0
     return matrix

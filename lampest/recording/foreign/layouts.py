@@ -176,7 +176,8 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         roles = [role_of(name) for name in table.names]
         short = [name.strip().lower() for name in table.names]
         if {"r", "c"} <= set(short):  # beside a c, an r is no resistance
-            roles[short.index("r")], roles[short.index("c")] = "row", "column"
+            roles[short.index("r")] = "row"
+            roles[short.index("c")] = "column"
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
         return (
             order
@@ -344,7 +345,8 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
     begins = np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
         if number in numbers_of_frame or (ended[line] and line):
-            begins[line], numbers_of_frame = True, set()
+            begins[line] = True
+            numbers_of_frame = set()
         numbers_of_frame.add(number)
     return begins
 
