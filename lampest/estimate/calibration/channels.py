@@ -69,7 +69,7 @@ class ChannelCalibration(Calibration):
 
 
 def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
-    """Estimate the electronics' errors that explain the cells that nobody touches.
+    """Estimate the electronics' errors from the apparent motion of untouched cells.
 
     The cells are those in recordings of one circuit. The scene is corrected by them, and its
     systematic errors are their posterior uncertainty.

@@ -455,7 +455,7 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
         cut = len(lines) % rows
         if number == 0 and len(groups) > 1 and len(lines) < rows:
             notes.append(f"the first block ({place}) is cut and left out")
-        elif cut and number < len(groups) - 1:  # nobody knows which row was lost
+        elif cut and number < len(groups) - 1:  # the lost row is unknown
             notes.append(f"the block at {place} has {len(lines)} of {rows} lines and is missing")
             begins.append(lines[0])
         else:
