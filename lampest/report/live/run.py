@@ -26,7 +26,8 @@ from lampest.files.errors import InputError, meant
 from lampest.loads.pressure import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
-from lampest.recording.board.record import Progress, Recorded, Recorder, record
+from lampest.recording.board.record import Progress, Recorded, record
+from lampest.recording.board.recorder import Recorder
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import UNLOADED, Recording
