@@ -219,11 +219,7 @@ def record(  # noqa: PLR0913 # the options of a command
         if made is None or tally.last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         complete = bool(ended_by()) or tally.frames == frames
-        silent = (
-            0.0
-            if seconds is None or complete
-            else max(seconds - tally.last.time - tally.last.hello.period, 0.0)
-        )
+        silent = 0.0 if seconds is None or complete else _silence(tally.last, seconds)
         scene, _, noise = made
         return Recorded(
             path=out,
@@ -234,6 +230,11 @@ def record(  # noqa: PLR0913 # the options of a command
             noise_lsb=noise,
             silent=round(silent, 3),
         )
+
+
+def _silence(last: Sample, seconds: float) -> float:
+    """Return the time without frames at the end of the requested duration, s."""
+    return max(seconds - last.time - last.hello.period, 0.0)
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
