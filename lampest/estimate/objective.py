@@ -18,7 +18,7 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration
-from lampest.loads.pressure import Tare
+from lampest.loads.tare import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
