@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
     from lampest.estimate.witness import Verify
-    from lampest.loads.pressure import Tare
+    from lampest.loads.tare import Tare
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.solution import Settings

@@ -45,13 +45,13 @@ from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .estimate.witness import Verify as Verify
 from .files.errors import InputError as InputError
-from .loads.pressure import Tare as Tare
 from .loads.shapes import Block as Block
 from .loads.shapes import OralDisc as OralDisc
 from .loads.shapes import Ring as Ring
 from .loads.shapes import Rod as Rod
 from .loads.shapes import Shape as Shape
 from .loads.shapes import SuctionCup as SuctionCup
+from .loads.tare import Tare as Tare
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature

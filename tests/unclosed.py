@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import Rows
-from lampest.recording.board.record import Journal
+from lampest.recording.board.journal import Journal
 from lampest.recording.board.stream import Sample
 
 READINGS = 20

@@ -15,17 +15,17 @@ FILES = {"A run": RunFile, "A scene": Scene, "A simulation": Simulation}
 
 
 def keys_page() -> str:
-    """A chapter for every kind of file; what stands in several is told once, in the first."""
-    told: set[str] = set()
+    """A chapter for every kind of file; parts that several have are described in the first."""
+    described: set[str] = set()
     chapters = []
     for title, kind in FILES.items():
         schema = adapter(kind).json_schema()
-        told.add(schema["title"])
+        described.add(schema["title"])
         labels = headings(schema)
         parts = [f"({anchor(schema['title'])})=", f"## {title}", content(schema, labels)]
         for name, part in sorted(schema.get("$defs", {}).items()):
-            if name not in told and "properties" in part:
-                told.add(name)
+            if name not in described and "properties" in part:
+                described.add(name)
                 parts += [f"({anchor(name)})=", f"### {labels[name]}", content(part, labels)]
         chapters += parts
     return "\n\n".join(part for part in chapters if part)

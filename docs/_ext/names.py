@@ -36,7 +36,7 @@ def names_page() -> str:
 def room_of(name: str) -> str:
     """The room that a name comes from.
 
-    What is no class or function of lampest is told by where it is kept.
+    Other objects have the room of the module that defines their type.
     """
     if name == "reconstruct":
         return "report"

@@ -20,7 +20,8 @@ import numpy as np
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.audit.advice import Audit
-from lampest.estimate.model_check import Explanation, ModelCheck, Question
+from lampest.estimate.explanation import Explanation
+from lampest.estimate.model_check import ModelCheck, Question
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Rival
 from lampest.files.levels import SIGNIFICANCE

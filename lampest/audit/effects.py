@@ -30,7 +30,7 @@ from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.recording.readings import strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-# Of the unloaded readings that are values: with fewer, films look rough (tests/golden/checks.py).
+# Of the unloaded readings that are values: with fewer, films look uneven (tests/golden/checks.py).
 MIN_SHARE_READ = 0.9
 
 

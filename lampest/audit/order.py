@@ -80,7 +80,8 @@ def line_orders(count: int) -> Iterator[tuple[str, NDArray[np.intp]]]:
         return
     half = count // 2
     merged = np.empty(count, dtype=np.intp)
-    merged[::2], merged[1::2] = lines[: count - half], lines[count - half :]
+    merged[::2] = lines[: count - half]
+    merged[1::2] = lines[count - half :]
     yield "with odd and even ones apart", merged
     yield "interleaved", np.concatenate([lines[::2], lines[1::2]])
     pairs = lines.copy()

@@ -410,7 +410,7 @@ def check(
 
 
 def _repaired(file: Path) -> str:
-    from lampest.recording.board.record import repair
+    from lampest.recording.board.journal import repair
 
     frames, dropped = repair(file)
     single = dropped == 1

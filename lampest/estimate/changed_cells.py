@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.posterior.covariance import inverse_and_volume, swept
+from lampest.posterior.matrices import inverse_and_volume, swept
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
@@ -189,7 +189,8 @@ def _exchange_cells(
         np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1]
     )
     table[outside] -= across @ pulled
-    table[inside], table[np.ix_(inside, inside)] = pulled, -inverse
+    table[inside] = pulled
+    table[np.ix_(inside, inside)] = -inverse
     table[np.ix_(outside, inside)] = pulled[:, outside].T
     for _ in range(4 * len(slope)):
         # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
@@ -199,7 +200,8 @@ def _exchange_cells(
         cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
         if fixed[cell] or not gains[cell] > 0:
             break
-        cost, moved[cell] = cost - float(gains[cell]), not moved[cell]
+        cost -= float(gains[cell])
+        moved[cell] = not moved[cell]
         table = swept(table, cell)
     return cost, moved
 
@@ -267,7 +269,8 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
         active = largest > 0
         if not active.any():
             break
-        total, taken[index[active], cells[active]] = total + np.where(active, largest, 0.0), True
+        total = total + np.where(active, largest, 0.0)
+        taken[index[active], cells[active]] = True
         # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p,
         # and the diagonal loses l².
         added = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]

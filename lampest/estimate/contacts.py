@@ -26,8 +26,8 @@ from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts, contact_responses
-from lampest.posterior.covariance import errors_of
 from lampest.posterior.linear import IGNORANCE, LinearModel
+from lampest.posterior.sampled import errors_of
 from lampest.recording.readings import Readings
 
 # Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the

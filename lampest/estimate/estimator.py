@@ -10,7 +10,7 @@ from lampest.estimate.objective import Bounds as Bounds
 from lampest.estimate.objective import Objective, checked_terms
 from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
-from lampest.loads.pressure import Tare
+from lampest.loads.tare import Tare
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS

@@ -2,7 +2,7 @@
 
 It is estimated from the unloaded panel and a loaded frame. With a wrong share every change of a
 cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
-pair of frames (`lampest.estimate.nuisances`) is compared over MEMORIES, all equally probable
+pair of frames (`lampest.estimate.fitted_pair`) is compared over MEMORIES, all equally probable
 before.
 """
 
@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from lampest.estimate.changed_cells import PARAMETER_COST
-from lampest.estimate.model_check import Explanation, Question
+from lampest.estimate.compared_frames import ComparedFrames
+from lampest.estimate.explanation import Explanation
 from lampest.panel.panel import Array
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
@@ -86,10 +87,10 @@ def _costs(recording: Recording, shares: Array) -> Array:
 def _explanations(recording: Recording, shares: Array) -> list[Explanation | None]:
     """Return the explanations of the check's frames with each share; None without a fit."""
     plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
-    question = Question.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
+    frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
     with np.errstate(all="ignore"):
-        rivals = [question.specified.with_memory(share) for share in shares.tolist()]
-        return [Explanation.of(rival, question, patient=True) for rival in rivals]
+        rivals = [frames.specified.with_memory(share) for share in shares.tolist()]
+        return [Explanation.of(rival, frames, patient=True) for rival in rivals]
 
 
 def _cost(explanation: Explanation | None) -> float:

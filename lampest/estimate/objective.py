@@ -18,7 +18,7 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration
-from lampest.loads.pressure import Tare
+from lampest.loads.tare import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
@@ -48,7 +48,7 @@ class Bounds(Configuration):
         number is in ohm; 'none' is 10⁻⁶·R_a, a dead short, with R_a the readout's apparent
         resistance.
     upper : 'resolution', float or 'none'
-        'resolution' is the value beyond which a cell cannot be told from an open one, R²/σ of
+        'resolution' is the value beyond which a cell reads like an open one, R²/σ of
         two-point readings and at least twice the cell of a uniform panel; where σ is unknown, as
         'none'. A number is in ohm. 'none' is 10⁹·R_a, where double precision sees no difference.
 

@@ -15,9 +15,10 @@ import numpy as np
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.changed_cells import mostly_still
+from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import NoiseEstimate, without_effects
-from lampest.estimate.nuisances import CircuitEffects, FittedPair
+from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.scan_motion import share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN

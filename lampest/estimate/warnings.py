@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ModelCheck, module_factors, noise_factor
+from lampest.estimate.compared_frames import noise_factor
+from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.module_noise import named_modules
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.rivals import changes_beyond_noise, choices

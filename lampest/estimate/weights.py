@@ -25,9 +25,10 @@ from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
-from lampest.posterior.covariance import DenseErrors, SampledErrors
+from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.reference import MAX_CELLS, Reference, references
+from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.spectrum import (
     Spectrum,
     best_weight,

@@ -272,7 +272,8 @@ class Closed(io.FileIO):
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")
         fields = list(_superblock(path))
-        fields[4], fields[7] = 0, path.stat().st_size
+        fields[4] = 0
+        fields[7] = path.stat().st_size
         fields[9] = lookup3(SUPERBLOCK.pack(*fields))
         self._head = SUPERBLOCK.pack(*fields)
         self._path = path

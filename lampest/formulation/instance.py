@@ -5,6 +5,7 @@ They are given by the names of the program's blocks.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,21 +128,18 @@ class Instance:
         There is one evaluation for each block of frames.
         """
         known = _Known(circuits, excitation, blocks)
-        scale = float(np.exp(np.mean(np.log(known.uniform))))
-        cost_scale = float(
-            np.mean([float(block.cell_costs) or block.cost_scale for block in blocks])
-        )
+        scale = known.scale
+        cost_scale = known.cost_scale
         voltages = known.voltages(known.cells, scale)
-        size = {
-            name: np.maximum(np.abs(part), MIN_VOLTAGE * np.abs(part).max(initial=0.0))
-            for name, part in voltages.items()
-        }
-        units = {
+        size = {name: _voltage_unit(part) for name, part in voltages.items()}
+        values: dict[str, Any] = {
+            **known.given,
+            "tie": known.tie * scale,
+            "weights": blocks[0].weights,
             "scale": scale,
             "cost_scale": cost_scale,
             **{unit_of(name): part for name, part in size.items()},
         }
-        values = {**known.given, "tie": known.tie * scale, "weights": blocks[0].weights, **units}
 
         def stacked(cells: Array, voltages: dict[str, Array], split: Array | float) -> Array:
             scaled = {name: part / size[name] for name, part in voltages.items()}
@@ -161,26 +159,17 @@ class Instance:
             split_scale = max(
                 split_scale, *(float(np.abs(group).max(initial=0)) for group in groups)
             )
-        parts = [side for group in residuals for side in (group, -group)]
-        split = [np.maximum(side / split_scale, 0) + SPLIT_START for side in parts]
-        start = stacked(known.cells, voltages, np.concatenate([np.zeros(0), *split]))
         lower = {name: unknown.lower for name, unknown in program.own.items()}
         upper = {name: unknown.upper for name, unknown in program.own.items()}
-        limits = [
-            program.equation.stacked(
-                {part.name: getattr(part, side) for part in program.constraints}, default=0.0
-            )
-            for side in ("lower", "upper")
-        ]
         return cls(
             program,
-            start,
+            stacked(known.cells, voltages, _split_start(residuals, split_scale)),
             program.unknown.stacked(
                 {"conductance": scale / known.upper, "split": 0.0, **lower}, default=-np.inf
             ),
             program.unknown.stacked({"conductance": scale / known.lower, **upper}, default=np.inf),
             program.parameter.stacked({**values, "split_scale": split_scale}),
-            (limits[0], limits[1]),
+            (_equation_limits(program, "lower"), _equation_limits(program, "upper")),
             known.cells.shape,
             scale,
             cost_scale,
@@ -215,6 +204,25 @@ class Instance:
         return Multipliers(result.of_bounds, result.of_equations, self.scale, self.cost_scale)
 
 
+def _voltage_unit(voltages: Array) -> Array:
+    """Return the unit of each voltage of a kind: its size, at least MIN_VOLTAGE of the largest."""
+    size = np.abs(voltages)
+    return np.asarray(np.maximum(size, MIN_VOLTAGE * size.max(initial=0.0)))
+
+
+def _split_start(residuals: Sequence[Array], unit: float) -> Array:
+    """Return p and q of split residuals ±(p − q), SPLIT_START from their bound, in their unit."""
+    sides = [side for group in residuals for side in (group, -group)]
+    split = [np.maximum(side / unit, 0) + SPLIT_START for side in sides]
+    return np.concatenate([np.zeros(0), *split])
+
+
+def _equation_limits(program: Program, side: str) -> Array:
+    """Return the limits of the constraints, 'lower' or 'upper'; those of equations are 0."""
+    limits = {part.name: getattr(part, side) for part in program.constraints}
+    return program.equation.stacked(limits, default=0.0)
+
+
 def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) -> Array:
     """Return the conductances, put on a bound where its multiplier exceeds the distance to it.
 
@@ -240,6 +248,18 @@ class _Known:
     def data(self) -> list[Data]:
         """Data of every block."""
         return [block.data for block in self.blocks]
+
+    @property
+    def scale(self) -> float:
+        """Geometric mean of equal cells with the readings, ohm."""
+        return float(np.exp(np.mean(np.log(self.uniform))))
+
+    @property
+    def cost_scale(self) -> float:
+        """Mean cost of a cell at readings of zero."""
+        return float(
+            np.mean([float(block.cell_costs) or block.cost_scale for block in self.blocks])
+        )
 
     @property
     def cells(self) -> Array:

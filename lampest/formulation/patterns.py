@@ -20,9 +20,10 @@ import casadi
 import numpy as np
 
 from lampest.formulation.circuit import Circuit
-from lampest.panel.network import Numbers, reads_own
+from lampest.panel.network import Numbers
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.tied_network import reads_own
 
 Voltages = dict[str, Array]
 

@@ -56,7 +56,8 @@ def bipartite_matrix(diagonal: Array, between: Array) -> Array:
     rows = between.shape[-2]
     lines = diagonal.shape[-1]
     matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
-    matrix[..., :rows, rows:], matrix[..., rows:, :rows] = between, between.swapaxes(-1, -2)
+    matrix[..., :rows, rows:] = between
+    matrix[..., rows:, :rows] = between.swapaxes(-1, -2)
     np.einsum("...ii->...i", matrix)[...] = diagonal
     return matrix
 

@@ -32,8 +32,8 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.posterior.covariance import inverse_and_volume
 from lampest.posterior.interval import LEVEL
+from lampest.posterior.matrices import inverse_and_volume
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
 

@@ -26,8 +26,10 @@ from lampest.cost.losses import PenaltyEvidence
 from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.posterior.covariance import DenseErrors, SampledErrors, positive_inverse
+from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import IGNORANCE, LinearModel, rank
+from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.sampled import SampledErrors
 
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ

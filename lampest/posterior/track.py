@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared, own_errors
+from lampest.posterior.at_bounds import active_bounds
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.covariance import DenseErrors, SampledErrors, active_bounds, errors_of
+from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.memory import Memory
+from lampest.posterior.sampled import SampledErrors, errors_of
 from lampest.recording.readings import Readings, stand_in_spread
 
 # Least noise relative to the deviation that includes own errors: rounding of the difference.

@@ -59,13 +59,15 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     residual = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
     expected = np.nan_to_num(median(residual.reshape(*residual.shape[:-2], 1, -1), -1))
-    residual, between = residual - expected, np.zeros(residual.shape)
+    residual = residual - expected
+    between = np.zeros(residual.shape)
     effects = {axis: np.zeros_like(median(residual, axis)) for axis in (-1, -2)}
     # Panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two.
     for _ in range(6):
         for axis in effects:
             step = np.nan_to_num(median(residual, axis))
-            effects[axis], residual = effects[axis] + step, residual - step
+            effects[axis] = effects[axis] + step
+            residual = residual - step
     # Lines without a known reading have the mean effect of the others, with the variance of these.
     for axis, effect in effects.items():
         known_lines = known.any(axis=axis, keepdims=True)
@@ -417,7 +419,8 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
     """Return values clipped to the converter's rails, and the sides of those that are bounds."""
     side = np.zeros(recorded.shape)
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
-    side[recorded < least], side[recorded > largest] = AT_MOST, AT_LEAST
+    side[recorded < least] = AT_MOST
+    side[recorded > largest] = AT_LEAST
     side[np.isposinf(recorded)] = AT_LEAST
     return np.clip(recorded, least, largest), side
 

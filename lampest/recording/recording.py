@@ -27,7 +27,9 @@ from lampest.recording.foreign.labelled import (
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
-UNLOADED, MEASURED = ROLES = 0, 1
+UNLOADED = 0
+MEASURED = 1
+ROLES = (UNLOADED, MEASURED)
 UNREFERENCED = (
     "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
 )

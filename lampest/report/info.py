@@ -147,11 +147,11 @@ def _audit(recording: Recording) -> Iterator[Sentence]:
         )
         yield "noise", audit.prepared.frame_noise.summary
         yield "model", f"{audit.verdict.mark}: {audit.verdict.sentence}"
-        told = audit.verdict.sentence
+        sentence = audit.verdict.sentence
         if (reason := _processing(recording)) and recording.scene.baseline is None:
             yield "warning", f"these are no readings as the converter gives them: {reason}"
         yield from (
-            ("warning", warning) for warning in audit.prepared.warnings if warning not in told
+            ("warning", warning) for warning in audit.prepared.warnings if warning not in sentence
         )
         yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
         yield from (("advice", finding.text) for finding in audit.advice)

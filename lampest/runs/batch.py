@@ -426,14 +426,14 @@ def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | No
 
     At intervals it writes their estimates.
     """
-    told = written = time.monotonic()
+    counted = written = time.monotonic()
     pause = EVERY_SECONDS
 
     def on_frame(done: int, frames: int, so_far: Callable[[], Estimates] | None) -> None:
-        nonlocal told, written, pause
+        nonlocal counted, written, pause
         now = time.monotonic()
-        if now - told >= EVERY_SECONDS:
-            told = now
+        if now - counted >= EVERY_SECONDS:
+            counted = now
             with os.fdopen(opened_for_locking(task.count, make=True), "rb+") as file:
                 file.truncate(done)
         if so_far is not None and done < frames and now - written >= pause:

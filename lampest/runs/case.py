@@ -17,7 +17,8 @@ from lampest.files.typed import installed
 from lampest.panel.panel import Array
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
-from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Content, Series
+from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Series
+from lampest.runs.content import Content
 
 if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
@@ -81,7 +82,7 @@ class CaseResult(Content):
     swept_json : str
         Values of a sweep by key.
     costs, weights, weight_sigma, contacts, misfit : mapping
-        Name → values (frames), see `lampest.runs.columns.FIGURES`; names with `_errors` are
+        Name → values (frames), see `FIGURES`; names with `_errors` are
         standard deviations.
     baseline_status, baseline_solve_time : str, float
         Outcome of the baseline's solve, and its time in s (NaN: not solved separately).

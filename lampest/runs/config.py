@@ -27,7 +27,7 @@ from lampest.files.document import (
 from lampest.files.errors import InputError, meant
 from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
-from lampest.loads.pressure import Tare
+from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened

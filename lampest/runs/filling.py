@@ -19,8 +19,9 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.runs.case import FIGURES, CaseResult, all_columns
-from lampest.runs.columns import Column, Content
+from lampest.runs.columns import Column
 from lampest.runs.config import Case, hash_of
+from lampest.runs.content import Content
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 # Stored name → attribute of `FrameNoise`: two numbers, and two patterns in volt.

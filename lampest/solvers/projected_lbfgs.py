@@ -131,9 +131,11 @@ class InverseHessians:
             positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
             if factor is not None and positive:
                 inverse[np.ix_(free, free)] = factor.inverse()
-            self.inverse[panel], self.free[panel] = inverse, points.free[number]
+            self.inverse[panel] = inverse
+            self.free[panel] = points.free[number]
             self.positive[panel] = positive or not len(free)
-        self.position[panels], self.worn[panels] = points.position, False
+        self.position[panels] = points.position
+        self.worn[panels] = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,9 @@ from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
 from lampest.recording.board import stream
+from lampest.recording.board.journal import repair
 from lampest.recording.board.protocol import Hello, message
-from lampest.recording.board.record import record, repair
+from lampest.recording.board.record import record
 from lampest.report.live.publish import publish_at
 from tests.bodies import hello_body
 

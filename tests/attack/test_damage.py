@@ -24,7 +24,7 @@ from lampest import (
 from lampest.files import hdf5
 from lampest.files.checksums import BLOCKS, DATASETS, nodes_below
 from lampest.files.document import plain_content
-from lampest.recording.board.record import repair
+from lampest.recording.board.journal import repair
 
 pytestmark = pytest.mark.slow
 HARMS = ("bits", "bits", "end", "gap", "twice", "zeros")

@@ -13,8 +13,9 @@ import pytest
 from board.bench import bench, scene, some_cells
 
 from lampest import InputError, Recording
+from lampest.recording.board.journal import repair
 from lampest.recording.board.protocol import Frame, Receiver
-from lampest.recording.board.record import Progress, record, repair
+from lampest.recording.board.record import Progress, record
 from tests.bodies import frame_body
 
 

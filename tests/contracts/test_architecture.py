@@ -38,7 +38,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "casadi": (
         "files.process",
         "panel.compiled",
-        "panel.network",
+        "panel.tied_network",
         "cost",
         "formulation",
         "estimate.own_program",
@@ -52,7 +52,7 @@ DOORS: dict[str, tuple[str, ...]] = {
         "cost.problem",
         "recording.readings",
         "estimate.calibration",
-        "estimate.model_check",
+        "estimate.explanation",
         "estimate.own_program",
         "formulation",
         "solvers",

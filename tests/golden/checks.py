@@ -16,8 +16,10 @@ from golden.estimates import simulated
 
 import lampest as lp
 from lampest.estimate import changed_cells, noise, outliers
+from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.deciding import baseline_readings, deciding_frames
-from lampest.estimate.model_check import Explanation, module_factors, noise_factor
+from lampest.estimate.explanation import Explanation
+from lampest.estimate.model_check import module_factors
 from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared

@@ -11,19 +11,13 @@ import numpy as np
 import lampest as lp
 from lampest.files.typed import members_of
 from lampest.loads.film import ERRORS, FilmKnown, FilmMemory
-from lampest.loads.pressure import (
-    TareWatch,
-    pressure_of,
-    response_sd,
-    scatter_sd,
-    total_force,
-    water_pressure,
-)
+from lampest.loads.pressure import pressure_of, response_sd, scatter_sd, total_force, water_pressure
 from lampest.loads.recognition import candidates
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
 from lampest.loads.shapes.kinds import RoundShape
 from lampest.loads.shapes.shape import Candidate
+from lampest.loads.tare import TareWatch
 from lampest.panel import effects, systematic
 from lampest.panel.network import NormalByLines
 from lampest.panel.panel import EachModule, Modules

@@ -36,7 +36,8 @@ from lampest.studies.certified import (
 )
 from lampest.studies.common import StudyMethod
 from lampest.studies.study import Cases, Study, read_settings
-from lampest.studies.weights import Curves, WeightSubject, l_curve, morozov, solve_at, tune, why_not
+from lampest.studies.weight_curves import Curves, WeightSubject, l_curve, morozov, solve_at, tune
+from lampest.studies.weights import why_not
 
 
 def timed(made: type[Any], **known: Any) -> list[Any]:

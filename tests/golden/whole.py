@@ -53,7 +53,8 @@ from lampest.solvers.certificate import certificate
 from lampest.solvers.convex import convex_cells
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.smoothing import Smoothing
-from lampest.studies.weights import weights_figure, why_not
+from lampest.studies.weights import why_not
+from lampest.studies.weights_figure import weights_figure
 
 # Large panels and long recordings
 

@@ -22,14 +22,14 @@ from lampest import (
 )
 from lampest.estimate.calibration.channels import calibrate_channels
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
-from lampest.estimate.calibration.loads import (
+from lampest.estimate.calibration.loads import calibrate_loads
+from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
+from lampest.estimate.calibration.response_fit import (
     Loaded,
-    calibrate_loads,
     deviations_from_others,
     fit_loads,
     response_of,
 )
-from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.loads.pressure import pressure_of

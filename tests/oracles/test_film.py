@@ -12,8 +12,9 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.loads.film import Creep, FilmKnown, FilmMemory, Plays
-from lampest.loads.pressure import Pressure, Tare, pressure_of
+from lampest.loads.pressure import Pressure, pressure_of
 from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
+from lampest.loads.tare import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene

@@ -14,7 +14,7 @@ import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.audit.effects import unnamed_effects
-from lampest.estimate.model_check import noise_factor
+from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.outliers import detect_outliers, frozen_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct

@@ -40,7 +40,7 @@ from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weights import WeightSubject, bound_evidence, solve_at
+from lampest.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from tests.estimates import recording_of, rms
 from tests.least_cost import LeastCost, Penalty
 

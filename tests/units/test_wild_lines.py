@@ -21,16 +21,11 @@ from lampest.files import process
 from lampest.panel.panel import EachModule, Modules
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.board import several, stream
+from lampest.recording.board.journal import noise_from_repeats
 from lampest.recording.board.port import NoBoardError
 from lampest.recording.board.protocol import Estimate, Frame, Garbage, Hello, message
-from lampest.recording.board.record import (
-    Progress,
-    Recorded,
-    Recorder,
-    _wanted,
-    noise_from_repeats,
-    record,
-)
+from lampest.recording.board.record import Progress, Recorded, _wanted, record
+from lampest.recording.board.recorder import Recorder
 from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.recording.board.stream import (
     CLOCK_JUMPED,

@@ -34,7 +34,7 @@ from lampest.panel.readouts.lines import SeriesPerLine, of_side
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import USUAL, systematic_of
-from lampest.posterior.covariance import positive_inverse
+from lampest.posterior.matrices import positive_inverse
 from lampest.recording.recording import Recording
 
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
@@ -69,7 +69,7 @@ class ChannelCalibration(Calibration):
 
 
 def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
-    """Estimate the electronics' errors that explain the cells that nobody touches.
+    """Estimate the electronics' errors from the apparent motion of untouched cells.
 
     The cells are those in recordings of one circuit. The scene is corrected by them, and its
     systematic errors are their posterior uncertainty.

@@ -250,11 +250,9 @@ class Method(Configuration):
                     bars = bars.reaching_farther(*self._beyond(state, readings, step, model))
                 track = advanced
                 step = replace(step, bars=bars, bars_seconds=perf_counter() - begin)
-        prepared, step, estimate = (
-            self.prepared_by(step.solution, state.prepared),
-            step.bare(),
-            step.estimate(-1),
-        )
+        prepared = self.prepared_by(step.solution, state.prepared)
+        estimate = step.estimate(-1)
+        step = step.bare()
         baseline = step if len(step.solution.cell_resistance) == 2 else state.baseline
         state = replace(state, baseline=baseline, prepared=prepared, track=track)
         if estimate is not None:

@@ -40,8 +40,8 @@ from lampest.files.process import delayed_interrupt
 from lampest.files.typed import check_positive_fields
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.covariance import positive_inverse
 from lampest.posterior.linear import IGNORANCE
+from lampest.posterior.matrices import positive_inverse
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.solution import (
@@ -418,7 +418,8 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     inverses = [positive_inverse(rows.T @ rows + np.diag(prior)) for rows in joint.sensitivities]
     variance = np.minimum([np.diag(inverse)[cells] for inverse in inverses], ASSUMED.jump**2)
     noise = float(np.sqrt(np.median(variance)))
-    walk, least = replace(walk, deviation=NOISE_REACH * noise), walk.deviation * noise
+    least = walk.deviation * noise
+    walk = replace(walk, deviation=NOISE_REACH * noise)
     joint = replace(joint, stiffness=walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
     # Rounds: Newton step, E x² under P, smaller q, new λ.
     rounds = 0

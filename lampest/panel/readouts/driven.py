@@ -28,11 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
+from lampest.files.typed import check_ranges
 from lampest.panel.addressed import AddressedNetwork
-from lampest.panel.kirchhoff import laplacian
-from lampest.panel.network import HeldNetwork, Network, excitations
+from lampest.panel.difference_network import HeldNetwork
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
+from lampest.panel.readouts.alternation import Alternation
 from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
+from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.equation import Equation, LineStates, equation_of
 from lampest.panel.readouts.floating import convex_start, uniform_factor
@@ -62,12 +65,6 @@ from lampest.panel.readouts.readout import (
 from lampest.panel.readouts.wiring import Wiring
 
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
-# Alternating start: rounds, change of log g at convergence, and range of conductances about those
-# of the closed form, beyond which a reading no longer depends on its cell (tests/oracles).
-MAX_ROUNDS = 40
-CONVERGED = 1e-3
-MIN_RATIO = 0.02
-MAX_RATIO = 1e3
 
 
 class DrivenCircuit(Readout):
@@ -351,10 +348,10 @@ class DrivenCircuit(Readout):
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce the readings, (rows, columns) ohm.
 
-        They are found by alternation of potentials and cells, or, where it moves away or several
-        panels give the same readings, by Newton's method from uniform panels. Without loads the
-        equations of floating lines determine ratios of cells alone, and the start is the uniform
-        one.
+        They are found by alternation of potentials and cells (`Alternation`), or, where it moves
+        away or several panels give the same readings, by Newton's method from uniform panels.
+        Without loads the equations of floating lines determine ratios of cells alone, and the start
+        is the uniform one.
         """
         equation = self._equation(measured.shape)
         if equation.floating:
@@ -362,7 +359,15 @@ class DrivenCircuit(Readout):
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
         firsts = [near] if near is not None else uniform_panels(self.exact_reading, positive)
         if len(firsts) == 1 and np.isfinite(equation.states.load).all():
-            cells = np.minimum(self._alternated(measured, near), upper)
+            alternation = Alternation(
+                equation,
+                self._ties(measured, None),
+                self.driven,
+                self.driving_volt,
+                self._driven_volt,
+            )
+            alternated = alternation.cells(measured, self.uniform_start(measured), near)
+            cells = np.minimum(alternated, upper)
             if misfit(self.network(cells, self.ties(measured)), positive) < MAX_MISFIT:
                 return np.asarray(cells)
             firsts.append(cells)
@@ -386,91 +391,6 @@ class DrivenCircuit(Readout):
         return panels_alike(
             lambda cells: self.network(cells, self.ties(measured)), measured, firsts, upper
         )
-
-    def _alternated(self, measured: Array, near: Array | None) -> Array:
-        """Return cells (rows, columns) ohm by alternating potentials and cells.
-
-        The cells determine the potentials u_p of all driven lines p while i is driven and j is
-        read. Given these potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of
-        one sensed line. The alternation converges in about six rounds, and in up to 40 for large
-        Rd. Where idle lines have potentials of their own, it moves away from the cells, and ends as
-        soon as a round changes more than the one before. Conductances stay within MIN_RATIO and
-        MAX_RATIO of those of the uniform start.
-        """
-        equation = self._equation(measured.shape)
-        load = equation.states.load
-        volt = self._turned(measured / equation.gain)
-        ideal = self._turned(1 / self.uniform_start(measured))
-        ties = self._ties(measured, None)
-        least = MIN_RATIO * ideal
-        most = MAX_RATIO * ideal
-        conductance = ideal if near is None else np.clip(self._turned(1 / near), least, most)
-        change = np.inf
-        for _ in range(MAX_ROUNDS):
-            potentials = self._driven_potentials(conductance, volt, equation, ties)
-            before = conductance
-            # One linear system for each sensed line j: rows i (driven while j is read), unknowns
-            # g_pj.
-            solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[
-                :, :, 0
-            ].T
-            conductance = np.clip(solved, least, most)
-            change_before = change
-            change = float(np.abs(np.log(conductance / before)).max())
-            if change < CONVERGED or change > change_before:
-                break
-        return self._turned(1 / conductance)
-
-    def _turned(self, values: Array) -> Array:
-        """Return values (rows, columns) as (driven, sensed), or the reverse."""
-        return values if self.driven == "rows" else values.T
-
-    def _driven_potentials(
-        self, conductance: Array, volt: Array, equation: Equation, ties: Array
-    ) -> Array:
-        """Return the potentials of driven lines p while j is read and i is driven.
-
-        Shape (sensed j, driven i, driven p), volt.
-
-        Parameters
-        ----------
-        conductance, volt : array, shape (driven, sensed)
-            Siemens, and voltages of the sensed lines.
-        equation : Equation
-        ties : array, shape (addresses, lines)
-            Siemens, of the panel's lines.
-        """
-        states = equation.states
-        count = len(conductance)
-        if equation.together is None and np.isinf(states.idle).all():
-            # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through
-            # the driven one
-            potentials = (volt @ conductance.T) / conductance.sum(axis=1)
-            # The driven line is above every sensed one: a lower limit against noise.
-            driven = self._driven_volt((volt / states.load).sum(axis=1), states.drive)
-            np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
-            return np.asarray(potentials[None])
-        (drive, by_drive), (load, by_load) = (
-            tuple(map(self._turned, terms)) for terms in (equation.drive_terms, equation.load_terms)
-        )
-        result = np.empty((volt.shape[1], count, count))
-        for of_address, read in zip(ties, equation.read_at, strict=True):
-            in_order = np.concatenate(of_side(self.driven, *np.split(of_address, [read.shape[0]])))
-            entries, excited = excitations(laplacian(conductance), in_order)
-            own = np.diag(entries)[:count, None]
-            other = np.diag(entries)[count:]
-            mutual = entries[:count, count:]
-            over = other * by_load + load
-            determinant = (own * by_drive + drive) * over - mutual**2 * by_drive * by_load
-            # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines
-            # that follow from them
-            of_driven = self.driving_volt * over / determinant
-            of_load = -self.driving_volt * by_load * mutual / determinant
-            lines = of_driven.T[:, :, None] * excited[None, :count, :count]
-            lines = lines + of_load.T[:, :, None] * excited[count:, None, :count]
-            chosen = self._turned(read)[0] > 0
-            result[chosen] = lines[chosen]
-        return result
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.
@@ -603,3 +523,30 @@ class DrivenCircuit(Readout):
         )
         diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
         return drive, *resistors, *diode
+
+
+class SourcedCircuit(DrivenCircuit):
+    """Base of circuits whose source and converter may have voltages of their own.
+
+    Attributes
+    ----------
+    drive_volt : float, or None
+        Source of a driven line in volt; None: supply_volt.
+    converter_volt : float, or None
+        End of the converter's range in volt; None: supply_volt.
+    """
+
+    drive_volt: float | None = None
+    converter_volt: float | None = None
+
+    def __post_init__(self) -> None:
+        check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
+        super().__post_init__()
+
+    @property
+    def driving_volt(self) -> float:
+        return self.supply_volt if self.drive_volt is None else self.drive_volt
+
+    @property
+    def full_scale_volt(self) -> float:
+        return self.supply_volt if self.converter_volt is None else self.converter_volt

@@ -6,10 +6,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from lampest.files.typed import check_ranges
-from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.driven import SourcedCircuit
 from lampest.panel.readouts.equation import LineStates
 from lampest.panel.readouts.lines import (
     Groups,
@@ -24,7 +22,7 @@ from lampest.panel.readouts.lines import (
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrivenReadout(DrivenCircuit):
+class DrivenReadout(SourcedCircuit):
     """Circuit with driven and sensed lines, named by the resistances of its lines.
 
     They are the resistances while the lines are used and while idle. Loaded columns, grounded lines
@@ -89,7 +87,6 @@ class DrivenReadout(DrivenCircuit):
     input_ohm: float | None = None
 
     def __post_init__(self) -> None:
-        check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
         super().__post_init__()
         if self.polarity == "down" and (
             self.drive_volt is not None or self.converter_volt is not None
@@ -118,14 +115,6 @@ class DrivenReadout(DrivenCircuit):
                 "depend on ratios of "
                 "cells alone"
             )
-
-    @property
-    def driving_volt(self) -> float:
-        return self.supply_volt if self.drive_volt is None else self.drive_volt
-
-    @property
-    def full_scale_volt(self) -> float:
-        return self.supply_volt if self.converter_volt is None else self.converter_volt
 
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"

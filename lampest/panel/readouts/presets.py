@@ -9,10 +9,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from lampest.files.typed import check_ranges
-from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.diode import Diode
-from lampest.panel.readouts.driven import DrivenCircuit
+from lampest.panel.readouts.driven import DrivenCircuit, SourcedCircuit
 from lampest.panel.readouts.equation import LineStates
 from lampest.panel.readouts.lines import (
     MIN_OHM,
@@ -185,7 +183,7 @@ class GroundedReadout(DrivenCircuit):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VirtualGroundReadout(DrivenCircuit):
+class VirtualGroundReadout(SourcedCircuit):
     """Virtual-ground readout: driven line i is at the voltage U.
 
     All other lines are held at ground. V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j). Idle driven lines
@@ -229,18 +227,6 @@ class VirtualGroundReadout(DrivenCircuit):
     feedback_ohm: PerLine = 1000.0
     drive_volt: float | None = None
     converter_volt: float | None = None
-
-    def __post_init__(self) -> None:
-        check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
-        super().__post_init__()
-
-    @property
-    def driving_volt(self) -> float:
-        return self.supply_volt if self.drive_volt is None else self.drive_volt
-
-    @property
-    def full_scale_volt(self) -> float:
-        return self.supply_volt if self.converter_volt is None else self.converter_volt
 
     def description(self) -> str:
         return (

@@ -11,11 +11,13 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, TiedNetwork, inverse_of
+from lampest.panel.impedance import inverse_of
+from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
+from lampest.panel.tied_network import TiedNetwork
 
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
 # Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
@@ -72,8 +74,8 @@ class Address:
     ----------
     ties : array, shape (lines,)
         Ties of the lines to ground, siemens: of idle lines, and of the loads that are a part of Z.
-        Infinite where a line is held at ground; see `lampest.panel.network.DifferenceNetwork` for
-        its entries.
+        Infinite where a line is held at ground; see
+        `lampest.panel.difference_network.DifferenceNetwork` for its entries.
     read : boolean array, shape (rows, columns)
         Which readings are taken.
     """

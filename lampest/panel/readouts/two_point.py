@@ -10,7 +10,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Network, NormalByLines, SecondOrder, inverse_of
+from lampest.panel.impedance import inverse_of
+from lampest.panel.network import Network, NormalByLines, SecondOrder
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.floating import (

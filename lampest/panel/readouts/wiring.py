@@ -16,9 +16,11 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.addressed import AddressedNetwork
-from lampest.panel.network import DifferenceNetwork, Network, ReadCircuit, excitations
+from lampest.panel.difference_network import DifferenceNetwork, excitations
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.tied_network import ReadCircuit
 
 
 @dataclass(frozen=True)
@@ -383,5 +385,6 @@ def incidence(rows: int, columns: int) -> Array:
     """Return Bᵀ, (rows, columns, lines): +1 at a cell's row, −1 at its column."""
     matrix = np.zeros((rows, columns, rows + columns))
     row, column = np.indices((rows, columns))
-    matrix[row, column, row], matrix[row, column, rows + column] = 1.0, -1.0
+    matrix[row, column, row] = 1.0
+    matrix[row, column, rows + column] = -1.0
     return matrix

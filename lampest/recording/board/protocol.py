@@ -307,7 +307,9 @@ def _read_piece(piece: bytes) -> Message:
 def _read_hello(body: bytes) -> Hello:
     fields: Any = list(_HELLO.unpack(body[: _HELLO.size]))[2:]
     wiring, drive = _HELLO_WIRING.unpack(body[_HELLO.size :] or bytes(_HELLO_WIRING.size))
-    fields[6], fields[13], fields[14] = divmod(fields[6], 256), ACROSS[fields[13]], bool(fields[14])
+    fields[6] = divmod(fields[6], 256)
+    fields[13] = ACROSS[fields[13]]
+    fields[14] = bool(fields[14])
     fields += [WIRINGS[wiring], drive]
     return Hello(*fields)
 

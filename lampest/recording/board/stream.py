@@ -265,7 +265,8 @@ class Scanning:
         self.last = sample
         self.stray = None
         self.stopped = stopped
-        self.before, self.earlier = sample, self.before
+        self.earlier = self.before
+        self.before = sample
         return sample
 
     def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:

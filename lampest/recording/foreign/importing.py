@@ -179,7 +179,8 @@ def _recording(  # noqa: PLR0913 # the options of an import
     reason = f"unit {unit}, as specified"
     if kind is None:
         kind, reason = understood_unit(values, named_units(frames, path), scene, path)
-    scene, given = scene or Scene(panel), scene is not None
+    given = scene is not None
+    scene = scene or Scene(panel)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     if resting is not None or scene.baseline == "subtracted":
         values, scene = _restored(values, scene, role, resting, path)

@@ -176,7 +176,8 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         roles = [role_of(name) for name in table.names]
         short = [name.strip().lower() for name in table.names]
         if {"r", "c"} <= set(short):  # beside a c, an r is no resistance
-            roles[short.index("r")], roles[short.index("c")] = "row", "column"
+            roles[short.index("r")] = "row"
+            roles[short.index("c")] = "column"
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
         return (
             order
@@ -344,7 +345,8 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
     begins = np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
         if number in numbers_of_frame or (ended[line] and line):
-            begins[line], numbers_of_frame = True, set()
+            begins[line] = True
+            numbers_of_frame = set()
         numbers_of_frame.add(number)
     return begins
 
@@ -453,7 +455,7 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
         cut = len(lines) % rows
         if number == 0 and len(groups) > 1 and len(lines) < rows:
             notes.append(f"the first block ({place}) is cut and left out")
-        elif cut and number < len(groups) - 1:  # nobody knows which row was lost
+        elif cut and number < len(groups) - 1:  # the lost row is unknown
             notes.append(f"the block at {place} has {len(lines)} of {rows} lines and is missing")
             begins.append(lines[0])
         else:

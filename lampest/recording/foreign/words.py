@@ -510,9 +510,11 @@ def _longest_growing(values: Array) -> NDArray[np.bool_]:
         length = bisect_left(ends, value) if np.isfinite(value) else -1
         before.append(numbers[length - 1] if length > 0 else -1)
         if length >= 0:
-            ends[length : length + 1], numbers[length : length + 1] = [value], [number]
+            ends[length : length + 1] = [value]
+            numbers[length : length + 1] = [number]
     chosen = np.zeros(len(values), dtype=bool)
     number = numbers[-1] if numbers else -1
     while number >= 0:
-        chosen[number], number = True, before[number]
+        chosen[number] = True
+        number = before[number]
     return chosen

@@ -380,7 +380,8 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
         raise ValueError(
             f"a cell's resistance leaves the range of {SHORT_OHM:g} to {OPEN_OHM:g} ohm"
         )
-    cells[:, scene.open_cells], cells[:, scene.shorted_cells] = OPEN_OHM, SHORT_OHM
+    cells[:, scene.open_cells] = OPEN_OHM
+    cells[:, scene.shorted_cells] = SHORT_OHM
     return cells
 
 

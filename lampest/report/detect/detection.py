@@ -18,11 +18,11 @@ from lampest.estimate.warnings import touched, warnings_of
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
-from lampest.loads.pressure import sigma_of_frames
 from lampest.loads.recognition.breath import too_slow
 from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
+from lampest.loads.tare import sigma_of_frames
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors

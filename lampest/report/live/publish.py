@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http import HTTPStatus
 from threading import Thread
 from typing import Any, ClassVar, Self
@@ -358,50 +358,19 @@ class WebsocketPublish(Publish):
             raise InputError(
                 f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0"
             )
-        newest = Newest("")
         access = Access.of(self.token, self.port, local=host.is_loopback)
-        # Send time of the oldest message that each has not taken; else infinite.
-        listeners = dict[Any, float]()
-
-        def cut_off(before: float) -> None:
-            for connection in [
-                listener for listener, sent in tuple(listeners.items()) if sent <= before
-            ]:
-                with suppress(OSError):
-                    connection.socket.shutdown(socket.SHUT_RDWR)
-
-        def admitted(connection: Any, request: Any) -> Any:
-            if access.token and not access.shown_by(
-                request.path, request.headers.get("Authorization", "")
-            ):
-                return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
-            cut_off(time.monotonic() - TURN_SECONDS)
-            full = len(listeners) >= MAX_STREAMS
-            return (
-                connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n")
-                if full
-                else None
-            )
-
-        def listening(connection: Any) -> None:
-            seen, listeners[connection] = 0, math.inf
-            with suppress(ConnectionClosed, OSError):
-                while (news := newest.after(seen)) is not None:
-                    (seen, text), listeners[connection] = news, time.monotonic()
-                    connection.send(text)
-                    listeners[connection] = math.inf
-            del listeners[connection]
-
+        listeners = _Listeners(Newest(""), access, (ConnectionClosed, OSError))
         settings: dict[str, Any] = {
             "max_size": 1024,
             "compression": None,
-            "process_request": admitted,
+            "process_request": listeners.refusal,
+            "open_timeout": FAREWELL_SECONDS,
+            "close_timeout": FAREWELL_SECONDS,
+            "origins": [None, LOCAL_PAGES] if host.is_loopback else None,
+            "family": socket.AF_INET6 if host.version == 6 else socket.AF_INET,
         }
-        settings |= dict.fromkeys(("open_timeout", "close_timeout"), FAREWELL_SECONDS)
-        settings |= {"origins": [None, LOCAL_PAGES] if host.is_loopback else None}
-        settings |= {"family": socket.AF_INET6 if host.version == 6 else socket.AF_INET}
         try:
-            server = serve(listening, str(host), self.port, **settings)
+            server = serve(listeners.send_to, str(host), self.port, **settings)
         except OSError as error:
             sentence = error.strerror or error
             raise InputError(
@@ -411,13 +380,69 @@ class WebsocketPublish(Publish):
         thread.start()
         where = f"{f'[{host}]' if host.version == 6 else host}:{server.socket.getsockname()[1]}"
         try:
-            yield f"ws://{where}/{access.query}", lambda message: newest.put(message.text())
+            yield (
+                f"ws://{where}/{access.query}",
+                lambda message: listeners.newest.put(message.text()),
+            )
         finally:
-            newest.close()
-            waited(lambda: not listeners, FAREWELL_SECONDS)
-            cut_off(time.monotonic())
+            listeners.newest.close()
+            waited(lambda: not listeners.sent, FAREWELL_SECONDS)
+            listeners.cut_off(time.monotonic())
             server.shutdown()
             thread.join()
+
+
+@dataclass(frozen=True, eq=False)
+class _Listeners:
+    """Connections of a websocket server, each of which takes the newest message.
+
+    Attributes
+    ----------
+    newest : Newest
+        The newest message as text.
+    access : Access
+    ends : tuple of type
+        Exceptions that end a connection.
+    sent : dict
+        Connection → send time of the oldest message that it has not taken; infinite without one.
+    """
+
+    newest: Newest[str]
+    access: Access
+    ends: tuple[type[Exception], ...]
+    sent: dict[Any, float] = field(default_factory=dict)
+
+    def refusal(self, connection: Any, request: Any) -> Any:
+        """Return the response that refuses a connection; None where it is admitted."""
+        shown = request.headers.get("Authorization", "")
+        if self.access.token and not self.access.shown_by(request.path, shown):
+            return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
+        self.cut_off(time.monotonic() - TURN_SECONDS)
+        full = len(self.sent) >= MAX_STREAMS
+        return (
+            connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n")
+            if full
+            else None
+        )
+
+    def send_to(self, connection: Any) -> None:
+        """Send each newest message to a connection, until it or the server ends."""
+        seen = 0
+        self.sent[connection] = math.inf
+        with suppress(*self.ends):
+            while (news := self.newest.after(seen)) is not None:
+                seen, text = news
+                self.sent[connection] = time.monotonic()
+                connection.send(text)
+                self.sent[connection] = math.inf
+        del self.sent[connection]
+
+    def cut_off(self, before: float) -> None:
+        """Close the connections that have not taken a message sent until a time."""
+        late = [connection for connection, sent in tuple(self.sent.items()) if sent <= before]
+        for connection in late:
+            with suppress(OSError):
+                connection.socket.shutdown(socket.SHUT_RDWR)
 
 
 WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, WebsocketPublish)

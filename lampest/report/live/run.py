@@ -23,10 +23,11 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, meant
-from lampest.loads.pressure import Tare
+from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
-from lampest.recording.board.record import Progress, Recorded, Recorder, record
+from lampest.recording.board.record import Progress, Recorded, record
+from lampest.recording.board.recorder import Recorder
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import UNLOADED, Recording

@@ -255,29 +255,12 @@ def solved_scan(
     skipped : int
         Frames skipped before this one.
     """
-    state, stream, time = replace(state, look=None), state.stream, scan.time
+    state = replace(state, look=None)
+    stream = state.stream
+    time = scan.time
     scene = stream.scene
     before = state.previous
-    unknown = np.full(scene.panel.shape, np.nan)
-    flags = np.zeros(scene.panel.shape, dtype=bool)
-    board = (
-        None
-        if scan.board_log_change is None
-        else 100 * np.expm1(scan.board_log_change.astype(float))
-    )
-    picture = Picture(
-        number,
-        time,
-        scan.arrived,
-        unknown,
-        unknown,
-        flags,
-        UNKNOWN,
-        "",
-        0.0,
-        skipped,
-        board_change=board,
-    )
+    picture = _unsolved_picture(scan, scene, number, skipped)
     try:
         readings = Readings.of(scene, scan.recorded, scan.sigma)
         change = percent_change(
@@ -294,31 +277,72 @@ def solved_scan(
     except InputError as error:
         return state, replace(picture, status=str(error))
     look = state.second_look(number, time, readings, step)
-    solution = step.solution
     state = replace(state, stream=stream, look=look)
     picture = replace(picture, status=step.status, seconds=step.seconds)
     ratio = state.ratio(step)
     if ratio is not None:
-        pressed, force = read_load(state.load, ratio, step.bars, time)
-        verdict = verdict_of(
-            readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool)
-        )
-        if step.bars is None and pressed is not None and "pressing" not in verdict:
-            force = Force(0.0, np.nan)
-        picture = replace(
-            picture,
-            relative_change=100 * (ratio - 1),
-            open_cell=solution.open_cell[-1],
-            force=force,
-            cell_resistance=solution.cell_resistance[-1],
-            pressure=None if pressed is None else pressed.pressure,
-            saturated=None if pressed is None else pressed.saturated,
-            verdict=verdict,
-        )
-    elif solution.solved:
+        picture = _with_load(picture, state, readings, step, ratio)
+    elif step.solution.solved:
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
     return state.after(readings, ratio, time), picture
+
+
+def _unsolved_picture(scan: Scan, scene: Scene, number: int, skipped: int) -> Picture:
+    """Return the picture of a frame before it is solved; the numbers are those of `solved_scan`."""
+    unknown = np.full(scene.panel.shape, np.nan)
+    board = (
+        None
+        if scan.board_log_change is None
+        else 100 * np.expm1(scan.board_log_change.astype(float))
+    )
+    return Picture(
+        number,
+        scan.time,
+        scan.arrived,
+        unknown,
+        unknown,
+        np.zeros(scene.panel.shape, dtype=bool),
+        UNKNOWN,
+        "",
+        0.0,
+        skipped,
+        board_change=board,
+    )
+
+
+def _with_load(
+    picture: Picture, state: PanelState, readings: Readings, step: Step, ratio: Array
+) -> Picture:
+    """Return the picture of a solved frame with its cells, pressures, force and verdict.
+
+    Parameters
+    ----------
+    picture : Picture
+    state : PanelState
+        State with the stream after the frame, and the load before it.
+    readings : Readings
+    step : Step
+    ratio : array, shape (rows, columns)
+        r/r_baseline.
+    """
+    solution = step.solution
+    pressed, force = read_load(state.load, ratio, step.bars, picture.time)
+    verdict = verdict_of(
+        readings, state.stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool)
+    )
+    if step.bars is None and pressed is not None and "pressing" not in verdict:
+        force = Force(0.0, np.nan)
+    return replace(
+        picture,
+        relative_change=100 * (ratio - 1),
+        open_cell=solution.open_cell[-1],
+        force=force,
+        cell_resistance=solution.cell_resistance[-1],
+        pressure=None if pressed is None else pressed.pressure,
+        saturated=None if pressed is None else pressed.saturated,
+        verdict=verdict,
+    )
 
 
 def read_load(

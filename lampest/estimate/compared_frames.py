@@ -1,0 +1,130 @@
+"""Frames that a circuit has to explain: the unloaded panel, and the most strongly loaded frames.
+
+Of the frames with the strongest change, those that are equal within their noise are averaged.
+Outliers and readings whose noise is not Gaussian do not count. `broken_law` tests the circuit's
+inequalities on all frames.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.rivals import Rival, standing_frames
+from lampest.estimate.variance_components import noted_excess
+from lampest.files.levels import SIGNIFICANCE
+from lampest.panel.panel import Array
+from lampest.posterior.interval import largest_of
+from lampest.recording.readings import Readings, strongest_frame
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFrames:
+    """Frames that a circuit has to explain.
+
+    Attributes
+    ----------
+    specified : Rival
+        The scene's circuit, with a saturated stage where the readings show one; outliers are
+        missing.
+    role : array, shape (frames,)
+    resting, standing : integer array
+        Numbers of the unloaded frames, and of measured frames that are equal within their noise.
+    widening : float
+        Factor on every σ.
+    named : integer array, shape (frames,)
+        Numbers of all frames as sentences state them.
+    """
+
+    specified: Rival
+    role: NDArray[np.uint8]
+    resting: NDArray[np.intp]
+    standing: NDArray[np.intp]
+    widening: float
+    named: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> Self:
+        """Return the frames of a recording whose noise is known.
+
+        Without an unloaded frame the first is used.
+        """
+        role = recording.role
+        specified = Rival(
+            recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma
+        )
+        readings = specified.readings()
+        named = np.arange(len(role)) if recording.number is None else recording.number
+        resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
+        standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
+        # The most strongly loaded frame, averaged with those that are equal to it within their
+        # noise.
+        used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
+        noise = noise_factor(used[resting])
+        if len(standing):
+            frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
+            standing = standing_frames(used, frame, standing, noise)
+        return cls(specified, role, resting, standing, noise, named)
+
+    @property
+    def loaded(self) -> str:
+        """The loaded frames in words: 'frame 3', or 'frames 3 to 9'."""
+        first, last = self.named[self.standing[[0, -1]]]
+        return f"frame {first}" if first == last else f"frames {first} to {last}"
+
+    def readings(self, rival: Rival) -> tuple[Readings, ...]:
+        """Return the mean of the unloaded frames, and of the standing ones.
+
+        Raises InputError as `Rival.readings`.
+        """
+        chosen = np.concatenate([self.resting, self.standing])
+        count = len(self.resting)
+        read = rival.readings(chosen)
+        usable = rival.ordered(self._usable[chosen])
+        read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
+        resting = read[:count].mean()
+        return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
+
+    @cached_property
+    def _usable(self) -> Array:
+        """Weights, 1 or 0, of the readings that every circuit has to explain.
+
+        Shape (frames, rows, columns).
+        """
+        return self.specified.nearly_gaussian(max(len(self.resting), len(self.standing)))
+
+
+def noise_factor(resting: Readings) -> float:
+    """Return √(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean.
+
+    See `noted_excess`.
+    """
+    plain = np.all(resting.plain, axis=0)
+    if resting.sigma is None:
+        return 1.0
+    squares = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain] ** 2
+    return noted_excess(float(squares.sum()), (len(resting.value) - 1) * int(plain.sum()))
+
+
+def broken_law(rival: Rival, frames: ComparedFrames) -> str:
+    """Return the circuit's inequality that the readings violate significantly, in words.
+
+    It is '' where there is none.
+    """
+    readings = rival.readings()
+    sigma = replace(
+        readings, seen=readings.seen * frames.specified.nearly_gaussian(1)
+    ).sigma_of_values
+    assert sigma is not None
+    for test in rival.scene.circuit.free_tests(readings.value, frames.widening * sigma):
+        frame = int(np.argmax(test.excess))
+        if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
+            beyond = f"{test.excess[frame]:.3g} times its noise"
+            return (
+                f"readings of frame {frames.named[frame]} break a law of the circuit by "
+                f"{beyond}: {test.law}"
+            )
+    return ""

@@ -1,0 +1,273 @@
+"""Cells that explain frames under a circuit, and the rival circuit that explains them better.
+
+Explanations of a pair of frames are compared by evidence, which decreases with the number of cells
+that must have moved between the unloaded panel and the loaded frame. A rival counts if its evidence
+is larger by MIN_EVIDENCE_GAIN. A resistance in series and the memory of the converter are
+parameters of a circuit: their most probable values are searched for.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from operator import attrgetter
+
+import numpy as np
+import scipy
+
+from lampest.estimate.cells_fit import CellsFit, fitted
+from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
+from lampest.estimate.compared_frames import ComparedFrames, broken_law
+from lampest.estimate.fitted_pair import FittedPair
+from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
+from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of
+from lampest.files.errors import BROKEN, InputError
+from lampest.files.levels import SIGNIFICANCE
+from lampest.panel.readouts.branches import branch
+
+# −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
+# with the right circuit nearly all gain less (docs/theory/model_check.md).
+DOUBTFUL_GAIN = 15.0
+# Of the largest resistance in series that readings allow: all of it would short the panel.
+MAX_SERIES_SHARE = 0.98
+# Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and
+# one reading on 12 x 8 cells leave 1.4, and distinguishable circuits at most 0.2
+# (docs/studies/model_check.py).
+MAX_CELL_SD = 0.5
+SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
+# Fractions of the channel before that a converter may keep.
+MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
+MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
+SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Cells that explain the readings under a circuit.
+
+    Attributes
+    ----------
+    rival : Rival
+        The circuit.
+    fits : tuple of CellsFit
+        Fits of the unloaded panel and, if there is one, of the loaded frame.
+    pair : FittedPair or None
+        The pair of both; None without a loaded frame, or on a panel of more than MAX_CELLS.
+    """
+
+    rival: Rival
+    fits: tuple[CellsFit, ...]
+    pair: FittedPair | None
+
+    @classmethod
+    def of(
+        cls,
+        rival: Rival,
+        frames: ComparedFrames,
+        near: "Explanation | None" = None,
+        *,
+        patient: bool = False,
+    ) -> "Explanation | None":
+        """Return a circuit's explanation of the frames; None where no fit is found.
+
+        Parameters
+        ----------
+        rival : Rival
+        frames : ComparedFrames
+        near : Explanation or None
+            Explanation by a similar circuit, at whose cells the fits begin.
+        patient : bool
+            Whether the fit is searched for from every start and accepted with any misfit. Otherwise
+            the circuit is given up at the first frame that it does not explain.
+        """
+        fits: list[CellsFit] = []
+        with suppress(InputError, *BROKEN):
+            for number, readings in enumerate(frames.readings(rival)):
+                start = None if near is None else near.fits[number].cells
+                fit = fitted(rival.scene, readings, start, patient=patient)
+                # of two panels that read alike the one that continues the unloaded panel is meant
+                if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
+                    fit = fitted(rival.scene, readings, fits[0].cells, patient=patient)
+                if fit is None or (not patient and fit.tail < SIGNIFICANCE):
+                    return None
+                fits.append(fit)
+            pair = FittedPair.of(*fits) if len(fits) == 2 and fits[0].jacobian.size else None
+            explanation = cls(rival, tuple(fits), pair)
+            return explanation if np.isfinite(explanation.score) else None
+        return None
+
+    @cached_property
+    def _costs(self) -> float:
+        """Misfit χ² of each frame, and PARAMETER_COST of each bound.
+
+        Thus no circuit gains by bounds.
+        """
+        return sum(
+            fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in self.fits
+        )
+
+    @cached_property
+    def score(self) -> float:
+        """−2 ln density of the loaded frame, and the costs of parameters."""
+        return 0.0 if self.pair is None else self.pair.density + self._costs
+
+    @cached_property
+    def beyond_noise(self) -> float:
+        """−2 ln evidence of the changes beyond that of noise alone, and the costs of parameters."""
+        return 0.0 if self.pair is None else self.pair.beyond_noise + self._costs
+
+
+def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
+    """Return the rival that explains the readings better than the scene's circuit.
+
+    It explains them where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN. Rivals
+    under which most cells have moved do not count, because the still cells cannot be identified
+    then.
+
+    Parameters
+    ----------
+    frames : ComparedFrames
+    specified : Explanation or None
+        The explanation by the scene's circuit; None where it does not explain the readings.
+    """
+    if specified is not None:
+        pair = specified.pair
+        if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
+            return BetterExplanation()
+        if np.median([np.sqrt(np.diag(fit.covariance)) for fit in specified.fits]) > MAX_CELL_SD:
+            return BetterExplanation()
+    change = changes_beyond_noise(frames.specified.scene, frames.specified.readings(), frames.role)
+    rivals = rivals_of(
+        frames.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0))
+    )
+    explanations = [
+        Explanation.of(rival, frames) or some_in_series(rival, frames) for rival in rivals
+    ]
+    explanations += [some_in_series(frames.specified, frames)] if specified is None else []
+    threshold = np.inf if specified is None else specified.score
+    likely = sorted(
+        (known for known in explanations if known and known.score < threshold),
+        key=attrgetter("score"),
+    )
+    likely = likely[:MAX_CANDIDATES]
+    assumed = [] if specified is None else [specified]
+    tried = [*likely, *(with_series(known, frames) for known in (*likely, *assumed))]
+    tried += [with_converter_memory(known, frames) for known in assumed]
+    quiet = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
+    lawful = (known for known in quiet if not broken_law(known.rival, frames))
+
+    # Among rivals a resistance in series is one more parameter.
+    def cost(known: Explanation) -> float:
+        numbers = (known.rival.in_series is not None) + (
+            known.rival.scene.converter_memory != memory
+        )
+        return known.beyond_noise + PARAMETER_COST * numbers
+
+    memory = frames.specified.scene.converter_memory
+    best = min((known for known in lawful if known.rival.name), key=cost, default=None)
+    if best is None:
+        return BetterExplanation()
+    if specified is None or best.pair is None:
+        return BetterExplanation(best.rival.name)
+    gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
+    if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
+        return BetterExplanation()
+    if gain <= MIN_EVIDENCE_GAIN or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
+        # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
+        # alone, neither is a doubt.
+        doubtful = best.rival.kind and best.rival.scene.converter_memory == memory
+        return BetterExplanation(
+            nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and doubtful else ""
+        )
+    moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
+    return BetterExplanation(best.rival.name, frames.loaded, moved, as_specified)
+
+
+def some_in_series(rival: Rival, frames: ComparedFrames) -> Explanation | None:
+    """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series.
+
+    None without any.
+    """
+    most = most_in_series(rival, frames)
+    points = np.linspace(0.0, most, SERIES_POINTS) if most else ()
+    tried = (replace(rival.with_series(ohm), at_limit=ohm in (0.0, most)) for ohm in points)
+    explanations = (Explanation.of(candidate, frames) for candidate in tried)
+    return min(filter(None, explanations), key=attrgetter("score"), default=None)
+
+
+def with_series(given: Explanation, frames: ComparedFrames) -> Explanation:
+    """Return a circuit's explanation with the most probable or the given resistance in series."""
+    coarse = given if given.rival.in_series is not None else some_in_series(given.rival, frames)
+    best = min(filter(None, (given, coarse)), key=attrgetter("score"))
+    spacing = most_in_series(given.rival, frames) / (SERIES_POINTS - 1)
+    if not spacing:
+        return best
+
+    def score(ohm: float) -> float:
+        nonlocal best
+        explanation = Explanation.of(
+            replace(given.rival.with_series(ohm), at_limit=False), frames, best
+        )
+        if explanation is None:
+            return np.inf
+        best = min(best, explanation, key=attrgetter("score"))
+        return explanation.score
+
+    ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
+    accuracy = SERIES_ACCURACY * spacing
+    scipy.optimize.minimize_scalar(
+        score, bounds=ends, method="bounded", options={"xatol": accuracy}
+    )
+    most = (SERIES_POINTS - 1) * spacing
+    at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
+    return (
+        replace(best, rival=replace(best.rival, at_limit=at_limit))
+        if best.rival.in_series is not None
+        else best
+    )
+
+
+def with_converter_memory(given: Explanation, frames: ComparedFrames) -> Explanation:
+    """Return a circuit's explanation with the most probable or the given converter memory.
+
+    A scene that states a memory keeps it.
+    """
+    if given.rival.scene.converter_memory is not None or given.rival.scene.readout is None:
+        return given
+    best = given
+
+    def score(fraction: float) -> float:
+        nonlocal best
+        explanation = Explanation.of(given.rival.with_memory(float(fraction)), frames, best)
+        if explanation is None:
+            return np.inf
+        best = min(best, explanation, key=attrgetter("score"))
+        return explanation.score
+
+    coarse = min(MEMORIES, key=score)
+    if best is given:
+        return given
+    ends = coarse / 2, 2 * coarse
+    scipy.optimize.minimize_scalar(
+        score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse}
+    )
+    fraction = best.rival.scene.known_memory or 0.0
+    return best if MEMORIES[0] / 2 * 1.1 < fraction < MEMORIES[-1] * 1.9 else given
+
+
+def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
+    """Return the largest resistance in series that the readings allow, ohm.
+
+    It is 0 where none is possible or known.
+    """
+    if not rival.scene.circuit.series_name or len(frames.standing) == 0:
+        return 0.0
+    without = rival.with_series(0.0)
+    try:
+        read = frames.readings(without)
+    except (InputError, *BROKEN):
+        return 0.0
+    known = [(frame.value, sigma) for frame in read if (sigma := frame.sigma_of_values) is not None]
+    most = min(
+        without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known
+    )
+    return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0

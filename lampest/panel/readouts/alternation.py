@@ -1,0 +1,132 @@
+"""Cells of a driven circuit by alternation of potentials and cells, a start for solvers.
+
+The cells determine the potentials u_p of all driven lines p while i is driven and j is read. Given
+these potentials, Σ_p g_pj (u_p − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line. The
+alternation converges in about six rounds, and in up to 40 for large Rd. Where idle lines have
+potentials of their own, it moves away from the cells, and ends as soon as a round changes more than
+the one before. Conductances stay within MIN_RATIO and MAX_RATIO of those of the closed form.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.panel.difference_network import excitations
+from lampest.panel.kirchhoff import laplacian
+from lampest.panel.panel import Array
+from lampest.panel.readouts.equation import Equation
+from lampest.panel.readouts.lines import Side, of_side
+
+# Rounds, change of log g at convergence, and range of conductances about those of the closed form,
+# beyond which a reading no longer depends on its cell (tests/oracles).
+MAX_ROUNDS = 40
+CONVERGED = 1e-3
+MIN_RATIO = 0.02
+MAX_RATIO = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Alternation:
+    """Alternation of the potentials of driven lines and the cells; see the module.
+
+    Attributes
+    ----------
+    equation : Equation
+        Numbers of the circuit on a panel.
+    ties : array, shape (addresses, lines)
+        Ties of the panel's lines to ground, siemens.
+    driven : Side
+        Side that is driven.
+    driving_volt : float
+        Voltage of the source of a driven line.
+    driven_volt : callable
+        Potential of a driven line, volt, by its current and its Rd.
+    """
+
+    equation: Equation
+    ties: Array
+    driven: Side
+    driving_volt: float
+    driven_volt: Callable[[Array, Array | float], Array]
+
+    def cells(self, measured: Array, uniform: Array, near: Array | None) -> Array:
+        """Return the cells, (rows, columns) ohm.
+
+        Parameters
+        ----------
+        measured : array, shape (rows, columns)
+            Readings, volt.
+        uniform : array, same shape
+            Cells of the closed form, ohm.
+        near : array, same shape, or None
+            Cells at which the alternation begins; None: at those of the closed form.
+        """
+        load = self.equation.states.load
+        volt = self._turned(measured / self.equation.gain)
+        ideal = self._turned(1 / uniform)
+        least = MIN_RATIO * ideal
+        most = MAX_RATIO * ideal
+        conductance = ideal if near is None else np.clip(self._turned(1 / near), least, most)
+        change = np.inf
+        for _ in range(MAX_ROUNDS):
+            potentials = self._driven_potentials(conductance, volt)
+            before = conductance
+            # One linear system for each sensed line j: rows i (driven while j is read), unknowns
+            # g_pj.
+            solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[
+                :, :, 0
+            ].T
+            conductance = np.clip(solved, least, most)
+            change_before = change
+            change = float(np.abs(np.log(conductance / before)).max())
+            if change < CONVERGED or change > change_before:
+                break
+        return self._turned(1 / conductance)
+
+    def _turned(self, values: Array) -> Array:
+        """Return values (rows, columns) as (driven, sensed), or the reverse."""
+        return values if self.driven == "rows" else values.T
+
+    def _driven_potentials(self, conductance: Array, volt: Array) -> Array:
+        """Return the potentials of driven lines p while j is read and i is driven.
+
+        Shape (sensed j, driven i, driven p), volt.
+
+        Parameters
+        ----------
+        conductance, volt : array, shape (driven, sensed)
+            Siemens, and voltages of the sensed lines.
+        """
+        equation = self.equation
+        states = equation.states
+        count = len(conductance)
+        if equation.together is None and np.isinf(states.idle).all():
+            # No current through floating lines, u_p Σ_j g_pj = Σ_j g_pj v_ij; Σ_j v_ij/Rs_j through
+            # the driven one
+            potentials = (volt @ conductance.T) / conductance.sum(axis=1)
+            # The driven line is above every sensed one: a lower limit against noise.
+            driven = self.driven_volt((volt / states.load).sum(axis=1), states.drive)
+            np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
+            return np.asarray(potentials[None])
+        (drive, by_drive), (load, by_load) = (
+            tuple(map(self._turned, terms)) for terms in (equation.drive_terms, equation.load_terms)
+        )
+        result = np.empty((volt.shape[1], count, count))
+        for of_address, read in zip(self.ties, equation.read_at, strict=True):
+            in_order = np.concatenate(of_side(self.driven, *np.split(of_address, [read.shape[0]])))
+            entries, excited = excitations(laplacian(conductance), in_order)
+            own = np.diag(entries)[:count, None]
+            other = np.diag(entries)[count:]
+            mutual = entries[:count, count:]
+            over = other * by_load + load
+            determinant = (own * by_drive + drive) * over - mutual**2 * by_drive * by_load
+            # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines
+            # that follow from them
+            of_driven = self.driving_volt * over / determinant
+            of_load = -self.driving_volt * by_load * mutual / determinant
+            lines = of_driven.T[:, :, None] * excited[None, :count, :count]
+            lines = lines + of_load.T[:, :, None] * excited[count:, None, :count]
+            chosen = self._turned(read)[0] > 0
+            result[chosen] = lines[chosen]
+        return result

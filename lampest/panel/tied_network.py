@@ -1,0 +1,105 @@
+"""Networks whose readings are an equation h(p, q, t) of a readout.
+
+CasADi differentiates h: once for each equation and panel size, for readings of the whole panel.
+"""
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+
+from lampest.panel.compiled import Compiled, guarded
+from lampest.panel.network import Entries, Network
+from lampest.panel.panel import Array
+
+
+class ReadCircuit(Hashable, Protocol):
+    """Interface of a readout for a network; see `lampest.panel.readouts.readout.Readout`."""
+
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+        """Return h(Z_jj, Z_kk, Z_jk)."""
+
+
+# First and second derivatives of h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk.
+SLOPES = ("p", "q", "t")
+CURVATURES = ("pp", "pq", "pt", "qq", "qt", "tt")
+
+
+@dataclass(frozen=True, eq=False)
+class TiedNetwork(Network):
+    """Network whose readings are an equation of a readout.
+
+    Attributes
+    ----------
+    readout : ReadCircuit
+        Readout that defines h.
+    """
+
+    readout: ReadCircuit
+
+    def read(self, entries: Entries) -> Array:
+        return np.asarray(np.broadcast_to(self.readout.reading(*entries), self.conductance.shape))
+
+    def _derivatives(self, names: tuple[str, ...]) -> Array:
+        """Return derivatives of h, (names, rows, columns)."""
+        shape = self.conductance.shape
+        entries = (np.broadcast_to(part, shape).ravel() for part in self.entries(self._impedance))
+        return equation_derivatives(self.readout, *shape, names)(*entries).reshape(-1, *shape)
+
+    @cached_property
+    def slopes(self) -> Entries:
+        row, column, mutual = self._derivatives(SLOPES)
+        return row, column, mutual
+
+    @cached_property
+    def curvatures(self) -> dict[str, Array]:
+        values = zip(CURVATURES, self._derivatives(CURVATURES), strict=True)
+        return {name: derivative for name, derivative in values if derivative.any()}
+
+
+@guarded
+@lru_cache(maxsize=64)
+def equation_derivatives(
+    readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]
+) -> Compiled:
+    """Return the function of p, q and t with the named derivatives of h, flat.
+
+    p, q and t are flat, (rows · columns) each.
+    """
+    import casadi
+
+    # Expressions of whole arrays: their number does not grow with the panel.
+    flat = {name: casadi.MX.sym(name, rows * columns) for name in SLOPES}
+    reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
+    every = casadi.DM.ones(rows * columns)
+
+    @cache
+    def derivative(name: str) -> Any:
+        """Return the derivative by the entries that `name` lists, flat.
+
+        Every reading depends on its own entries only: along a change of all entries by one it is
+        elementwise.
+        """
+        shorter: casadi.MX = (
+            derivative(name[:-1]) if name else casadi.vec(casadi.densify(reading).T)
+        )
+        return casadi.jtimes(shorter, flat[name[-1]], every) if name else shorter
+
+    stacked = casadi.cse(casadi.vertcat(*(casadi.densify(derivative(name)) for name in names)))
+    return Compiled(casadi.Function("derivatives", list(flat.values()), [stacked]))
+
+
+@guarded
+@lru_cache(maxsize=64)
+def reads_own(readout: ReadCircuit, rows: int, columns: int) -> tuple[bool, bool]:
+    """Return whether the reading depends on the rows' Z_jj, and whether on the columns' Z_kk.
+
+    Z_jj and Z_kk are impedances.
+    """
+    import casadi
+
+    row, column, mutual = (casadi.MX.sym(name, rows, columns) for name in SLOPES)
+    reading = readout.reading(row, column, mutual)
+    return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))

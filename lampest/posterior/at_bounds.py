@@ -1,0 +1,88 @@
+"""Effect of errors that estimates share on cells at a bound, and the intervals of such cells.
+
+At a bound the error is not Gaussian: the distance of the cell from its bound has a normal
+distribution that is truncated at 0. An error of all readings may move a cell off its bound; the
+cell then counts as free.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+from lampest.posterior.covariance import DenseErrors
+from lampest.posterior.interval import one_sided
+from lampest.posterior.linear import IGNORANCE
+from lampest.posterior.matrices import positive_inverse
+
+
+def active_bounds(
+    errors: DenseErrors, rows: Array, known: Array
+) -> tuple[Array, NDArray[np.intp], Array, Array]:
+    """Return the effect of shared errors z on the free cells, and intervals at a bound.
+
+    The intervals are those of the cells at a bound. The distance t_c of a cell from its bound is
+    distributed as N(−slope·v, v + |a|²) truncated to t_c ≥ 0, with v its variance among the free
+    cells and a the effect of z on it. If |a| > slope·v, the cell is released and moves with the
+    free cells. For an open cell t_c is the conductance, in units of a typical cell's.
+
+    Parameters
+    ----------
+    errors : DenseErrors
+    rows : array, shape (data rows, n)
+        Effect of z on the data.
+    known : array, shape (2, cells, n)
+        Effect of z on log r of the last estimate and of the baseline.
+
+    Returns
+    -------
+    answer : array, shape (free, n)
+        Effect of z on log r of the free cells.
+    cells : array of int, shape (k,)
+        Numbers of the cells at a bound.
+    below, above : array, shape (k,)
+        Extent of their 95 % intervals downwards and upwards, in log r.
+
+    Raises numpy.linalg.LinAlgError if the cost is flat.
+    """
+    model = errors.model
+    free = model.free
+    cells = np.flatnonzero(model.at_lower | model.at_upper)
+    # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at
+    # an upper bound.
+    typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
+    stretch = np.where(
+        model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0
+    )
+    # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is
+    # (Xᵀ X)⁻¹ Xᵀ Y.
+    data = np.sqrt(model.data_curvature)[:, None]
+    penalties = np.sqrt(model.penalty_curvature)[:, None]
+    stacked = (
+        np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
+        * stretch
+    )
+    moved = np.vstack([rows * data, -model.carried(known) * penalties])
+    # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a
+    # of z.
+    at_bounds = stacked[:, cells]
+    inside = stacked[:, free]
+    across = errors.inverse @ (inside.T @ at_bounds)
+    left = np.maximum(
+        np.sum(at_bounds**2, axis=0) - np.sum((inside.T @ at_bounds) * across, axis=0),
+        IGNORANCE * model.scale,
+    )
+    variance = model.scale / left
+    slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
+    answer = ((at_bounds - inside @ across).T @ moved) / left[:, None]
+    # Cells whose bound z overcomes: solve again with the free ones.
+    released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
+    unbounded = np.concatenate([free, cells[released]])
+    matrix = stacked[:, unbounded].T @ stacked[:, unbounded]
+    matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
+    joint = positive_inverse(matrix) @ (stacked[:, unbounded].T @ moved)
+    answer[released] = joint[len(free) :]
+    # 95 % quantile of the truncated normal distribution, converted to log r for open cells.
+    wide = variance + np.sum(answer**2, axis=1)
+    reach = one_sided(slope * variance / wide, wide)[1]
+    below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
+    return joint[: len(free)], cells, below, np.where(model.at_upper[cells], np.inf, reach)
