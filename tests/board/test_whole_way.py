@@ -31,6 +31,7 @@ FRAMES = 12
 SCENE = scene(*SHAPE)
 CELLS = pressed_cells(SCENE, FRAMES, UNLOADED_FRAMES, ohm=3000.0)
 CHANGE = np.log(CELLS / CELLS[0])
+MIN_LOG_CHANGE = -1.5  # of pressed cells
 MAX_ERROR = 0.03  # of log r by the board, with its noise; twice that where cells change in a scan
 MAX_DIFFERENCE_PERCENT = 2  # between the estimates of board and computer
 MAX_MEDIAN_SIGMA, MAX_SIGMA = 0.2, 3.0  # the same in standard deviations of a cell
@@ -161,7 +162,7 @@ def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path
         np.isfinite(recording.board_log_change[2:]).all()
         and np.isnan(recording.board_log_change[:2]).all()
     )
-    assert recording.board_log_change[2:].min() < -1.5
+    assert recording.board_log_change[2:].min() < MIN_LOG_CHANGE
 
 
 def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 CONTRACTS = Path(__file__).parent
 HOUSE = CONTRACTS.parents[1] / "lampest"
+MAX_LINES = 750  # of a module, as the contributing page states
 
 # From the ground up. A room may import from itself and from the floors below its own; rooms of one
 # floor are apart.
@@ -402,4 +403,4 @@ def test_parts_are_as_small_as_the_contributing_page_says() -> None:
     )
     assert lengths[len(lengths) * 4 // 5] <= 20, "four of five"
     assert lengths[len(lengths) * 19 // 20] <= 40, "nineteen of twenty"
-    assert max(len(path.read_text().splitlines()) for path in HOUSE.rglob("*.py")) < 750
+    assert max(len(path.read_text().splitlines()) for path in HOUSE.rglob("*.py")) < MAX_LINES

@@ -42,7 +42,8 @@ def test_an_effect_has_a_sentence_with_its_line_and_its_time(kind: type[Effect])
         assert "since the unloaded frames" in sentence
         assert (
             len(lines) > 1
-            or (f"row {lines[0]}" if lines[0] < 3 else f"column {lines[0] - 3}") in sentence
+            or (f"row {lines[0]}" if lines[0] < SHAPE[0] else f"column {lines[0] - SHAPE[0]}")
+            in sentence
         )
     assert (
         LooseContact((4,), size=-12.345)

@@ -22,6 +22,8 @@ from lampest.files import levels
 from lampest.panel import compiled
 from lampest.panel.panel import Array
 
+ROUNDING = 1e-9  # float64 times the condition of covariances, below 1e6
+
 
 def random_change(cells: int, seed: int) -> tuple[Array, Array]:
     """A change of still cells, and its covariance."""
@@ -38,7 +40,9 @@ def test_an_additional_error_is_scored_by_the_density_of_the_change(seed: int) -
     for score, column in zip(scores, columns.T, strict=True):
         with_it = covariance + np.outer(column, column)
         volume = np.linalg.slogdet(with_it)[1] - np.linalg.slogdet(covariance)[1]
-        assert score == pytest.approx(change @ np.linalg.solve(with_it, change) + volume, rel=1e-9)
+        assert score == pytest.approx(
+            change @ np.linalg.solve(with_it, change) + volume, rel=ROUNDING
+        )
 
 
 def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
@@ -58,7 +62,7 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     precision = np.linalg.inv(covariance)
     lost, moved = select_changed(precision @ change, precision, usual_starts(change))
     assert change @ precision @ change + lost == pytest.approx(
-        evidence(change, covariance, moved), rel=1e-9
+        evidence(change, covariance, moved), rel=ROUNDING
     )
     subsets = (np.array(chosen) for chosen in product((False, True), repeat=8))
     assert evidence(change, covariance, moved) == pytest.approx(
@@ -66,7 +70,7 @@ def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> 
     )
     # Adds cells only, and may end above.
     score = scores_with_errors(change, precision, np.zeros((8, 1)))
-    assert score[0] > evidence(change, covariance, moved) - 1e-9
+    assert score[0] > evidence(change, covariance, moved) - ROUNDING
 
 
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
