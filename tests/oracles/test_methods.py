@@ -35,7 +35,9 @@ REDUCED = OptimalMethod("reduced")
 CONVERGED = 1e-6  # relative, of cells
 ROUNDING = 1e-9
 SMALL = 1e-2  # change of log r
-OF_ONE_STEP = 0.07  # of a change by log 0.7: a step errs by half of its square, 0.064
+OF_ONE_STEP = (
+    0.07  # of a change by log 0.7: a step errs by half of its square, 0.064; measured 0.041
+)
 STOPPED = 0.02  # relative, of cells where the published stopping rules end
 TABLE1 = Path(__file__).parents[2] / "configs" / "table1.yaml"
 
@@ -81,7 +83,7 @@ def test_one_step_from_the_baseline_errs_by_the_square_of_the_change(
             for method in (LinearisedMethod(), REDUCED)
         )
         errors.append(np.max(np.abs(np.log(linearised / optimum))))
-    assert errors[0] < 10 * SMALL
+    assert errors[0] < SMALL
     assert errors[1] < errors[0] / (10**2 / 2), "of second order, a hundredth"
 
 
@@ -95,7 +97,7 @@ def test_one_step_recovers_a_single_cell_without_a_factorisation() -> None:
     single[11, 17] *= 0.7
     estimate = estimate_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
     assert estimate[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=OF_ONE_STEP)
-    assert np.median(np.abs(estimate / single - 1)) < SMALL
+    assert np.median(np.abs(estimate / single - 1)) < CONVERGED
 
 
 @pytest.mark.slow
