@@ -154,7 +154,7 @@ def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **change
     return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, **(known | changes)))
 
 
-def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:
+def random_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:
     """Pressed and stretched cells around 3 kΩ, another set in every frame."""
     return np.exp(rng.normal(np.log(3050), 0.4, (frames, rows, columns)))
 

@@ -32,6 +32,18 @@ OVAL = tuple(
 )
 FINE, BAD_CONSTANTS, TOO_FEW, UNDER_LOAD = range(4)
 MEGA_HERTZ = 16e6
+# Instructions, bytes of memory and flash, and seconds, as the names of the tests state them.
+MAX_INSTRUCTIONS_OF_LAMPREY, MAX_BYTES_OF_LAMPREY = 1.5e6, 12_000
+MAX_INSTRUCTIONS_OF_16_BY_16, MAX_BYTES_OF_16_BY_16 = 6e6, 32_000
+MAX_SECONDS_OF_MEGA, MAX_BYTES_OF_8_BY_8 = 2.5, 6000
+MAX_FLASH = 24_000
+TWENTIETH = 0.05  # of the standard deviation of a cell: how far a budget may leave it
+MAX_RECKONED = 0.15  # relative: the reckoned number of instructions against the counted one
+FEW_INSTRUCTIONS = 0.6e6  # that suffice for the median frame, but not for a first touch
+SINGLE_PRECISION = 0.01  # of log r, after all steps in single precision
+ITERATED = 0.02  # relative, after 60 conjugate gradients
+NO_CHANGE = 0.1  # of log r: a frame of the new baseline has the noise of a frame
+SAME = 0.02  # of log r, of a frame that is estimated again
 
 
 def deviations(case, changes):
@@ -162,18 +174,18 @@ def test_a_lamprey_takes_1_5_million_instructions_and_deviates_by_a_twentieth_of
     constants = Constants.of(case).within(sketch.budget)
     with compiled(constants) as host:
         estimates = host.frames(constants.sums_of(case), sketch.budget)
-        assert host.bytes < 12_000
+        assert host.bytes < MAX_BYTES_OF_LAMPREY
     errors = deviations(case, estimates.log_change)
-    assert np.median(errors) <= 0.05
+    assert np.median(errors) <= TWENTIETH
     assert errors[1] < 1  # a first touch, after two frames
     counted, changes = emulated(tmp_path / "mat", tmp_path / "build")
-    assert counted[1:].mean() < 1.5e6
+    assert counted[1:].mean() < MAX_INSTRUCTIONS_OF_LAMPREY
     # The same bits: single precision of the computer, kept in double
     np.testing.assert_array_equal(changes.reshape(-1, 10, 10), estimates.log_change[: len(changes)])
     reckoned = instructions(constants, estimates.products - estimates.steps, estimates.steps)[
         : len(counted)
     ]
-    np.testing.assert_allclose(reckoned, counted, rtol=0.15)
+    np.testing.assert_allclose(reckoned, counted, rtol=MAX_RECKONED)
 
 
 @pytest.mark.slow
@@ -189,13 +201,13 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
     vector = f"#define VECTOR_FRAMES 2\nstatic const uint16_t vector_sums[2][256] = {{{rows}}};\n"
     (folder / "test_vector.h").write_text(vector)
     counted, changes = emulated(folder, tmp_path / "build")
-    assert counted.max() < 6e6
+    assert counted.max() < MAX_INSTRUCTIONS_OF_16_BY_16
     with compiled(constants) as host:
         estimates = host.frames(sums, constants.budget)
-        assert host.bytes < 32_000
+        assert host.bytes < MAX_BYTES_OF_16_BY_16
     np.testing.assert_array_equal(changes.reshape(-1, 16, 16), estimates.log_change)
     reckoned = instructions(constants, estimates.products - estimates.steps, estimates.steps)
-    np.testing.assert_allclose(reckoned, counted, rtol=0.15)
+    np.testing.assert_allclose(reckoned, counted, rtol=MAX_RECKONED)
 
 
 @pytest.mark.slow
@@ -206,7 +218,7 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
     constants = Constants.of(case).within(Budget(2, 6, 0.05))
     with compiled(constants) as host:
         estimates = host.frames(sums[:2], constants.budget)
-        assert host.bytes < 6000
+        assert host.bytes < MAX_BYTES_OF_8_BY_8
     (tmp_path / "panel_constants.h").write_text(header(constants, "panel", ()))
     rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums[:2])
     vector = f"#define VECTOR_FRAMES 2\nstatic const uint16_t vector_sums[2][64] = {{{rows}}};\n"
@@ -225,15 +237,17 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
         [*words, "mega"], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     *cycles, changes = [line for line in lines if not line.startswith("Loaded")]
-    assert max(map(int, cycles)) / MEGA_HERTZ < 2.5  # seconds
+    assert max(map(int, cycles)) / MEGA_HERTZ < MAX_SECONDS_OF_MEGA
     np.testing.assert_allclose(
-        np.array(changes.split(), float).reshape(8, 8), estimates.log_change[-1], atol=0.01
+        np.array(changes.split(), float).reshape(8, 8),
+        estimates.log_change[-1],
+        atol=SINGLE_PRECISION,
     )
 
 
 def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
     words = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={tmp_path}", "estimate-size"]
-    assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < 24_000
+    assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < MAX_FLASH
 
 
 def test_standard_deviations_match_the_linear_system():
@@ -253,7 +267,7 @@ def test_standard_deviations_match_the_linear_system():
     steps = np.zeros((len(first), cells.size))
     steps[np.arange(len(first)), first], steps[np.arange(len(first)), second] = -1, 1
     variance = np.linalg.inv(response.T @ response + steps.T @ steps).diagonal().reshape(6, 5)
-    np.testing.assert_allclose(estimated, np.sqrt(variance), rtol=0.02)
+    np.testing.assert_allclose(estimated, np.sqrt(variance), rtol=ITERATED)
 
 
 def test_a_baseline_follows_a_drift_and_refuses_a_load():
@@ -264,11 +278,11 @@ def test_a_baseline_follows_a_drift_and_refuses_a_load():
         host.begin(EXACT)
         for seed in range(4):
             assert host.baseline(sums_of(scene, drifted, seed)[0])[0] == FINE
-        assert np.abs(host.frame(sums_of(scene, drifted, 9)[0])[0]).max() < 0.1
+        assert np.abs(host.frame(sums_of(scene, drifted, 9)[0])[0]).max() < NO_CHANGE
         previous = host.frame(sums[4])[0]
         assert host.baseline(sums[4])[0] == UNDER_LOAD
         host.frame(sums[4])
-        np.testing.assert_allclose(host.frame(sums[4])[0], previous, atol=0.02)
+        np.testing.assert_allclose(host.frame(sums[4])[0], previous, atol=SAME)
 
 
 def test_bad_frames_get_a_status_and_keep_the_estimate():
@@ -302,7 +316,7 @@ def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
     )[1]
     with compiled(Constants.of(case)) as host:
         estimates = host.frames(Constants.of(case).sums_of(case), Budget(12, 60, 1e-3))
-    assert deviations(case, estimates.log_change).max() < 0.05
+    assert deviations(case, estimates.log_change).max() < TWENTIETH
 
 
 @pytest.mark.slow
@@ -617,15 +631,17 @@ def test_the_smallest_sufficient_budget_is_chosen(lamprey):
     constants = Constants.of(case)
     with compiled(constants) as host:
         table = trades(host, constants, case)
-    exact, _ = chosen_budget(table, 0.02, None, None)
-    assert exact.median <= 0.02
+    most = 0.02
+    exact, _ = chosen_budget(table, most, None, None)
+    assert exact.median <= most
     assert all(
-        trade.median > 0.02 for trade in table if trade.most_instructions < exact.most_instructions
+        trade.median > most for trade in table if trade.most_instructions < exact.most_instructions
     )
-    fast, _ = chosen_budget(table, None, 10.0, "cortex-m4f")
-    assert fast.milliseconds("cortex-m4f") <= 10
+    limit_ms = 10.0
+    fast, _ = chosen_budget(table, None, limit_ms, "cortex-m4f")
+    assert fast.milliseconds("cortex-m4f") <= limit_ms
     assert fast.median == min(
-        trade.median for trade in table if trade.milliseconds("cortex-m4f") <= 10
+        trade.median for trade in table if trade.milliseconds("cortex-m4f") <= limit_ms
     )
 
 
@@ -641,12 +657,12 @@ def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
     with compiled(constants) as host:
         table = trades(host, constants, case)
         trade, _ = chosen_budget(table, None, None, None)
-        assert trade.median <= 0.05
+        assert trade.median <= TWENTIETH
         assert (
             min(
                 trade.touch
                 for trade in table
-                if trade.most_instructions < 0.6e6 and trade.median <= 0.05
+                if trade.most_instructions < FEW_INSTRUCTIONS and trade.median <= TWENTIETH
             )
             > 1
         )

@@ -27,6 +27,10 @@ from tests.small_files import COMMAND
 ROOT = Path(__file__).parents[2]
 RING = ROOT / "data" / "ring.h5"
 LAMPREY = ROOT / "data" / "lamprey_35mm.h5"
+FORCE_ERROR = 0.05  # relative
+ALIKE = 0.9  # correlation of the drawn map and the change of the cells
+CLEARLY_MORE = 1.2  # colour of the estimated ring over that of the measured one
+BLUER = 0.2  # mean blueness of a row
 NUMBER = "return Number(document.getElementById('number').innerText) || 0"
 PLACES = (
     "return arguments[0].map(name => {"
@@ -127,7 +131,7 @@ def test_the_page_shows_the_ring(tmp_path: Path) -> None:
         )
         assert window.text("state") == "receiving"
         assert float(window.text("total").split()[0]) == pytest.approx(
-            0.1 * pressure[-1].sum(), rel=0.05
+            0.1 * pressure[-1].sum(), rel=FORCE_ERROR
         )
         assert window.text("lost") == "0"
         label = window.run("return document.getElementById('cells').getAttribute('aria-label')")
@@ -135,10 +139,12 @@ def test_the_page_shows_the_ring(tmp_path: Path) -> None:
     ring = change < -0.4
     background = change > -0.1
     assert ring.sum() == 8
-    assert np.corrcoef(drawn.ravel(), -change.ravel())[0, 1] > 0.9
+    assert np.corrcoef(drawn.ravel(), -change.ravel())[0, 1] > ALIKE
     assert drawn[ring].min() > drawn[background & ~inside(ring)].max(), "the ring stands out"
     assert drawn[ring].mean() > 2 * drawn[inside(ring)].mean(), "and is hollow"
-    assert drawn[ring].mean() > 1.2 * measured[ring].mean(), "more than in what was measured"
+    assert drawn[ring].mean() > CLEARLY_MORE * measured[ring].mean(), (
+        "more than in what was measured"
+    )
     assert label.startswith("Reconstructed cell resistance, relative change from −")
 
 
@@ -164,7 +170,7 @@ def test_the_page_shows_the_map_of_an_estimating_board(tmp_path: Path) -> None:
             label = window.run("return document.getElementById('board').getAttribute('aria-label')")
             assert window.text("board-range").startswith("−86") == (name == "board")
             assert label.startswith(words)
-            assert (drawn[0].mean() > own[0].mean() + 0.2) == (name == "board")
+            assert (drawn[0].mean() > own[0].mean() + BLUER) == (name == "board")
     with live(tmp_path, "--recording", RING, "--speed", 5) as (window, _):
         window.until(script)
         assert window.run("return document.getElementById('board').parentNode.hidden")

@@ -23,6 +23,9 @@ RESTING_OHM = 12_000.0
 PRESSED_OHM = 700.0
 UNLOADED = 10
 PRESSED = (slice(3, 7), slice(9, 13))
+NEAR_RAIL = 0.3  # of a cell at rest, relative
+MAX_ERROR = 0.2  # of a pressed cell, relative
+APART = 5  # cells outside over pressed ones; at rest 17
 # matsense.cmd.CMD
 CLOSE = 0
 RAW = 2
@@ -92,11 +95,11 @@ def test_the_code_of_the_page_locates_the_pressed_cells(
     source = page.frames(scene, address)
     estimates = page.cells(scene, estimator, source, UNLOADED)
     resting = next(estimates)
-    assert np.median(resting) == pytest.approx(RESTING_OHM, rel=0.3)
+    assert np.median(resting) == pytest.approx(RESTING_OHM, rel=NEAR_RAIL)
     press.set()
     loaded = list(islice(estimates, 12))[-1]
-    assert np.median(np.abs(loaded[PRESSED] / PRESSED_OHM - 1)) < 0.2
+    assert np.median(np.abs(loaded[PRESSED] / PRESSED_OHM - 1)) < MAX_ERROR
     outside = np.ones(scene.panel.shape, dtype=bool)
     outside[PRESSED] = False
-    assert np.median(loaded[outside]) > 5 * PRESSED_OHM
+    assert np.median(loaded[outside]) > APART * PRESSED_OHM
     source.close()

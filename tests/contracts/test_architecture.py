@@ -16,6 +16,7 @@ import pytest
 
 CONTRACTS = Path(__file__).parent
 HOUSE = CONTRACTS.parents[1] / "lampest"
+MAX_LINES = 750  # of a module, as the contributing page states
 
 # From the ground up. A room may import from itself and from the floors below its own; rooms of one
 # floor are apart.
@@ -400,6 +401,6 @@ def test_parts_are_as_small_as_the_contributing_page_says() -> None:
         for node in nodes(tree)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     )
-    assert lengths[len(lengths) * 4 // 5] <= 20
-    assert lengths[len(lengths) * 19 // 20] <= 40
-    assert max(len(path.read_text().splitlines()) for path in HOUSE.rglob("*.py")) < 750
+    assert lengths[len(lengths) * 4 // 5] <= 20, "four of five"
+    assert lengths[len(lengths) * 19 // 20] <= 40, "nineteen of twenty"
+    assert max(len(path.read_text().splitlines()) for path in HOUSE.rglob("*.py")) < MAX_LINES

@@ -23,6 +23,8 @@ from support import invented_case
 import lampest as lp
 
 ROOT = Path(__file__).parents[2]
+LAST_DIGITS = 1e-14  # relative, of numbers that pass through text
+OTHER_VERSIONS = 0.08  # of libraries: how much their sizes may differ, relative
 Command = Callable[..., SimpleNamespace]
 
 
@@ -74,7 +76,7 @@ def test_an_excel_workbook_holds_cells_units_and_meanings(lampest: Command, tmp_
         place = names.index("cell_resistance_ohm")
         cells = [np.nan if line[place] is None else line[place] for line in lines]
         expected = case.cell_resistance.ravel().tolist()
-        assert cells == pytest.approx(expected, rel=1e-14, nan_ok=True)
+        assert cells == pytest.approx(expected, rel=LAST_DIGITS, nan_ok=True)
         assert not any(
             isinstance(value, str) and value.startswith("=") for line in lines for value in line
         )
@@ -162,8 +164,10 @@ def test_an_installation_takes_as_much_room_as_the_readme_says() -> None:
     without = installed_megabytes()
     with_plots = installed_megabytes("plots")
     assert without < 600, "with the files that are compiled at the first start"
-    assert without == pytest.approx(float(text[1]), rel=0.08)
-    assert with_plots - without == pytest.approx(float(text[2]) - float(text[1]), rel=0.2)
+    assert without == pytest.approx(float(text[1]), rel=OTHER_VERSIONS)
+    assert with_plots - without == pytest.approx(
+        float(text[2]) - float(text[1]), rel=2.5 * OTHER_VERSIONS
+    )
 
 
 def test_the_help_of_init_lists_the_eight_circuits_of_the_readme(

@@ -21,6 +21,10 @@ import pytest
 from support import until
 
 ROOT = Path(__file__).parents[2]
+MAX_KPA = 40.0  # where the response's curve ends
+NEWTON_PER_KPA = 0.1  # on a cell of 10 mm × 10 mm
+ROUNDED_NEWTON = 0.02  # of a sum of rounded numbers
+MAX_AGE_S = 60  # of a sample by the clock of the library
 LAMPREY = ROOT / "data" / "lamprey_25mm.h5"
 UNLOADED = 3  # of its frames
 SCHEMA = json.loads((ROOT / "docs" / "reference" / "stream.schema.json").read_text())
@@ -116,12 +120,12 @@ def check_message(message: dict[str, Any]) -> None:
     Draft202012Validator(SCHEMA).validate(message)
     assert len(message["cells"]) == len(message["change"]) == len(message["pressure"]) == 100
     assert message["health"]["solved"] and message["health"]["arrived"] <= message["health"]["sent"]
-    pressed = sum(min(kpa, 40.0) for kpa in message["pressure"] if kpa > 0)
-    assert 0 < message["force"] <= pressed * 1e-1 + 0.02, "kPa on 10 mm × 10 mm"
+    pressed = sum(min(kpa, MAX_KPA) for kpa in message["pressure"] if kpa > 0)
+    assert 0 < message["force"] <= pressed * NEWTON_PER_KPA + ROUNDED_NEWTON, "kPa on 10 mm × 10 mm"
     assert message["force_saturated"] <= len(message["health"]["saturated"]), (
         "a cell that sucks adds no force"
     )
-    assert (message["force_saturated"] > 0) == (max(message["pressure"]) > 40.0), (
+    assert (message["force_saturated"] > 0) == (max(message["pressure"]) > MAX_KPA), (
         "the response's curve ends at 40 kPa"
     )
     assert message["verdict"].startswith("pressing"), "the rim of a mouth presses"
@@ -248,8 +252,13 @@ def test_lsl_outlet_describes_its_stream(lampest: Run) -> None:
         cell = cell.next_sibling()
     place = cell.child("location")
     assert (float(place.child_value("X")), float(place.child_value("Y"))) == (0.04, 0.03)
-    assert sample[3] == 1 and 0 < sample[1] <= np.clip(sample[104:204], 0, 40).sum() / 10 + 0.02
-    assert 0 <= received["age"] < 60
+    assert (
+        sample[3] == 1
+        and 0
+        < sample[1]
+        <= np.clip(sample[104:204], 0, MAX_KPA).sum() * NEWTON_PER_KPA + ROUNDED_NEWTON
+    )
+    assert 0 <= received["age"] < MAX_AGE_S
 
 
 @pytest.mark.slow

@@ -18,6 +18,12 @@ SHAPE = (4, 5)
 FORMULATIONS = [name for name in MethodName.__args__ if name != "auto"]
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoother takes
 HOLES = [(1, 2), (3, 0)]
+CONVERGED = 1e-6  # relative, of cells at two ends of a search; measured 3e-8
+# Of 20 recordings with noise:
+MAX_UNDAMAGED_ERROR = 0.006  # median of a recording's cells; limit: twice the value measured
+MAX_ERROR_ELSEWHERE = 0.05  # median over recordings, of cells with readings; measured 3.3 %
+MIN_HELD = 0.85  # of two holes each in two frames: 95 % less three standard deviations of 40 draws
+MIN_WIDTH = 1000.0  # upper over lower end where no reading determines the cell; measured 5,500
 SLOW_FORMULATIONS = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
 CASES = [
     pytest.param(
@@ -65,7 +71,7 @@ def test_the_optimum_with_a_penalty_uses_only_the_present_readings() -> None:
         ftol=1e-15,
         gtol=1e-12,
     )
-    assert_allclose(estimate.cell_resistance[0].ravel(), np.exp(best.x), rtol=1e-5)
+    assert_allclose(estimate.cell_resistance[0].ravel(), np.exp(best.x), rtol=CONVERGED)
 
 
 @pytest.mark.parametrize(
@@ -104,5 +110,6 @@ def test_plain_least_squares_gives_an_unread_cell_wide_error_bars() -> None:
         held.append(in_intervals(estimate)[blind])
         width.append((estimate.cell_resistance_upper / estimate.cell_resistance_lower)[blind])
         elsewhere.append(np.median(np.abs(np.expm1(log_errors(estimate)))[~blind]))
-        assert np.median(np.abs(np.expm1(log_errors(undamaged)))) < 0.05
-    assert np.mean(held) > 0.85 and np.median(width) > 1.5 and np.median(elsewhere) < 0.05
+        assert np.median(np.abs(np.expm1(log_errors(undamaged)))) < MAX_UNDAMAGED_ERROR
+    assert np.mean(held) > MIN_HELD and np.median(width) > MIN_WIDTH
+    assert np.median(elsewhere) < MAX_ERROR_ELSEWHERE

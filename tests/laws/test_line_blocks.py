@@ -23,6 +23,7 @@ from lampest.panel.line_blocks import LineBlocks
 
 SHAPES = (1, 30), (30, 1), (4, 20), (20, 4), (6, 6)
 NARROW = 1, 420  # beyond the cells up to which whole matrices are used
+ROUNDING = 1e-12  # relative; blocks that differ by decades lose three digits
 
 
 def blocks_of(shape: tuple[int, int], values: int) -> LineBlocks:
@@ -46,7 +47,10 @@ def test_the_inverse_by_blocks_equals_that_of_the_matrix(
     assert_allclose((blocks + blocks).matrix(), 2 * matrix)
     sizes = sizes_of_matrices(monkeypatch)
     assert_allclose(
-        blocks.inverse()(vector), expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max()
+        blocks.inverse()(vector),
+        expected,
+        rtol=1e3 * ROUNDING,
+        atol=1e2 * ROUNDING * np.abs(expected).max(),
     )
     assert max(sizes) <= values * min(shape)
 
@@ -60,7 +64,7 @@ def test_the_determinant_equals_that_of_the_laplacian_with_ties(
     ties = 10.0 ** rng.uniform(-5, -2, sum(shape))
     expected = np.linalg.slogdet(laplacian(conductance) + np.diag(ties))[1]
     sizes = sizes_of_matrices(monkeypatch)
-    assert log_determinant(conductance, ties) == pytest.approx(expected, rel=1e-12)
+    assert log_determinant(conductance, ties) == pytest.approx(expected, rel=ROUNDING)
     assert max(sizes) <= min(shape)
 
 

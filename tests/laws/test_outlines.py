@@ -18,6 +18,10 @@ from tests.estimates import recording_of
 from tests.outlines import OUTLINES
 
 READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
+CONVERGED = 1e-6  # relative, of cells at the end of a solve; measured at most 8.5e-7 by IPOPT
+MAX_CELL_ERROR = 5e-3  # of the cells of the hand with its noise; measured 0.2 %
+MAX_CENTRE_MM = 2.0  # from the load to the centre of pressure; measured 0.7 mm
+MAX_PLACE_MM = 1.0  # of the attachment; measured 0.2 mm
 
 
 def random_panel(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
@@ -51,7 +55,7 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
     assert estimate.status[0] == "optimum verified"
     np.testing.assert_allclose(
-        estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6
+        estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=CONVERGED
     )
     assert np.all(np.isnan(estimate.cell_resistance[0][~panel.present]))
 
@@ -100,7 +104,7 @@ def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
             estimate_of(panel, readings, lampest.Misfit(), term).cell_resistance
             for panel in (plain, listed)
         ]
-        np.testing.assert_allclose(estimates[0], estimates[1], rtol=1e-6)
+        np.testing.assert_allclose(estimates[0], estimates[1], rtol=CONVERGED)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -114,7 +118,7 @@ def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
     readings[row, column] = np.nan
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
     assert estimate.status[0] == "optimum verified"
-    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=CONVERGED)
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
@@ -127,7 +131,7 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
         panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit()
     )
     np.testing.assert_allclose(
-        estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2
+        estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=3 * CONVERGED
     )
 
 
@@ -165,22 +169,26 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     assert np.array_equal(np.isfinite(recording.truth_cell_resistance[0]), panel.present)
     x, y = panel.places_mm
     under = recording.truth_pressure[-1] > 0
-    assert under.any() and np.all(np.hypot(x - 20, y - 46)[under] < 8 + 6)
+    assert under.any() and np.all(
+        np.hypot(x - 20, y - 46)[under] < rod.diameter_mm / 2 + panel.pitch_mm
+    )
     terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)]
     estimate = lampest.reconstruct(recording, terms)
     truth = recording.truth_cell_resistance[recording.role == 1]
     np.testing.assert_allclose(
-        estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02
+        estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=MAX_CELL_ERROR
     )
     pressed = pressed_of(estimate.result())
     assert (
-        pressed is not None and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < 3
+        pressed is not None
+        and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < MAX_CENTRE_MM
     )
     recording.save(tmp_path / "hand.h5")
     answer = detect_recording(tmp_path / "hand.h5")
     assert (
         answer.attachments
-        and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
+        and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46)
+        < MAX_PLACE_MM
     )
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 

@@ -28,6 +28,12 @@ SCENE = "schema: 1\nseed: 1\nscene: {panel: {rows: 10, columns: 10}}\nframes: 1\
 SHAPES = [pytest.param(kind, id=kind.__name__) for kind in shape_types()]
 OBLONG = Panel(7, 5, 10.0)
 POINTS_ALONG = 200  # points along a patch of the sampling that it is held against
+ROUNDING = 1e-12  # of sums over the fine panel, relative, and of pressures in kPa
+TILTED_RATIO = 1.2  # of the forces on the two halves under a tilt of 0.6; measured at least 1.44
+# Parts of the largest pressure, or of the step at the rim.
+MAX_TEMPLATE_ERROR = 0.01  # limit: three times the value measured
+MAX_SAMPLING_ERROR = 1e-3  # of forces on patches of 0.5 mm; limit: four times the value measured
+MAX_EDGE_ERROR = 0.04  # of a patch that a hard edge crosses; measured 2.8 %
 
 
 def example(kind: type[Shape]) -> str:
@@ -85,16 +91,16 @@ def test_the_pressure_of_a_shape_moves_with_its_centre(kind: type[Shape]) -> Non
     for original, shifted in zip(
         load.mean_pressure(PANEL, 6), moved.mean_pressure(PANEL, 6), strict=True
     ):
-        np.testing.assert_allclose(shifted[:-1, 2:], original[1:, :-2], atol=1e-12)
+        np.testing.assert_allclose(shifted[:-1, 2:], original[1:, :-2], atol=ROUNDING)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
 def test_tilt_moves_and_preserves_the_force(kind: type[Shape]) -> None:
     level = dataclasses.replace(load_of(kind), centre_mm=(45.0, 45.0), tilt=0.0)
     tilted = dataclasses.replace(level, tilt=0.6, tilt_direction_deg=90.0)
-    assert sums(tilted) == pytest.approx(sums(level), rel=1e-9)
+    assert sums(tilted) == pytest.approx(sums(level), rel=ROUNDING)
     lower, upper = np.split(tilted.mean_pressure(FINE_PANEL, FINE_PANEL.pitch_mm)[0], 2)
-    assert upper.sum() > 1.2 * lower.sum()
+    assert upper.sum() > TILTED_RATIO * lower.sum()
 
 
 @pytest.mark.parametrize("candidate", LOADS, ids=lambda candidate: candidate.label)
@@ -129,7 +135,7 @@ def test_recognition_and_simulation_share_one_pressure(kind: type[Shape]) -> Non
     smooth = pressure_at_places(PANEL.places_mm, 6.0, disc)[0]
     assert np.abs(sampled - smooth).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
     fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
-    assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
+    assert np.abs(fitted - smooth).max() < MAX_TEMPLATE_ERROR * max(disc.rim_kpa, -disc.suction_kpa)
 
 
 def test_labels_and_kinds_are_unique() -> None:
@@ -161,11 +167,11 @@ def test_the_rim_of_any_mouth_balances_its_suction() -> None:
         dataclasses.replace(level, **uneven, tilt=0.3),
     ):
         contact, suction = sums(load)
-        assert suction == pytest.approx(-9 * np.pi * 24**2 / 4, rel=1e-2)
-        assert contact == pytest.approx(-suction, rel=1e-2)
+        assert suction == pytest.approx(-9 * np.pi * 24**2 / 4, rel=MAX_SAMPLING_ERROR)
+        assert contact == pytest.approx(-suction, rel=MAX_SAMPLING_ERROR)
     pressed = dataclasses.replace(level, extra_rim_kpa=20.0)
     assert sums(pressed)[0] - sums(level)[0] == pytest.approx(
-        20 * np.pi * (36**2 - 24**2) / 4, rel=1e-2
+        20 * np.pi * (36**2 - 24**2) / 4, rel=MAX_SAMPLING_ERROR
     )
 
 
@@ -205,4 +211,4 @@ def test_pressures_equal_those_of_fine_sampling(seed: int) -> None:
     )
     pressure, _ = pressure_at_places(OBLONG.places_mm, 6.0, disc, form)
     expected = sampled(disc, form, 6.0)
-    assert np.abs(pressure - expected).max() < 0.04 * (disc.rim_kpa - disc.suction_kpa)
+    assert np.abs(pressure - expected).max() < MAX_EDGE_ERROR * (disc.rim_kpa - disc.suction_kpa)

@@ -31,6 +31,13 @@ CORNER = 40.0  # of the losses of the union, too
 # Of what a term is given.
 IN_OHMS = ("cell_resistance", "reading", "measured", "sigma", "previous", "baseline")
 GRID = np.linspace(-3, 3, 121) * CORNER
+ROUNDING = 1e-12  # of float64, relative to the largest number of a sum
+LAST_DIGITS = 1e-14  # of a single operation
+CURVED = 1e-7  # of a slope by differences of fourth order, relative
+CANCELLATION = 1e-9  # relative to a cost: its differences over steps of 1e-5
+MAX_ERROR = 1e-6  # of differences of second order over such steps, and of IPOPT's minimum, relative
+CORNER_DISTANCE = 1e-3  # of the residuals from 0, relative: a hundred times a step of differences
+SHARE_OF_CORNER = 1e-3  # h of differences of second order; they are wrong by h²
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,10 +174,10 @@ def test_the_gradient_is_the_derivative_of_the_cost(
         # An absolute loss is no parabola, but the step is far smaller than the distance to any
         # corner.
         assert slope == pytest.approx(
-            np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * point.objective
+            np.sum(gradient * direction), abs=CURVED * size + CANCELLATION * point.objective
         )
     if loss.kind == "absolute":
-        assert np.min(np.abs(point.nonsmooth)) > 1e-3 * np.max(np.abs(point.nonsmooth))
+        assert np.min(np.abs(point.nonsmooth)) > CORNER_DISTANCE * np.max(np.abs(point.nonsmooth))
 
 
 @pytest.mark.parametrize("frames", [1, 2])
@@ -216,7 +223,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
         ]
         product_ = hessian @ direction
         assert_allclose(
-            (ends[0] - ends[1]) / (2 * step), product_, atol=1e-6 * np.max(np.abs(product_))
+            (ends[0] - ends[1]) / (2 * step), product_, atol=MAX_ERROR * np.max(np.abs(product_))
         )
 
 
@@ -245,15 +252,17 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
 
     point = curvature(cells)
     matrix = point.matrix
-    assert_allclose(matrix, matrix.T, atol=1e-12 * np.max(np.abs(matrix)))
+    assert_allclose(matrix, matrix.T, atol=ROUNDING * np.max(np.abs(matrix)))
     for _ in range(3):
         direction = rng.standard_normal(cells.size)
         moved = [cells * np.exp(sign * step * direction.reshape(cells.shape)) for sign in (1, -1)]
         ends = [curvature(position).gradient for position in moved]
         expected = (ends[0] - ends[1]) / (2 * step)
-        assert_allclose(matrix @ direction, expected, atol=1e-6 * np.max(np.abs(expected)))
+        assert_allclose(matrix @ direction, expected, atol=MAX_ERROR * np.max(np.abs(expected)))
         assert_allclose(
-            point.product(direction), matrix @ direction, atol=1e-11 * np.max(np.abs(expected))
+            point.product(direction),
+            matrix @ direction,
+            atol=10 * ROUNDING * np.max(np.abs(expected)),
         )
 
 
@@ -294,21 +303,21 @@ def slopes(loss: Loss, x: Array) -> Array:
 def test_losses_are_even_rising_zero_at_zero_and_convex_as_declared(loss: Loss) -> None:
     losses = values(loss, GRID)
     assert float(loss.cost(casadi.DM(0.0))) == 0
-    assert np.all(losses[np.abs(GRID) > 1e-9] > 0)
-    assert_allclose(losses, losses[::-1], rtol=1e-12)
+    assert np.all(losses[np.abs(GRID) > ROUNDING * CORNER] > 0)
+    assert_allclose(losses, losses[::-1], rtol=ROUNDING)
     assert np.all(np.diff(losses[GRID >= 0]) > 0)
-    assert np.all(np.diff(losses, 2) > -1e-9 * losses.max()) == loss.convex
+    assert np.all(np.diff(losses, 2) > -CANCELLATION * losses.max()) == loss.convex
     column = casadi.DM(GRID)
-    assert float(loss.cost(column)) == pytest.approx(losses.sum(), rel=1e-12)
+    assert float(loss.cost(column)) == pytest.approx(losses.sum(), rel=ROUNDING)
 
 
 def test_losses_equal_their_published_formulas() -> None:
     outside = np.abs(GRID) > CORNER
-    assert_allclose(values(Squared(), GRID), GRID**2, rtol=1e-14)
-    assert_allclose(values(Absolute(), GRID), np.abs(GRID), rtol=1e-14)
+    assert_allclose(values(Squared(), GRID), GRID**2, rtol=LAST_DIGITS)
+    assert_allclose(values(Absolute(), GRID), np.abs(GRID), rtol=LAST_DIGITS)
     huber = values(Huber(corner=CORNER), GRID)
-    assert_allclose(huber[~outside], GRID[~outside] ** 2, rtol=1e-12)
-    assert_allclose(huber[outside], 2 * CORNER * np.abs(GRID[outside]) - CORNER**2, rtol=1e-12)
+    assert_allclose(huber[~outside], GRID[~outside] ** 2, rtol=ROUNDING)
+    assert_allclose(huber[outside], 2 * CORNER * np.abs(GRID[outside]) - CORNER**2, rtol=ROUNDING)
     density = t.logpdf(GRID, df=4, scale=CORNER / 2)
     assert_allclose(
         values(Student(corner=CORNER), GRID),
@@ -345,10 +354,10 @@ def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     program = {"x": casadi.vertcat(*lowered.split), "f": lowered.objective, "g": equation}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
     solution = casadi.nlpsol("least", "ipopt", program, quiet)(x0=start, lbx=0, lbg=0, ubg=0)
-    assert float(solution["f"]) == pytest.approx(cost, rel=1e-6)
+    assert float(solution["f"]) == pytest.approx(cost, rel=MAX_ERROR)
     if loss.enters == "dual":
         assert_allclose(
-            np.asarray(solution["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=1e-6
+            np.asarray(solution["lam_g"]).ravel() / (weight * unit), slopes(loss, x), atol=MAX_ERROR
         )
 
 
@@ -359,8 +368,8 @@ def test_derived_slopes_and_curvatures_equal_those_of_the_losses(loss: Loss) -> 
     """ω, the pull beyond it and η, from derivatives of the cost and from the closed forms."""
     plain = OnlyCost(loss)
     grid = GRID + 0.1
-    assert_allclose(plain.curvature(grid), loss.curvature(grid), atol=1e-12)
-    assert_allclose(plain.steady_pull(grid), loss.steady_pull(grid), atol=1e-6 * CORNER)
+    assert_allclose(plain.curvature(grid), loss.curvature(grid), atol=ROUNDING)
+    assert_allclose(plain.steady_pull(grid), loss.steady_pull(grid), atol=ROUNDING * CORNER)
     inside = grid[np.abs(grid) < CORNER]
     evidence = PenaltyEvidence(inside, 0.0, 5.0, lambda: 2.0)
     assert plain.size(evidence) == pytest.approx(loss.size(evidence))
@@ -369,13 +378,15 @@ def test_derived_slopes_and_curvatures_equal_those_of_the_losses(loss: Loss) -> 
 
 def test_curvature_and_pull_give_the_slope() -> None:
     """(ω x)² + H² = (½ρ')² wherever the loss is convex, ω = ½ρ'' against differences."""
-    step = 1e-3 * CORNER
+    step = SHARE_OF_CORNER * CORNER
     loss = GemanMcClure(CORNER)
     grid = GRID + 0.1
     low, middle, high = (values(loss, grid + move) for move in (-step, 0.0, step))
     slope = (high - low) / (4 * step)
     curvature = (high - 2 * middle + low) / (2 * step**2)
-    assert_allclose(loss.curvature(grid), np.maximum(curvature, 0), atol=1e-5)
+    assert_allclose(loss.curvature(grid), np.maximum(curvature, 0), atol=10 * SHARE_OF_CORNER**2)
     assert_allclose(
-        (loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2, slope**2, rtol=1e-4
+        (loss.curvature(grid) * grid) ** 2 + loss.steady_pull(grid) ** 2,
+        slope**2,
+        rtol=10 * SHARE_OF_CORNER**2,
     )

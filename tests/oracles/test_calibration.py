@@ -31,6 +31,7 @@ from lampest.estimate.calibration.response_fit import (
     response_of,
 )
 from lampest.estimate.sequence import reconstruct
+from lampest.files import levels
 from lampest.files.document import parse_document, validated
 from lampest.loads.pressure import pressure_of
 from lampest.panel.conditions import MeasuredSubject
@@ -58,6 +59,14 @@ LOADS = 8
 SPREAD = 5.0
 SPECIFIED_ERRORS = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
 POWER_RESPONSE = PowerResponse(exponent=0.8, scale_kpa=2.0)
+MAX_SHARE, MAX_OHM = 0.02, 2.0  # σ of a line that resistors of 0.1 % determine; measured a tenth
+WRITTEN = 0.001  # ohm: a scene is written with some digits; measured 0.0002
+MIN_WITHIN = 0.88  # of 95 % intervals: numbers of a board share errors; measured 0.93
+SCORES_ERROR = 0.3  # of the scores' standard deviation; measured 0.19
+NARROWED = 0.5  # of the channels' spread; measured at most 0.05
+CHI_SQUARE = 1.5  # over its degrees of freedom; measured 0.17
+IMPROVED = 0.7  # of the cells' error with the scene as it was; measured 0.43
+CLEARLY_WIDER = 2  # than the median of cells with loads; measured 9
 MIN_COVERAGE = 0.9  # of 95 % intervals, over 10 to 40 films that share a curve each
 
 
@@ -114,7 +123,7 @@ def recording(
     )
 
 
-def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
+def random_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
     """Channels of 50 to 110 ohm, resistors within 1 %."""
     rows, columns = (float(rng.uniform(65, 95)) + rng.uniform(-15, 15, length) for length in shape)
     return Board(
@@ -124,7 +133,7 @@ def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> B
     )
 
 
-def some_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Array, Array]:
+def random_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Array, Array]:
     """What is printed on them, and what they are, within 1 %."""
     printed = rng.choice([220.0, 470.0, 1000.0, 2200.0, 4700.0], shape)
     return printed, printed * rng.uniform(0.99, 1.01, shape)
@@ -149,24 +158,25 @@ def test_resistors_of_several_values_determine_every_number_of_every_line(kind: 
     """
     rng = np.random.default_rng(KINDS.index(kind))
     shape = (4, 5)
-    board = some_board(kind, shape, rng)
+    board = random_board(kind, shape, rng)
     scene = specified_scene(kind, shape)
-    printed, _ = some_resistors(shape, rng)
+    printed, _ = random_resistors(shape, rng)
     true = printed * rng.uniform(0.999, 1.001, shape)
     calibration = calibrate_resistors(
         [recording(scene, board, true, rng)], [printed], tolerance=1e-3
     )
-    assert max(map(abs, pulls(calibration, board))) < 4
+    assert max(map(abs, pulls(calibration, board))) < levels.UNUSUAL
     lines = [line for number in calibration.numbers for line in number.lines]
     for line, true_ohm in zip(lines, (board.rows, board.columns), strict=True):
         deviations = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
-        assert np.abs(deviations).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
+        assert np.abs(deviations).max() < levels.UNUSUAL
+        assert line.sigma_ohm.max() < MAX_SHARE * true_ohm.mean() + MAX_OHM
     read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
     assert read == calibration.scene
     mean = {"two_point": lambda: read.series_ohm.mean()}.get(
         kind, lambda: np.mean(read.readout.drive_ohm)
     )()
-    assert mean == pytest.approx(calibration.numbers[0].value, abs=0.01)
+    assert mean == pytest.approx(calibration.numbers[0].value, abs=WRITTEN)
 
 
 @pytest.mark.slow
@@ -182,16 +192,16 @@ def test_sound_calibrations_are_accepted_and_within_their_deviations(kind: str) 
         shape = (int(rng.integers(3, 6)), int(rng.integers(3, 6)))
         readings = int(rng.choice([1, 4, 20]))
         noise = float(rng.uniform(0.3, 2))
-        board = some_board(kind, shape, rng)
+        board = random_board(kind, shape, rng)
         scene = specified_scene(kind, shape, readings=readings, noise_lsb=noise)
-        printed, true = some_resistors(shape, rng)
+        printed, true = random_resistors(shape, rng)
         frames = int(rng.integers(3, 12))
         scores += pulls(
             calibrate_resistors([recording(scene, board, true, rng, frames)], [printed]), board
         )
     within = np.mean(np.abs(scores) < 1.96)
-    assert within > 0.88
-    assert 0.7 < np.std(scores) < 1.25
+    assert within > MIN_WITHIN
+    assert 1 - SCORES_ERROR < np.std(scores) < 1.25
 
 
 def channel_recording(
@@ -224,16 +234,16 @@ def test_calibrated_channels_lie_within_their_deviations_and_improve_the_cells()
     channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
     calibration = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
     assert (
-        calibration.apart < 0.6 * SPREAD == 0.6 * calibration.apart_before
+        calibration.apart < NARROWED * SPREAD == NARROWED * calibration.apart_before
         and not calibration.warnings
     )
     difference = calibration.errors - np.concatenate([[0.005], channels])
-    assert difference @ np.linalg.solve(calibration.covariance, difference) < 1.5 * len(
+    assert difference @ np.linalg.solve(calibration.covariance, difference) < CHI_SQUARE * len(
         difference
     ), "χ²"
     centred = calibration.errors[1:] - channels
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
-    assert rms(centred) < 0.5 * np.std(channels)
+    assert rms(centred) < NARROWED * np.std(channels)
     read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
     assert read == calibration.scene and read.systematic != SPECIFIED_ERRORS
     fresh = channel_recording(3, channels, 0.005)
@@ -243,7 +253,7 @@ def test_calibrated_channels_lie_within_their_deviations_and_improve_the_cells()
             replace(fresh, scene=scene), Estimator((Misfit(),), "reduced")
         ).cell_resistance
         errors.append(np.median(np.abs(np.log(cells / fresh.truth_cell_resistance[2:]))))
-    assert errors[1] < 0.7 * errors[0]
+    assert errors[1] < IMPROVED * errors[0]
 
 
 def test_a_calibration_without_loads_says_that_nothing_is_known(
@@ -352,7 +362,7 @@ def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
     ) * PUBLISHED.logarithm(felt)
     loaded = Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4))
     deviations = deviations_from_others(loaded, fit_loads(loaded))
-    assert np.abs(deviations - np.median(deviations)).max() < 0.1
+    assert np.abs(deviations - np.median(deviations)).max() < 5 * 0.02
 
 
 def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
@@ -369,11 +379,11 @@ def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
     response = calibration.scene.response
     untouched = ~calibration.fitted.touched.reshape(6, 6)
     assert untouched[:, -1].all() and not untouched[:, 0].any()
-    np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0], rtol=1e-3)
+    np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0])
     sd = np.array(response.gain_sd)
     assert (
-        sd[untouched].min() > 2 * np.median(sd[:, 0])
-        and sd[untouched].min() >= 0.99 * calibration.fitted.spread
+        sd[untouched].min() > CLEARLY_WIDER * np.median(sd[:, 0])
+        and sd[untouched].min() >= calibration.fitted.spread
     )
 
 

@@ -22,6 +22,12 @@ LSM = (Misfit(),)
 READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
 HOLED = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
 MIN_COVERAGE = 0.9  # of 95 % intervals: a missing reading moves all cells of a panel together
+SHORTED = 10  # σ of a reading, in ohm: a cell below it is a short circuit to the readings
+MAX_WIDTH = 0.3  # of an interval over its cell, of cells with readings
+MAX_ERROR = 0.005  # median of |log r|; an open baseline moved all cells by 0.01; measured 0.0043
+CURVED = 0.1  # of the move of the other cells; the tangent errs by twice that; measured 0.038, 0.44
+MAX_DECADES = 1.2  # between weights without and with missing readings; measured 1.07
+MAX_RMS = 0.03  # of log r of the cells that are not broken
 
 
 def cells() -> Array:
@@ -57,7 +63,7 @@ def test_unknown_open_cells_and_shorts_are_flagged() -> None:
     )
     for step in estimate.steps:
         assert step.solution.solved
-        assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
+        assert step.solution.cell_resistance[-1][4, 5] < SHORTED * SIGMA
 
 
 def with_holes(seed: int, missing: int) -> lampest.Recording:
@@ -92,7 +98,7 @@ def test_intervals_contain_read_cells_despite_missing_readings(terms: list[objec
         widths.append(
             np.median((estimate.cell_resistance_upper / estimate.cell_resistance_lower - 1)[read])
         )
-    assert np.mean(held) > MIN_COVERAGE and np.median(widths) < 0.3
+    assert np.mean(held) > MIN_COVERAGE and np.median(widths) < MAX_WIDTH
 
 
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
@@ -115,7 +121,7 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
     )
     read = np.isfinite(readings[2:])
     assert in_intervals(estimate)[read].mean() > MIN_COVERAGE
-    assert np.median(np.abs(log_errors(estimate))) < 0.005
+    assert np.median(np.abs(log_errors(estimate))) < MAX_ERROR
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -141,10 +147,12 @@ def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
     optimum = stream.estimator.method.solve(stream, replace(data, lower=lower, upper=upper), start)
     exact = (np.log(optimum.cell_resistance) - model.at.position[0]).ravel()
     other_cells = np.arange(displacement.size) != cell
-    assert np.abs(displacement - exact)[other_cells].max() < 0.1 * np.abs(exact[other_cells]).max()
+    assert (
+        np.abs(displacement - exact)[other_cells].max() < CURVED * np.abs(exact[other_cells]).max()
+    )
     assert (
         np.abs(tangent(errors, cell) * side - exact)[other_cells].max()
-        > 0.2 * np.abs(exact[other_cells]).max()
+        > 2 * CURVED * np.abs(exact[other_cells]).max()
     )
 
 
@@ -160,7 +168,7 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
         for missing in (0, 2)
     ]
     weights = [estimate.steps[0].weights[1] for estimate in estimates]
-    assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
+    assert abs(np.log10(weights[1] / weights[0])) < MAX_DECADES  # it was 15
 
 
 @pytest.mark.slow
@@ -189,4 +197,4 @@ def test_a_simulation_breaks_the_cells_that_its_scene_calls_broken(
     estimate = lampest.reconstruct(lampest.simulate(simulation), LSM, formulation="reduced")
     truth = estimate.recording.truth_cell_resistance[estimate.frame]
     errors = np.log(estimate.cell_resistance / truth)[:, ~estimate.recording.scene.broken]
-    assert np.sqrt(np.mean(errors**2)) < 0.03 and not estimate.checks
+    assert np.sqrt(np.mean(errors**2)) < MAX_RMS and not estimate.checks

@@ -10,6 +10,8 @@ from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded
 
 PLANS = range(150)
+MIN_FRAMES, MIN_DETECTED = 10, 0.8  # of frames with a lost code; measured 31 and 0.87
+ROUNDING = 1e-12  # relative
 # Of the converter from a cell to the next one, below which a displaced frame hardly differs.
 MIN_STEPS = 12.0
 
@@ -67,7 +69,7 @@ def test_a_lost_code_displaces_the_remaining_ones() -> None:
             garble(codes, frame, "a lost code", 0, np.random.default_rng(seed))
             lines = garbled_lines(recorded(plan.scene, codes, plan.unloaded))
             detected.append([line.frame for line in lines] == [frame])
-    assert len(detected) > 10 and np.mean(detected) > 0.8
+    assert len(detected) > MIN_FRAMES and np.mean(detected) > MIN_DETECTED
 
 
 def test_no_frame_of_clean_recordings_is_garbled() -> None:
@@ -89,5 +91,7 @@ def test_a_garbled_frame_affects_neither_the_circuit_check_nor_the_strongest_fra
     assert strongest is not None and strongest[0] != frame
     intact = Prepared(plan.recording())
     np.testing.assert_allclose(
-        prepared.noise.readings.value[frame + 1], intact.noise.readings.value[frame + 1], rtol=1e-12
+        prepared.noise.readings.value[frame + 1],
+        intact.noise.readings.value[frame + 1],
+        rtol=ROUNDING,
     )

@@ -43,6 +43,10 @@ from lampest.solvers.multistart import solved_from
 from tests.estimates import recording_of
 
 SHAPE = (6, 8)
+SAME_COST = 1e-6  # relative, or absolute where the cost is all but zero: optima agree to it
+STEP = 1e-6  # of differences, relative
+MAX_ITERATIONS = 40  # for 360 cells, of which 64 have negative curvature
+FAR_BELOW = 0.1  # of the cost of equal cells
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
     "LSM": (Misfit(),),
     "weighted": (Misfit(weighting="noise"),),
@@ -87,7 +91,7 @@ def test_estimates_by_products_and_by_factors_agree(
         assert factored_step.solution.solved
         assert product_step.solution.solved
         assert product_step.solution.objective == pytest.approx(
-            factored_step.solution.objective, rel=1e-6, abs=1e-6
+            factored_step.solution.objective, rel=SAME_COST, abs=SAME_COST
         )
 
 
@@ -161,7 +165,7 @@ def test_the_interior_point_method_and_the_projected_method_agree(
     monkeypatch.setattr(projected_newton, "crowds_bounds", lambda start: False)
     stopped = solved_from(solver, start)
     assert inside.solved and inside.status is stopped.status
-    assert inside.objective == pytest.approx(stopped.objective, rel=1e-8)
+    assert inside.objective == pytest.approx(stopped.objective, rel=1e-2 * SAME_COST)
 
 
 @pytest.fixture
@@ -179,9 +183,9 @@ def by_differences(barrier: Barrier, function: Callable[[Barrier], Any]) -> Arra
         sides = []
         for sign in (1, -1):
             moved = barrier.conductance.copy()
-            moved[cell] += sign * 1e-6 * conductance
+            moved[cell] += sign * STEP * conductance
             sides.append(np.ravel(function(replace(barrier, at=barrier.at.elsewhere(1 / moved)))))
-        rows.append((sides[0] - sides[1]) / (2e-6 * conductance))
+        rows.append((sides[0] - sides[1]) / (2 * STEP * conductance))
     return np.stack(rows)
 
 
@@ -200,7 +204,7 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
     ]
     for point, matrix in zip((barrier, later), matrices, strict=True):
         expected = np.linalg.solve(matrix + np.diag(point.stiffness.ravel()), push.ravel())
-        assert_allclose(point.newton_step(push).ravel() / expected, 1, atol=1e-5)
+        assert_allclose(point.newton_step(push).ravel() / expected, 1, atol=10 * STEP)
 
 
 def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
@@ -218,5 +222,5 @@ def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
     data = estimator.data(Readings.of(scene, readings), Background(scene))
     start = Evaluation.at(estimator.cost(scene, 1, partial=False), data, data.uniform_start)
     solution = projected_newton.ProjectedNewton(start.cost, Settings()).solve(start.data, start)
-    assert solution.status is Status.OPTIMUM and solution.iterations < 40
-    assert start.elsewhere(solution.cell_resistance).objective < 0.1 * start.objective
+    assert solution.status is Status.OPTIMUM and solution.iterations < MAX_ITERATIONS
+    assert start.elsewhere(solution.cell_resistance).objective < FAR_BELOW * start.objective

@@ -26,6 +26,7 @@ from lampest import (
 )
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.prepared import Prepared
+from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
@@ -35,6 +36,9 @@ from tests.estimates import recording_of
 
 SHAPE = (5, 7)
 CELLS = 3000 * np.exp(np.random.default_rng(4).standard_normal(SHAPE))
+NOISE, ROUNDING = 1e-4, 1e-6  # of a reading, relative
+FAR_BEYOND = 1000  # σ; measured 10,000
+MEMORY_ERROR = 0.15  # relative
 
 
 # An amplifier's rails keep readings from breaking its laws unless the resistances at its lines are
@@ -76,16 +80,16 @@ def test_a_circuit_bounds_its_series_resistance(circuit: Readout) -> None:
 @pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: circuit.kind)
 def test_laws_of_a_circuit_hold_only_for_its_own_readings(circuit: Readout) -> None:
     exact = circuit.exact_reading(CELLS)[None]
-    sigma = 1e-4 * exact
+    sigma = NOISE * exact
     for test in circuit.free_tests(exact, sigma):
         assert test.excess.shape == (1,)
-        assert test.excess[0] <= 1e-6 / 1e-4
+        assert test.excess[0] <= ROUNDING / NOISE
         spoilt = exact.copy()
         spoilt[0, 2, 3] = 3 * exact.max() if circuit.unit == "ohm" else 1.01 * circuit.supply_volt
         broken = {law_test.law: law_test for law_test in circuit.free_tests(spoilt, sigma)}[
             test.law
         ]
-        assert broken.excess[0] > 10
+        assert broken.excess[0] > FAR_BEYOND
 
 
 # 90079: cells that 8 bits leave uncertain; 90220: cells at their bounds.
@@ -173,7 +177,7 @@ def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None
     ]
     standard_error = 0.02  # of a share of 0.05 in 120 draws
     assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * standard_error
-    assert np.min(tails) > 1e-4
+    assert np.min(tails) > SIGNIFICANCE
 
 
 @pytest.mark.slow
@@ -279,7 +283,7 @@ def test_specified_and_absent_groups_raise_no_doubt(scene: Scene) -> None:
 def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: float) -> None:
     check = Prepared(misdescribed(replace(scene, converter_memory=memory), scene, 2)).check
     assert check.better.startswith("converter_memory near ")
-    assert float(check.better.split()[-1]) == pytest.approx(memory, rel=0.15)
+    assert float(check.better.split()[-1]) == pytest.approx(memory, rel=MEMORY_ERROR)
 
 
 @pytest.mark.parametrize(

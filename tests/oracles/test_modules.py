@@ -36,6 +36,9 @@ FAULTS = (
 )
 LAYOUT = Modules(2, 3, EachModule(3, 4), 3.0)
 COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
+CONVERGED = 1e-6  # relative, of cells and costs at the end of a solve
+ROUNDING = 1e-9  # relative, of a cost
+CLEARLY_ABOVE = 1.001  # cost over the least one: a thousand times what solves leave
 READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 
 
@@ -105,15 +108,19 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
         estimate = lampest.reconstruct(alone, terms, formulation="reduced")
         total += [step.solution.objective for step in estimate.steps]
         np.testing.assert_allclose(
-            image.cell_resistance[cells], estimate.cell_resistance, rtol=1e-6
+            image.cell_resistance[cells], estimate.cell_resistance, rtol=CONVERGED
         )
         np.testing.assert_allclose(
-            image.baseline_resistance[cells], estimate.baseline_resistance, rtol=1e-6
+            image.baseline_resistance[cells], estimate.baseline_resistance, rtol=CONVERGED
         )
         np.testing.assert_allclose(
-            image.cell_resistance_errors[cells], estimate.cell_resistance_errors, rtol=1e-4
+            image.cell_resistance_errors[cells],
+            estimate.cell_resistance_errors,
+            rtol=100 * CONVERGED,
         )
-    np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
+    np.testing.assert_allclose(
+        [step.solution.objective for step in image.steps], total, rtol=CONVERGED
+    )
 
 
 def test_modules_of_a_single_line_have_the_shared_errors() -> None:
@@ -230,9 +237,11 @@ def test_a_penalty_without_neighbours_couples_no_modules() -> None:
     estimate = coupled(recording, penalty)
     separate = apart(recording, penalty)
     assert all(status == "optimum verified" for status in estimate.status)
-    np.testing.assert_allclose(estimate.cell_resistance, separate.cell_resistance, rtol=1e-5)
     np.testing.assert_allclose(
-        estimate.baseline_resistance, separate.baseline_resistance, rtol=1e-5
+        estimate.cell_resistance, separate.cell_resistance, rtol=10 * CONVERGED
+    )
+    np.testing.assert_allclose(
+        estimate.baseline_resistance, separate.baseline_resistance, rtol=10 * CONVERGED
     )
 
 
@@ -247,10 +256,12 @@ def test_differences_over_seams_are_weighted_by_their_distance() -> None:
     for place, frame in enumerate(estimate.frame):
         cells = estimate.cell_resistance[place]
         least = cost(recording, cells, frame, weight)
-        assert least == pytest.approx(estimate.steps[place].solution.objective, rel=1e-9)
+        assert least == pytest.approx(estimate.steps[place].solution.objective, rel=ROUNDING)
         neighbours = (cells * np.exp(1e-3 * random.standard_normal(cells.shape)) for _ in range(20))
         assert all(cost(recording, neighbour, frame, weight) > least for neighbour in neighbours)
-        assert cost(recording, uncoupled.cell_resistance[place], frame, weight) > 1.001 * least
+        assert (
+            cost(recording, uncoupled.cell_resistance[place], frame, weight) > CLEARLY_ABOVE * least
+        )
 
 
 def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:

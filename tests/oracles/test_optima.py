@@ -28,6 +28,10 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from tests.estimates import recording_of
 from tests.least_cost import Circuit
 
+SPOILT = 0.5  # of a cell, relative; measured 0.70, and 0.023 and 0.077 by the other losses
+MAX_ITERATIONS = 25  # from the optimum of squares; from afar it takes 40 to 140
+AT_BOUND = 0.99
+
 
 def truth(shape: tuple[int, int], frames: int, seed: int, spread: float = 0.3) -> Array:
     """Cells of 3 kilohm, scattered, of which a patch falls from frame to frame."""
@@ -62,9 +66,9 @@ def test_an_outlier_spoils_squares_but_not_absolute_values() -> None:
             recorded, Estimator((Misfit(loss=loss), Gradient(weight=1e-3)))
         ).cell_resistance
         errors[loss.kind] = np.max(np.abs(estimate / cells - 1))
-    assert errors["squared"] > 0.5
-    assert errors["absolute"] < 0.05
-    assert errors["huber"] < 0.15
+    assert errors["squared"] > SPOILT
+    assert errors["absolute"] < SPOILT / 10, "an absolute loss ignores the size of an outlier"
+    assert errors["huber"] < 3 * SPOILT / 10, "beyond its corner of 5 the outlier still pulls"
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -77,8 +81,7 @@ def test_a_loss_with_a_corner_starts_at_the_optimum_of_squares(seed: int) -> Non
         (Misfit(weighting="noise", loss=Huber(corner=3.0)), Gradient(weight=1e-6)), "reduced"
     )
     estimate = reconstruct(readings, chosen)
-    # From afar it takes 40 to 140.
-    assert max(step.solution.iterations for step in estimate.steps) <= 25
+    assert max(step.solution.iterations for step in estimate.steps) <= MAX_ITERATIONS
     data = chosen.data(readings.readings()[2].alone(), Background(readings.scene))
     cost = chosen.cost(readings.scene, 1)
     rng = np.random.default_rng(seed)
@@ -102,7 +105,7 @@ def test_a_cell_without_a_finite_optimum_ends_at_the_resolution(formulation: Any
     assert solution.solved
     upper = recorded.resistance**2 / recorded.sigma
     assert np.sum(solution.open_cell) == 3
-    assert np.array_equal(solution.open_cell, solution.cell_resistance >= 0.99 * upper)
+    assert np.array_equal(solution.open_cell, solution.cell_resistance >= AT_BOUND * upper)
     assert_allclose(
         solution.cell_resistance[solution.open_cell], upper[solution.open_cell], rtol=1e-6
     )

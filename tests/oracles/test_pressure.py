@@ -15,6 +15,8 @@ from lampest.recording.simulation.simulation import simulate
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
 AIR = Scene(Panel(4, 3))
+ROUNDING_KPA = 1e-9
+ROUNDING = 1e-12  # relative
 SCENES = {
     "air": AIR,
     "water": Scene(Panel(4, 3), water=Water(70.0)),
@@ -46,7 +48,7 @@ def test_pressures_come_back_from_their_cells(name: str) -> None:
     pressure = np.linspace(-20, 235, 2001)[:, None, None] * np.ones((4, 3))
     ratio = np.exp(log_change(pressure, SCENES[name]))
     pressed = pressure_of(ratio, ratio, ratio, SCENES[name])
-    np.testing.assert_allclose(pressed.pressure, pressure, atol=1e-9)
+    np.testing.assert_allclose(pressed.pressure, pressure, atol=ROUNDING_KPA)
     assert np.all(np.diff(pressed.pressure, axis=0) > 0)
     for ends in (pressed.lower, pressed.upper):
         assert np.all(np.diff(ends, axis=0) > 0)
@@ -67,13 +69,13 @@ def test_the_simulation_applies_the_response_of_the_scene() -> None:
     ratio = cells[1:] / cells[0]
     pressed = pressure_of(ratio, ratio, ratio, scene)
     np.testing.assert_allclose(
-        pressed.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9
+        pressed.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=ROUNDING_KPA
     )
-    assert pressed.pressure.min() < -5 and pressed.pressure.max() > 5
+    assert pressed.pressure.min() < 0.9 * cup.pressure_kpa and pressed.pressure.max() > 5
     untold = simulate(dataclasses.replace(simulation, scene=Scene(Panel(8, 8)), water=Water(50.0)))
     np.testing.assert_array_equal(untold.truth_cell_resistance[0], cells[0])
     np.testing.assert_allclose(
-        cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=1e-12
+        cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=ROUNDING
     )
 
 
@@ -101,9 +103,10 @@ def test_the_interval_covers_the_truth(name: str, sd: float) -> None:
         np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene
     )
     covered = np.mean((pressed.lower <= pressure) & (pressure <= pressed.upper))
-    six_standard_errors = 0.02  # of the share of 4,000 draws
-    assert 0.95 - six_standard_errors < covered < 0.95 + six_standard_errors
-    assert 0.5 < np.mean(np.abs(pressed.pressure - pressure) < pressed.errors) < 0.75
+    five_standard_errors = 5 * np.sqrt(0.95 * 0.05 / draws)
+    assert abs(covered - 0.95) < five_standard_errors
+    within = np.mean(np.abs(pressed.pressure - pressure) < pressed.errors)
+    assert 0.5 < within < 0.75, "68 % of a normal distribution; a curve bends it"
 
 
 def test_pressures_are_flagged_where_the_curve_ends() -> None:

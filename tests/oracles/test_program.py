@@ -28,6 +28,10 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 
 NOISE = lampest.Misfit(weighting="noise")
+CONVERGED = 1e-7  # of log r; measured 1.4e-8
+MAX_DIFFERENCE = 1e-6  # relative, of costs and sums at a verified optimum
+ROUNDING = 1e-9  # relative
+SAME_NOISE = 0.05  # relative: readings of equal cells have nearly one σ
 METHODS: dict[str, list[lampest.Term]] = {
     "LSM": [lampest.Misfit()],
     "LSR-CR": [lampest.Misfit(), lampest.CellResistance(weight=1e-3)],
@@ -142,8 +146,8 @@ def test_optima_of_every_circuit_equal_those_of_the_reduced_solver(
         )
         assert set(estimate.status) == {"optimum verified"}
         cells[formulation] = np.log(estimate.cell_resistance)
-    assert_allclose(cells["nodal"], cells["reduced"], atol=1e-7)
-    assert_allclose(cells["per_pixel"], cells["reduced"], atol=1e-7)
+    assert_allclose(cells["nodal"], cells["reduced"], atol=CONVERGED)
+    assert_allclose(cells["per_pixel"], cells["reduced"], atol=CONVERGED)
 
 
 @pytest.mark.parametrize("joint", [True, False])
@@ -156,7 +160,7 @@ def test_a_pair_of_frames_has_the_optimum_of_the_reduced_solver(joint: bool) -> 
             recording, METHODS["LSR-dCR"], formulation=method, error_bars=False
         )
         costs.append(estimate.steps[0].solution.objective)
-    assert costs[1] <= costs[0] * (1 + 1e-9)
+    assert costs[1] <= costs[0] * (1 + ROUNDING)
 
 
 @pytest.mark.parametrize("wires", WIRES)
@@ -184,7 +188,7 @@ def test_the_strongest_frame_is_solved_again_from_another_start(formulation: Any
     )
     case = estimate.result()
     assert sorted(case.verified) == [Witness.NONE, Witness.SAME]
-    assert case.verified_difference[case.verified == Witness.SAME] < 1e-6
+    assert case.verified_difference[case.verified == Witness.SAME] < MAX_DIFFERENCE
     assert np.isnan(case.verified_difference[case.verified == Witness.NONE]).all()
     all_verified = lampest.reconstruct(
         recording, METHODS["smooth"], verify=lampest.Verify("all"), **options
@@ -269,7 +273,9 @@ def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(
     assert hessian.free.all()
     deviations = np.sqrt(np.linalg.inv(hessian.matrix / 2).diagonal()).reshape(4, 5)
     assert_allclose(
-        solved.cell_resistance_errors[0] / solved.cell_resistance[0], deviations, rtol=1e-5
+        solved.cell_resistance_errors[0] / solved.cell_resistance[0],
+        deviations,
+        rtol=10 * MAX_DIFFERENCE,
     )
 
 
@@ -279,7 +285,9 @@ def test_two_equal_cells_have_one_value_and_smaller_error_bars() -> None:
     free = program.solve()
     tied = program.subject_to("equal", cells[0, 0] - cells[3, 4]).solve()
     assert tied.status == "optimum verified"
-    assert tied.cell_resistance[0, 0, 0] == pytest.approx(tied.cell_resistance[0, 3, 4], rel=1e-9)
+    assert tied.cell_resistance[0, 0, 0] == pytest.approx(
+        tied.cell_resistance[0, 3, 4], rel=ROUNDING
+    )
     assert (
         tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
     )
@@ -295,7 +303,7 @@ def test_the_total_conductance_can_be_fixed_or_limited() -> None:
     for limits, expected in ((given, 1.02 * usual), (limited, 0.97 * usual), (loose, usual)):
         solved = program.subject_to("total", total, *limits).solve()
         assert solved.status == "optimum verified"
-        assert (1000 / solved.cell_resistance).sum() == pytest.approx(expected, rel=1e-6)
+        assert (1000 / solved.cell_resistance).sum() == pytest.approx(expected, rel=MAX_DIFFERENCE)
 
 
 def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
@@ -321,8 +329,8 @@ def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
         )
     solved = program.solve()
     used = program.evaluations[0].data.sigma.mean()
-    assert solved["series_ohm"][0] == pytest.approx(25.0 + noise.mean(), abs=0.1 * used)
-    assert solved.errors("series_ohm")[0] == pytest.approx(used / np.sqrt(60), rel=0.05)
+    assert solved["series_ohm"][0] == pytest.approx(25.0 + noise.mean(), abs=2 * SAME_NOISE * used)
+    assert solved.errors("series_ohm")[0] == pytest.approx(used / np.sqrt(60), rel=SAME_NOISE)
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,10 @@ CIRCUITS = {
     ),
 }
 MAX_EXCESS = 1e-6  # share of the cost of an estimate that another solver may save
+MAX_KKT = 1e-6  # of a verified optimum
+ROUNDING = 1e-12  # relative, of a cost
+EQUAL = 1e-8  # of log r, between cells that a heavy penalty holds together; measured 4e-12
+MAX_ITERATIONS = 200  # limit: a third above the largest number measured
 
 
 @pytest.mark.parametrize("joint", [False, True])
@@ -97,7 +101,7 @@ def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool)
         )
         value, slope = problem.oracle.as_squares(place, 0.0)
         stated = problem.oracle.value(place)
-        assert np.sum(value**2) == pytest.approx(stated, rel=1e-12), problem.about
+        assert np.sum(value**2) == pytest.approx(stated, rel=ROUNDING), problem.about
         step = 1e-6 * np.random.default_rng(1).standard_normal(len(place))
         sides = [problem.oracle.as_squares(place + sign * step, 0.0)[0] for sign in (1, -1)]
         by_differences = (sides[0] - sides[1]) / 2
@@ -107,7 +111,7 @@ def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool)
         at = Evaluation.at(
             problem.cost, problem.data, np.exp(place).reshape(problem.data.measured.shape)
         )
-        assert at.objective == pytest.approx(stated, rel=1e-11), problem.about
+        assert at.objective == pytest.approx(stated, rel=ROUNDING), problem.about
         if not at.cost.slope.size:  # no absolute loss, which enters through duals
             gradient = at.log_gradient(np.zeros(0)).ravel()
             np.testing.assert_allclose(
@@ -214,9 +218,9 @@ def test_heavy_squares_are_verified(kind: str, weight: float, scaled: bool) -> N
         return
     assert solution.status in (Status.OPTIMUM, Status.FLAT)
     place = np.log(solution.cell_resistance).ravel()
-    assert least.value(place) == pytest.approx(solution.objective, rel=1e-6)
+    assert least.value(place) == pytest.approx(solution.objective, rel=MAX_EXCESS)
     for start in (place, np.full_like(place, place.mean())):
-        assert least.value(least.minimised(start)) >= solution.objective * (1 - 1e-6)
+        assert least.value(least.minimised(start)) >= solution.objective * (1 - MAX_EXCESS)
 
 
 @pytest.mark.parametrize(
@@ -233,13 +237,13 @@ def test_absolute_losses_end_within_a_hundred_millionth_of_the_least_cost(
     solution, least = solved_with(kind, weight, scaled=scaled, loss=Absolute(), noise=0.003)
     place = np.log(solution.cell_resistance).ravel()
     if weight < 1e6:
-        assert solution.status is Status.OPTIMUM and solution.kkt_residual < 1e-6
+        assert solution.status is Status.OPTIMUM and solution.kkt_residual < MAX_KKT
         assert (
             least.value(least.minimised(place, 200))
             >= least.value(place) * (1 - 1e-8) - 1e-12 * least.blank()
         )
         return
-    assert solution.status is Status.FLAT and np.ptp(place) < 1e-8
+    assert solution.status is Status.FLAT and np.ptp(place) < EQUAL
     misfit = [
         least.value(np.full_like(place, place.mean() + aside)) for aside in (-1e-4, 0.0, 1e-4)
     ]
@@ -301,7 +305,7 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
             oracle = LeastCost.of(data, Penalty("misfit", 1.0), Penalty("gradient", 1e-3))
             starts = np.log(data.measured).ravel() + random.uniform(0, np.log(60), (6, 100))
             least = min(oracle.value(oracle.minimised(start, 40)) for start in starts)
-            assert oracle.value(np.log(step.cell_resistance).ravel()) <= least * (1 + 1e-6)
+            assert oracle.value(np.log(step.cell_resistance).ravel()) <= least * (1 + MAX_EXCESS)
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
@@ -333,10 +337,10 @@ def test_a_frame_with_a_wrong_model_is_solved_quickly_at_any_weight(
         kind, Misfit(weighting="noise"), term_types()["log_gradient"](weight=weight)
     )
     assert solution.solved or solution.status is Status.STALLED
-    assert solution.iterations < 200
+    assert solution.iterations < MAX_ITERATIONS
 
 
 def test_readings_beyond_the_corner_of_a_loss_still_lead_to_the_minimum() -> None:
     misfit = Misfit(weighting="noise", loss=Student(corner=4.0))
     solution = solution_of_a_skin("loaded", misfit, term_types()["log_gradient"](weight=1e-3))
-    assert solution.solved and solution.iterations < 150
+    assert solution.solved and solution.iterations < 0.75 * MAX_ITERATIONS

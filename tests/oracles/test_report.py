@@ -16,6 +16,10 @@ DRAWS = 2000
 # Three standard errors of the share of these draws that 95 % intervals contain.
 COVERAGE_ERROR = 0.015
 SERIES = 200
+# 95 % less, and 49 % (of intervals a third as wide) plus, three standard errors of the share.
+MIN_HELD = 0.9
+MAX_HELD_BY_NARROW = 0.6
+MEAN_SQUARE_ERROR = 0.03  # relative: two standard deviations of the mean of 10,000 squares, √(2/n)
 
 
 @pytest.mark.parametrize("count", [2, 3, 10, 30])
@@ -43,7 +47,7 @@ def test_parts_widen_the_interval_of_correlated_frames() -> None:
         series = lfilter([1.0], [1.0, -0.8], noise)[100:]
         intervals = [mean_interval(series, parts) for parts in (5, 200)]
         held += [interval.lower <= 0 <= interval.upper for interval in intervals]
-    assert held[0] > 0.9 * SERIES and held[1] < 0.6 * SERIES  # one frame a part: a third as wide
+    assert held[0] > MIN_HELD * SERIES and held[1] < MAX_HELD_BY_NARROW * SERIES
 
 
 def with_change(estimator: str, change: float, below: float, above: float) -> CaseResult:
@@ -100,8 +104,8 @@ def test_the_prediction_error_is_the_deviation_of_fresh_readings() -> None:
             resolution=np.full(shape, share),
         )
         expected = 1 + share**2 + (1 - share) ** 2 * 0.49
-        assert np.mean(predicted(known)) == pytest.approx(expected, rel=0.03)
-        assert np.mean((fresh - model) ** 2) == pytest.approx(expected, rel=0.03)
+        assert np.mean(predicted(known)) == pytest.approx(expected, rel=MEAN_SQUARE_ERROR)
+        assert np.mean((fresh - model) ** 2) == pytest.approx(expected, rel=MEAN_SQUARE_ERROR)
         # Outliers do not decide.
         far = predicted(dataclasses.replace(known, reading_model=model + 100))
         assert np.all(far == 25 + 2 * share)

@@ -15,6 +15,7 @@ from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
 from lampest.panel.readouts.readout import Readout, with_memory
 
 FRAMES = 6  # unloaded ones, and as many loaded ones
+MAX_ERROR = 0.005  # a quarter of the smallest memory here
 CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1}
 COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
 
@@ -46,7 +47,7 @@ def test_evidence_shows_a_small_memory(memory: float) -> None:
     recording = pressed_mat(memory)
     assert memory_gain(recording) > MIN_EVIDENCE_GAIN
     estimate = estimated_memory(recording)
-    assert not isinstance(estimate, str) and abs(estimate[0] - memory) < 0.005
+    assert not isinstance(estimate, str) and abs(estimate[0] - memory) < MAX_ERROR
 
 
 def test_evidence_shows_no_absent_memory() -> None:

@@ -18,6 +18,13 @@ from lampest.panel.readouts.floating import (
 from tests.netlist import in_digits
 
 TEN_DIGITS = 1e-10
+FOURTEEN_DIGITS = 1e-14
+ROUNDING = 1e-13  # relative, of sums of positive numbers alone
+# Of a thousand panels. Inverses that lose digits occur, and the condition finds them without
+# sending most panels to the elimination; measured 65 wrong, 82 unsafe.
+MIN_WRONG = 50
+MAX_UNSAFE = 500
+MAX_SECONDS = 2  # an elimination for every pair would take minutes
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (2, 32), (32, 2), (16, 16), (3, 5)]
 
 
@@ -75,7 +82,7 @@ def structured_panels(count: int, max_lines: float, seed: int) -> Iterator[tuple
 def test_every_structured_panel_is_exact_to_fourteen_digits(shape: tuple[int, int]) -> None:
     for name, cells in structured(shape, np.random.default_rng(1), 15):
         assert_allclose(
-            exact_two_point_resistance(cells), in_digits(cells), rtol=1e-14, err_msg=name
+            exact_two_point_resistance(cells), in_digits(cells), rtol=FOURTEEN_DIGITS, err_msg=name
         )
 
 
@@ -94,7 +101,7 @@ def test_an_unsafe_inverse_is_noticed() -> None:
         wrong += worst > TEN_DIGITS
         assert worst <= TEN_DIGITS or network.condition() > SAFE_CONDITION, name
         assert_allclose(two_point_resistance(cells), expected, rtol=TEN_DIGITS, err_msg=name)
-    assert 50 < wrong < unsafe < 500
+    assert MIN_WRONG < wrong < unsafe < MAX_UNSAFE
 
 
 def test_open_cells_leave_the_network() -> None:
@@ -103,7 +110,7 @@ def test_open_cells_leave_the_network() -> None:
     cells[3, 4] = 500.0
     expected = in_digits(np.where(np.isinf(cells), 1e300, cells))
     for resistance in (exact_two_point_resistance(cells), two_point_resistance(cells)):
-        assert_allclose(resistance, expected, rtol=1e-13)
+        assert_allclose(resistance, expected, rtol=ROUNDING)
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
@@ -122,7 +129,7 @@ def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
     rows = rng.permutation(6)
     columns = rng.permutation(7)
     for forward in (exact_two_point_resistance, two_point_resistance):
-        assert_allclose(forward(cells[rows][:, columns]), expected[rows][:, columns], rtol=1e-13)
+        assert_allclose(forward(cells[rows][:, columns]), expected[rows][:, columns], rtol=ROUNDING)
     assert_array_equal(two_point_resistance(np.full((3, 2), np.inf)), np.full((3, 2), np.inf))
     assert_array_equal(two_point_resistance(np.full((1, 1), np.inf)), [[np.inf]])
 
@@ -141,7 +148,7 @@ def test_shorts_join_lines() -> None:
         limit = exact_two_point_resistance(np.where(short, 1e-40, cells))
         resistance = exact_two_point_resistance(np.where(short, 0, cells))
         assert_array_equal(resistance == 0, limit < 1e-30)
-        assert_allclose(resistance, np.where(limit < 1e-30, 0, limit), rtol=1e-13)
+        assert_allclose(resistance, np.where(limit < 1e-30, 0, limit), rtol=ROUNDING)
         assert_array_equal(two_point_resistance(np.where(short, 0, cells)) == 0, limit < 1e-30)
 
 
@@ -164,6 +171,6 @@ def test_a_panel_of_hundred_by_hundred_keeps_its_digits(decades: float) -> None:
     for name, cells in structured((100, 100), np.random.default_rng(13), decades):
         begin = time.process_time()
         resistance = exact_two_point_resistance(cells)
-        assert time.process_time() - begin < 2, name
+        assert time.process_time() - begin < MAX_SECONDS, name
         assert np.all(np.isfinite(resistance) & (resistance > 0)), name
-        assert np.sum(resistance / cells) == pytest.approx(199, rel=1e-12)
+        assert np.sum(resistance / cells) == pytest.approx(sum(cells.shape) - 1, rel=10 * ROUNDING)

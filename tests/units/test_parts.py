@@ -35,6 +35,8 @@ SCENE = lampest.Scene(
 )
 SMALL_SCENE = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
+CONVERGED = 1e-9  # relative; parts of a recording are solved from the same starts
+MAX_GROWTH = 1.02  # of the peak memory with four times the frames; measured 1.007
 RUN = """
 schema: 1
 recordings: [long.h5]
@@ -112,7 +114,7 @@ def test_parts_give_the_results_of_the_whole_recording(
         assert np.array_equal(actual.frame, expected.frame) and np.array_equal(
             actual.time, expected.time
         )
-        np.testing.assert_allclose(actual.cell_resistance, expected.cell_resistance, rtol=1e-2)
+        np.testing.assert_allclose(actual.cell_resistance, expected.cell_resistance, rtol=CONVERGED)
         assert actual.cell_resistance_errors is not None or actual.estimator == "scaled"
     assert "0 cases solved, 3 were done before" in run("parts").out
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
@@ -253,7 +255,7 @@ def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
         words = [sys.executable, "-c", SCRIPT, str(folder / "run.yaml"), str(folder / "out")]
         completed = subprocess.run(words, capture_output=True, text=True, check=True)
         peaks.append(int(completed.stdout))
-    assert peaks[1] < 1.02 * peaks[0]
+    assert peaks[1] < MAX_GROWTH * peaks[0]
 
 
 def test_methods_that_need_all_frames_refuse_long_recordings(

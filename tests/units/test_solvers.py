@@ -28,6 +28,10 @@ from lampest.studies.bench import BenchFile
 
 TIMES = np.linspace(0.0, 2.0, 9)
 LOOP = LevenbergMarquardt(evaluations=200, settled=1e-20)
+MAX_POSITION_ERROR = 1e-6  # relative: Gauss–Newton steps end linearly; measured 1e-9
+CONVERGED = 1e-9  # relative, of cells; measured 1e-11
+ROUNDING = 1e-13  # relative, of a cost that is computed twice
+MAX_WARM_STEPS = 8  # from the optimum's neighbourhood; measured 3
 CONVERTER = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
 CASES: list[tuple[str, Readout]] = [
     ("nodal", lampest.TwoPointReadout(**CONVERTER)),
@@ -63,8 +67,8 @@ def test_the_minimum_equals_that_of_scipy_with_and_without_bounds() -> None:
         position, squares = replace(LOOP, damping=damping).minimum(decayed, start, bounds)
         exactly = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}
         reference = least_squares(lambda at: decayed(at).residual, start, bounds=bounds, **exactly)
-        assert_allclose(position, reference.x, rtol=1e-5)
-        assert np.isclose(squares.cost, reference.cost, rtol=1e-6)
+        assert_allclose(position, reference.x, rtol=MAX_POSITION_ERROR)
+        assert np.isclose(squares.cost, reference.cost, rtol=MAX_POSITION_ERROR)
         assert np.all(position >= bounds[0]) and np.all(position <= bounds[1])
 
 
@@ -100,10 +104,10 @@ def test_second_derivatives_are_factored_once_and_reused(
         monkeypatch.setattr(owner, name, called)
     solution = best_solution(solver, data, previous, stream.prepared)
     assert solution.strict and counts["of"] == 1
-    assert counts["product"] <= 7  # 8 where ∇²φ is factored at the end alone
-    assert counts["elsewhere"] <= 4  # 5 where the last point is evaluated again
+    assert counts["product"] < 8  # 8 where ∇²φ is factored at the end alone
+    assert counts["elsewhere"] < 5  # 5 where the last point is evaluated again
     repeated = solution.at.elsewhere(solution.at.cell_resistance)
-    assert np.isclose(repeated.objective, solution.objective, rtol=1e-13, atol=0)
+    assert np.isclose(repeated.objective, solution.objective, rtol=ROUNDING, atol=0)
 
 
 def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
@@ -151,8 +155,8 @@ def test_ipopt_reaches_the_optimum_from_near_and_far(
         start = evaluated(cost, data, place)
         solution = check(start, solver.continued(carried).solve(data, start))
         assert solution.solved
-        assert_allclose(solution.cell_resistance, optimum, rtol=1e-5)
+        assert_allclose(solution.cell_resistance, optimum, rtol=CONVERGED)
         iterations.append(solution.iterations)
         carried = solution.carried if len(iterations) > 1 else None
     cold, near_cold, warm = iterations
-    assert 0 < warm <= near_cold and near_cold > 0 and cold > 0 and warm <= 8
+    assert 0 < warm <= near_cold and near_cold > 0 and cold > 0 and warm <= MAX_WARM_STEPS

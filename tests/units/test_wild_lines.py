@@ -54,6 +54,7 @@ IMPOSSIBLE_FIELDS |= {
     "adc_bits": (0, 33, 255),
 }
 PERIOD = 0.05
+ROUNDING_S = 1e-9
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
 SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
 HELLO_AT_PERIOD = replace(IDLE, period_us=round(1e6 * PERIOD))
@@ -269,7 +270,7 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
         _, samples = run_of(*ticked(30, jumps))
         assert places(samples) == complete_frames(30)
         np.testing.assert_allclose(
-            [sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9
+            [sample.time for sample in samples], 0.01 * np.arange(30), atol=ROUNDING_S
         )
 
 
@@ -301,7 +302,7 @@ def test_the_clock_limits_the_accepted_frame_number() -> None:
 def test_a_stopped_clock_costs_no_frame_and_is_named_once() -> None:
     _, samples = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
     assert places(samples) == complete_frames(101) and np.all(
-        np.diff([sample.time for sample in samples]) >= 0.01 - 1e-9
+        np.diff([sample.time for sample in samples]) >= 0.01 - ROUNDING_S
     )
     assert [(number, sample.events) for number, sample in enumerate(samples) if sample.events] == [
         (6, (CLOCK_STOPPED,))
@@ -615,9 +616,11 @@ def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.Monk
     assert {image.frame.missed for image in images} == {3}
     assert [image.session for image in images] == [0, 0, 0, 0, 1, 1]
     assert not any(image.lost for image in images), "no board lacks it where the others have it"
-    np.testing.assert_allclose([image.time for image in images], PERIOD * np.arange(6), atol=1e-9)
     np.testing.assert_allclose(
-        [image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=1e-9
+        [image.time for image in images], PERIOD * np.arange(6), atol=ROUNDING_S
+    )
+    np.testing.assert_allclose(
+        [image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=ROUNDING_S
     )
     assert {(image.hello.rows, image.hello.columns) for image in images} == {(6, 8)}
     parts = LAYOUT.split(np.array([image.frame.sums for image in images]))

@@ -1,0 +1,120 @@
+"""Bounds and symmetries of the readings of any panel.
+
+A network of resistors is passive and reciprocal, and its lines have no order.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest import (
+    Array,
+    DrivenReadout,
+    GroundedReadout,
+    LoadedColumnsReadout,
+    TwoPointReadout,
+    VirtualGroundReadout,
+    two_point_resistance,
+)
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
+
+SHAPES = ((1, 1), (1, 7), (4, 3), (5, 6), (9, 2))
+every_shape = pytest.mark.parametrize("shape", SHAPES)
+# Relative; rounding of float64, 2e-16, grows with the contrast of the cells, here three decades.
+ROUNDING = 1e-10
+READOUTS = {
+    "two-point": TwoPointReadout(),
+    "loaded": LoadedColumnsReadout(drive_ohm=90.0, load_ohm=3e3),
+    "pulled down": LoadedColumnsReadout(polarity="down", drive_ohm=90.0),
+    "one sensed": GroundedReadout(sense="one", drive_ohm=50.0, sense_ohm=40.0),
+    "grounded": GroundedReadout(sense_ohm=40.0),
+    "amplifiers": VirtualGroundReadout(drive_ohm=30.0, sense_ohm=20.0),
+    "held": DrivenReadout(idle_ohm=0.0, idle_load_ohm=0.0, drive_ohm=60.0, load_ohm=3e3),
+    "idle resistors": DrivenReadout(idle_ohm=3e3, idle_load_ohm=2e3, drive_ohm=60.0),
+}
+every_readout = pytest.mark.parametrize("readout", READOUTS.values(), ids=READOUTS)
+
+
+def random_cells(shape: tuple[int, int], seed: int = 0) -> Array:
+    """Cells in ohm, log-uniform over three decades around 3 kilohm."""
+    rng = np.random.default_rng([seed, *shape])
+    return np.asarray(3000 * 10 ** rng.uniform(-1.5, 1.5, shape))
+
+
+def readings_of(readout: Any, cells: Array) -> Array:
+    return np.asarray(readout.network(cells, readout.ties(cells), None).reading())
+
+
+@every_shape
+def test_resistances_between_lines_are_a_metric(shape: tuple[int, int]) -> None:
+    """No path is shorter: R_jk ≤ r_jk, and R_jk ≤ R_jq + R_pq + R_pk over other lines.
+
+    Source: Klein & Randić, J. Math. Chem. 12, 1993.
+    """
+    cells = random_cells(shape)
+    resistance = two_point_resistance(cells)
+    of_rows = np.min(resistance[:, None, :] + resistance[None, :, :], axis=2)
+    of_paths = np.min(of_rows[:, :, None] + resistance[None, :, :], axis=1)
+    assert np.all(resistance <= (1 + ROUNDING) * np.minimum(of_paths, cells))
+
+
+@every_shape
+def test_resistances_over_cells_sum_to_the_number_of_lines_less_one(
+    shape: tuple[int, int],
+) -> None:
+    """Foster's theorem, Σ R/r = lines − 1."""
+    cells = random_cells(shape)
+    shares = two_point_resistance(cells) / cells
+    assert np.sum(shares) == pytest.approx(sum(shape) - 1, rel=ROUNDING)
+
+
+@every_shape
+def test_the_response_of_a_reading_to_another_cell_is_reciprocal(shape: tuple[int, int]) -> None:
+    """∂R_m/∂ln r_n = D_mn²/r_n with symmetric transfer resistances D, and Σ_n ∂R_m/∂ln r_n = R_m.
+
+    The sum is Euler's theorem for a function of degree one (Rayleigh's monotonicity: no summand is
+    negative).
+    """
+    cells = random_cells(shape)
+    network = FloatingNetwork.solve(1 / cells, grounding(two_point_resistance(cells)))
+    sensitivity = network.sensitivity()
+    squares = sensitivity * cells.ravel()
+    assert_allclose(squares, squares.T, rtol=ROUNDING, atol=ROUNDING * np.max(squares))
+    assert_allclose(np.sum(sensitivity, axis=1), network.reading().ravel(), rtol=ROUNDING)
+    assert np.all(sensitivity >= 0)
+
+
+@every_shape
+@every_readout
+def test_readings_do_not_depend_on_the_order_of_lines(readout: Any, shape: tuple[int, int]) -> None:
+    cells = random_cells(shape)
+    rng = np.random.default_rng(1)
+    order = np.ix_(rng.permutation(shape[0]), rng.permutation(shape[1]))
+    assert_allclose(
+        readings_of(readout, cells[order]), readings_of(readout, cells)[order], rtol=ROUNDING
+    )
+
+
+@every_shape
+@every_readout
+def test_rows_and_columns_are_exchangeable(readout: Any, shape: tuple[int, int]) -> None:
+    """Cells Rᵀ with columns driven are read as R with rows driven."""
+    exchanged = (
+        replace(readout, driven="columns" if readout.driven == "rows" else "rows")
+        if hasattr(readout, "driven")
+        else readout
+    )
+    cells = random_cells(shape)
+    assert_allclose(readings_of(exchanged, cells.T).T, readings_of(readout, cells), rtol=ROUNDING)
+
+
+@every_shape
+@every_readout
+def test_readings_move_one_way_with_every_cell(readout: Any, shape: tuple[int, int]) -> None:
+    """The response of each reading to its own cell has one sign for all readings of a circuit."""
+    cells = random_cells(shape)
+    own = readout.network(cells, readout.ties(cells), None).own_response()
+    assert np.all(own != 0) and len(np.unique(np.sign(own))) == 1
