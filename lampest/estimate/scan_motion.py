@@ -140,5 +140,7 @@ def _costs(pair: FittedPair, moved: Array) -> tuple[Array, bool]:
     """
     changes = pair.with_columns(np.zeros((len(moved), 0)))
     shifted = [replace(changes, change=changes.change - share * moved) for share in SHARES]
-    costs, chosen = zip(*(each.selected(usual_starts(each.change)) for each in shifted), strict=True)
+    costs, chosen = zip(
+        *(each.selected(usual_starts(each.change)) for each in shifted), strict=True
+    )
     return np.array(costs), mostly_still(chosen[int(np.argmin(costs))])
