@@ -107,10 +107,11 @@ def recording(seed: int, kind: str, row: Row, keys: Mapping[str, Any]) -> Record
     return Recording(scene, recorded, np.arange(len(cells)) / 4, role, truth_cell_resistance=cells)
 
 
-def figures(made: Recording) -> tuple[float, ...]:
+def figures(made: Recording, *, advised: bool = True) -> tuple[float, ...]:
     """Rms error of ln r; coverages of the own part, of cells and of changes; %.
 
-    With the coverage of the own part stands its size over the error.
+    With the coverage of the own part stands its size over the error. `advised` states whether
+    advice is searched for, which takes longer than the estimate.
     """
     found = lampest.reconstruct(made)
     truth = made.truth_cell_resistance
@@ -125,7 +126,7 @@ def figures(made: Recording) -> tuple[float, ...]:
     held = (found.cell_resistance_lower <= cells) & (cells <= found.cell_resistance_upper)
     held_changes = (found.relative_change_lower <= change) & (change <= found.relative_change_upper)
     within = np.abs(own) < TWO_SIDED * found.sigma_own
-    advised = float(bool(found.advice))
+    advice = float(advised and bool(found.advice))
     rms = float(np.sqrt(np.mean(error**2)))
     shares = (100 * float(np.mean(part)) for part in (within, held, held_changes))
     own_share, cell_share, change_share = shares
@@ -135,7 +136,7 @@ def figures(made: Recording) -> tuple[float, ...]:
         float(np.median(found.sigma_own) / size),
         cell_share,
         change_share,
-        advised,
+        advice,
     )
 
 

@@ -6,7 +6,7 @@ of the page.
 A penalty λ Σ x² beside a misfit in units of the noise is a normal prior of the cells, x ~ N(0,
 1/λ). Cells are drawn from it, read with noise, and estimated with this λ or with `weight: auto`. If
 the bars are right, the posterior probability of values below the truth, Φ((u − û)/σ), is uniform,
-and every interval holds the truth as often as it says.
+and every interval holds the truth as often as it says. The prior of an absolute loss is Laplace's.
 Sources: Talts et al., arXiv 1804.06788, 2018 (calibration); Säilynoja, Bürkner & Vehtari,
 Statistics and Computing 32, 2022 (simultaneous bands of the empirical distribution).
 """
@@ -34,6 +34,7 @@ PRIORS: dict[str, lampest.Term] = {
     "log_gradient": lampest.LogGradient(),
     "gradient": lampest.Gradient(),
     "log_ratio": lampest.LogRatio(loss=lampest.Squared()),
+    "log_ratio, absolute": lampest.LogRatio(),
 }
 BASELINE_NOISE = 1e-6  # σ/R of the unloaded frame, which is as good as exact
 # σ/R; sd of a step
@@ -106,13 +107,21 @@ def calibration(
     """
     in_ohm = isinstance(penalty, lampest.Gradient)
     against_baseline = penalty.needs_previous
+    absolute = isinstance(penalty.loss, lampest.Absolute)
     weight = 1 / (step * (MEAN_OHM if in_ohm else 100.0 if against_baseline else 1.0)) ** 2
     root = prior_root(penalty) / np.sqrt(weight)
+    if absolute:  # λ |x| is −2 log of Laplace's density with the variance 8/λ²
+        weight = np.sqrt(8 * weight)
     rng = np.random.default_rng(seed)
     scores = []
     weights = []
     for _ in range(draws):
-        u = (root @ rng.standard_normal(root.shape[1])).reshape(1, SIDE, SIDE)
+        drawn = (
+            rng.laplace(0, 2**-0.5, root.shape[1])
+            if absolute
+            else rng.standard_normal(root.shape[1])
+        )
+        u = (root @ drawn).reshape(1, SIDE, SIDE)
         cells = MEAN_OHM * (np.maximum(1 + u, 0.1) if in_ohm else np.exp(u))
         exact = two_point_resistance(cells)
         readings = exact * (1 + noise * rng.standard_normal(exact.shape))

@@ -214,10 +214,10 @@ def _motion(evidence: Gathered) -> Iterator[Finding]:
     if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
         return
     share = share_of_motion(evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
-    if share is not None:
+    if share is not None and share.gain > MIN_EVIDENCE_GAIN:
         yield _finding(
-            f"no cells explain frames in which loads move; a scan takes {share[0]:.2g} +- "
-            f"{share[1]:.1g} of the time "
+            f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "
+            f"{share.deviation:.1g} of the time "
             "between frames",
             "motion",
             ESTIMATED,

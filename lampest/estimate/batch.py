@@ -93,9 +93,12 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
             )
             weights = tuple(float(term.weight) for term in objective.terms)
             for number, stream in group.items():
-                sigma = objective.weight_sigma
                 weighed[number] = replace(
-                    stream, weights=weights, weight_sigma=sigma, weighed_at=max(changes)
+                    stream,
+                    weights=weights,
+                    weight_sigma=objective.weight_sigma,
+                    prior_variance=objective.prior_variance,
+                    weighed_at=max(changes),
                 )
     return weighed
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.estimate.scan_motion import steps_within_scan
+from lampest.estimate.scan_motion import displacement
 from lampest.estimate.variance_components import (
     MIN_EXCESS,
     NO_RIPPLE,
@@ -178,21 +178,27 @@ class NoiseEstimate:
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
     def with_motion(
-        self, scene: Scene, measured: NDArray[np.intp], share: float
+        self, scene: Scene, measured: NDArray[np.intp], share: float, deviation: float = 0.0
     ) -> "NoiseEstimate":
-        """Return the noise with wider σ where readings were taken while loads moved.
+        """Return the noise with readings that are interpolated to the middle of their scan.
+
+        Their σ contains what the interpolation leaves.
 
         Parameters
         ----------
         scene : Scene
         measured : integer array
             Numbers of the measured frames.
-        share : float
-            Share of the time between frames that a scan takes.
+        share, deviation : float
+            Share of the time between frames that a scan takes, and its standard deviation.
         """
-        sigma = self.readings.known_sigma
-        moved = share * np.abs(steps_within_scan(scene, self.readings, measured)).max(axis=0)
-        return replace(self.with_sigma(np.hypot(sigma, moved)), motion=share)
+        readings = self.readings
+        displaced, doubt = displacement(scene, readings, measured)
+        sigma = np.sqrt(
+            readings.known_sigma**2 + (share * doubt) ** 2 + (deviation * displaced) ** 2
+        )
+        readings = replace(readings, value=readings.value - share * displaced, sigma=sigma)
+        return replace(self, readings=readings, motion=share)
 
 
 def without_effects(

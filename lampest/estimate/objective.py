@@ -179,31 +179,47 @@ class Objective:
     tare: Tare | None = None
     verify: Verify = Verify()
     weight_sigma: tuple[float, ...] = ()
+    prior_variance: tuple[float, ...] = ()
 
     def with_terms(self, terms: tuple[Term, ...]) -> Self:
         """Return the objective of an optimum with other terms.
 
         Terms that stay keep the deviation of their weight.
         """
-        known = dict(zip(self.terms, self.weight_sigma, strict=False))
-        sigma = tuple(known.get(term, np.nan) for term in terms) if known else ()
-        return replace(self, terms=terms, formulation="reduced", weight_sigma=sigma)
+
+        def of_terms(values: tuple[float, ...]) -> tuple[float, ...]:
+            known = dict(zip(self.terms, values, strict=False))
+            return tuple(known.get(term, np.nan) for term in terms) if known else ()
+
+        return replace(
+            self,
+            terms=terms,
+            formulation="reduced",
+            weight_sigma=of_terms(self.weight_sigma),
+            prior_variance=of_terms(self.prior_variance),
+        )
 
     @property
     def automatic(self) -> bool:
         """Whether a weight is still to be chosen."""
         return any(term.weight == "auto" for term in self.terms)
 
-    def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
+    def with_weights(
+        self,
+        weights: Iterable[float],
+        sigma: tuple[float, ...] = (),
+        variance: tuple[float, ...] = (),
+    ) -> Self:
         """Return the objective with these weights of the terms, in their order.
 
-        It has `sigma` as `weight_sigma`.
+        It has `sigma` as `weight_sigma`, and `variance` as `prior_variance`.
         """
         terms = zip(self.terms, weights, strict=True)
         return replace(
             self,
             terms=tuple(replace(term, weight=float(weight)) for term, weight in terms),
             weight_sigma=sigma,
+            prior_variance=variance,
         )
 
     @property

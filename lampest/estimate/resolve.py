@@ -19,7 +19,7 @@ from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import NoiseEstimate, without_effects
 from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.scan_motion import share_of_motion
+from lampest.estimate.scan_motion import UNKNOWN_SHARE, share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
@@ -102,7 +102,7 @@ def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> No
 
 
 def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
-    """Widen σ of readings that were taken while loads moved."""
+    """Interpolate the readings to the middle of their scan."""
     scene = recording.scene
     readings = noise.readings
     measured = np.flatnonzero(recording.role == MEASURED)
@@ -118,10 +118,14 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
         else None
     )
     if size is None:
-        return noise.undetermined(
-            "motion", "cells explain each frame within its noise, so none shows motion"
+        return noise.with_motion(scene, measured, 0.0, UNKNOWN_SHARE).undetermined(
+            "motion",
+            "no frame has still cells beside a load that moves. Error bars allow for any share of "
+            "the time between frames; give the share, or record five unloaded frames and a load "
+            "that leaves most cells free",
         )
-    return noise.with_motion(scene, measured, size[0]).determined("motion", size)
+    noise = noise.with_motion(scene, measured, size.mean, size.deviation)
+    return noise.determined("motion", (size.mean, size.deviation))
 
 
 def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
@@ -299,10 +303,12 @@ def _as_the_whole(
 ) -> NoiseEstimate:
     """Return the noise of a part with the effects, motion and errors of the whole recording."""
     noise = without_effects(noise, recording, whole.corrected_effects)
-    if whole.motion:
-        noise = noise.with_motion(
-            recording.scene, np.flatnonzero(recording.role == MEASURED), whole.motion
-        )
+    measured = np.flatnonzero(recording.role == MEASURED)
+    if recording.scene.motion == ESTIMATED and noise.readings.sigma is not None:
+        size = whole.estimated.get("motion", (0.0, UNKNOWN_SHARE))
+        noise = noise.with_motion(recording.scene, measured, *size)
+    elif whole.motion:
+        noise = noise.with_motion(recording.scene, measured, whole.motion)
     noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
     noise = _with_reading_error(noise, recording)
     return scaled(noise, recording, whole.model_factor)

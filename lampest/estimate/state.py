@@ -55,6 +55,7 @@ class Step:
     bars_seconds: float = 0.0
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
+    prior_variance: tuple[float, ...] = ()
     verification: Verification | None = None
 
     def __repr__(self) -> str:
@@ -95,7 +96,9 @@ class Step:
         dual = self.solution.dual
         if not self.solution.optimum or at is None or dual is None:
             return None
-        return LinearModel(at, dual, weight_sigma=self.weight_sigma)
+        return LinearModel(
+            at, dual, weight_sigma=self.weight_sigma, prior_variance=self.prior_variance
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,8 +56,8 @@ MAX_SWEEPS = 6  # over several penalties: each converges within a few
 NOISE_BELIEF = 0.1
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: fewer do not determine its scale
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
-# Of the terms, and the standard deviations of log λ.
-Weights = tuple[list[float], tuple[float, ...]]
+# Of the terms, the standard deviations of log λ, and the mean squares of residuals.
+Weights = tuple[list[float], tuple[float, ...], tuple[float, ...]]
 
 
 def with_chosen_weights(
@@ -199,6 +199,7 @@ class WeightSearch:
         """
         weights = self.suggested(first)
         sigma = [np.nan] * len(self.cost.terms)
+        variance: tuple[float, ...] = ()
         several = len(self.open_terms) > 1
         with suppress(*BROKEN):
             if several:
@@ -213,7 +214,27 @@ class WeightSearch:
                 changes = np.log(np.array(weights) / np.array(previous))
                 if np.nanmax(np.abs(changes), initial=0.0) < SETTLED:
                     break
-        return weights, tuple(sigma)
+            variance = self.shown_variance()
+        return weights, tuple(sigma), variance
+
+    def shown_variance(self) -> tuple[float, ...]:
+        """Return the mean square of the residuals of each open term with an absolute loss.
+
+        It is that of the reference estimates, Σ (x̂² + diag(Z S Zᵀ)) over the residuals. The weight
+        of least risk does not tell it: an absolute loss may hold residuals that noise hides, or
+        that no one would miss. NaN of other terms.
+        """
+        models = self.models(self.begun)
+        variance = [np.nan] * len(self.cost.terms)
+        for number in self.open_terms:
+            if self.cost.terms[number].loss.enters != "dual":
+                continue
+            squares = [
+                _squares(model, number, reference.covariance)
+                for model, reference in zip(models, self.references, strict=True)
+            ]
+            variance[number] = float(np.mean(np.concatenate(squares)))
+        return tuple(variance)
 
     def suggested(self, first: Array) -> list[float]:
         """Return initial weights from the residuals at cells (frames, rows, columns) ohm."""
@@ -256,7 +277,7 @@ class WeightSearch:
             weights = chosen.weights
             for number in self.open_terms:
                 sigma[number] = np.sqrt(2 / max(chosen.errors.determined(number), 1.0))
-        return weights, tuple(sigma)
+        return weights, tuple(sigma), ()
 
     def _settled(self, near: "EvidencePoint", scale: float) -> "EvidencePoint":
         """Return the weights settled for a factor on σ, from those of a near factor."""
@@ -293,6 +314,14 @@ class WeightSearch:
         model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
         errors = (SampledErrors if data.measured.size > MAX_CELLS else DenseErrors)(model)
         return EvidencePoint(scale, weights, solution.cell_resistance, errors)
+
+
+def _squares(model: LinearModel, number: int, covariance: Array) -> Array:
+    """Return E x² of the residuals of a term, given the covariance of log r."""
+    of_term = model.penalty_term == number
+    rows = model.penalty_jacobian.tocsr()[of_term]
+    spread = np.sum((rows @ covariance) * rows.toarray(), axis=1)
+    return np.asarray(model.penalty[of_term] ** 2 + spread)
 
 
 @dataclass(frozen=True, eq=False)

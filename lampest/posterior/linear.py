@@ -43,6 +43,9 @@ class LinearModel:
     weight_sigma : tuple of float
         For every term, the standard deviation of log λ if the data chose its weight, otherwise NaN;
         () if no weight was chosen.
+    prior_variance : tuple of float
+        For every term with an absolute loss whose weight has the least risk, the mean square of its
+        residuals as the data show it, otherwise NaN; () if there is none.
     """
 
     at: Evaluation
@@ -50,6 +53,7 @@ class LinearModel:
     own_error: Array | float = field(default=0.0, kw_only=True)
     deviation: Array | None = field(default=None, kw_only=True)
     weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
+    prior_variance: tuple[float, ...] = field(default=(), kw_only=True)
 
     @cached_property
     def gradient(self) -> Array:
@@ -180,8 +184,21 @@ class LinearModel:
 
     @cached_property
     def penalty_curvature(self) -> Array:
-        """Curvature ω of the penalties, (penalty rows,)."""
-        return self.penalty_curvature_for(self.at.weights)
+        """Curvature ω of the penalties, (penalty rows,).
+
+        It is s² over the variance of the residuals where the data show it: an absolute loss with
+        the weight of least risk holds more residuals at 0 than are 0.
+        """
+        curvature = self.penalty_curvature_for(self.at.weights)
+        for number, variance in self._shown_variances():
+            curvature[self.penalty_term == number] = self.scale / variance
+        return curvature
+
+    def _shown_variances(self) -> Iterator[tuple[int, float]]:
+        """Yield the numbers of terms whose variance the data show, and the variance."""
+        for number, variance in enumerate(self.prior_variance):
+            if np.isfinite(variance) and len(self.dual):
+                yield number, variance
 
     def penalty_curvature_for(self, weights: Array) -> Array:
         """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
@@ -199,7 +216,9 @@ class LinearModel:
         W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard
         deviation σ of log λ. Without it, 95 % intervals cover 81 to 83 % of the cells where the
         noise is as large as the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
-        each row beyond ω x̂; see `Loss.steady_pull`.
+        each row beyond ω x̂; see `Loss.steady_pull`. Where the data show the variance of a term's
+        residuals, its column is Zᵀ (λ z/2 − ω x̂), z the duals: it moves the estimate to the mean
+        of the posterior with this variance.
         """
         terms = self.at.cost.terms
         weights = self.at.weights
@@ -208,9 +227,16 @@ class LinearModel:
         columns = [sparse.csc_array((len(residual), 0))]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             beyond[rows] = weights[number] * loss.steady_pull(residual[rows])
+        shown = [number for number, _ in self._shown_variances()]
+        for number in shown:
+            pull = -self.penalty_curvature * residual
+            rows = self.penalty_term == number
+            dual = self.dual[self.at.cost.functions.nonsmooth_terms == number]
+            pull[rows] += weights[number] * dual / 2
+            columns.append(sparse.csc_array(np.where(rows, pull, 0.0)[:, None]))
         for number, sigma in enumerate(self.weight_sigma):
             rows = self.penalty_term == number
-            if np.isfinite(sigma) and rows.any():
+            if np.isfinite(sigma) and rows.any() and number not in shown:
                 slope = weights[number] * terms[number].loss.stiffness(residual) * residual
                 columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
         columns += [sparse.diags_array(beyond)] if beyond.any() else []

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 import lampest
+from docs.studies.effects import figures
+from docs.studies.motion import Motion
+from docs.studies.motion import recording as moving_load
 from lampest import (
     LogGradient,
     LogRatio,
@@ -140,7 +143,7 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     [
         ({"systematic": STATIC}, "record five or more unloaded frames"),
         ({"gain": "estimated"}, "record two or more unloaded frames"),
-        ({"motion": "estimated"}, "cells explain each frame"),
+        ({"motion": "estimated"}, "give the share"),
         ({"converter_memory": "estimated"}, "record unloaded frames"),
         ({"creep": "estimated"}, "record unloaded frames"),
         (
@@ -157,6 +160,30 @@ def test_warnings_name_undetermined_effects_and_the_needed_recording(
     estimate = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
     (line,) = (line for line in estimate.noise.warnings if "estimated, but" in line)
     assert advised in line and estimate.solved.all()
+
+
+def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_its_middle() -> None:
+    """A rock creeps by a tenth of a pitch a frame, and each reading has its own time."""
+    unnamed, estimated = (
+        moving_load(901, "rock", Motion(speed=0.1, scan=0.6), keys)
+        for keys in ({}, {"motion": "estimated"})
+    )
+    share, deviation = Prepared(estimated).noise.estimated["motion"]
+    assert abs(share - 0.6) < 0.1 and deviation < 0.2
+    before, after = (figures(recording, advised=False) for recording in (unnamed, estimated))
+    assert after[0] < 0.6 * before[0]
+    assert before[4] < 85 and 92 <= after[4] <= 99
+
+
+def test_a_scan_without_time_has_no_share() -> None:
+    swaying = moving_load(901, "rock", Motion(depth=0.1, scan=0.0), {"motion": "estimated"})
+    assert Prepared(swaying).noise.estimated["motion"][0] < 0.05
+
+
+def test_bars_allow_for_any_share_where_no_cell_is_still() -> None:
+    moving = moving_load(903, "hand", Motion(speed=0.3), {"motion": "estimated"})
+    assert "motion" not in Prepared(moving).noise.estimated
+    assert figures(moving, advised=False)[4] > 85
 
 
 def test_a_reference_tolerance_keeps_its_prior() -> None:

@@ -44,6 +44,7 @@ from lampest.studies.weight_curves import WeightSubject, bound_evidence, solve_a
 from tests.estimates import recording_of, rms
 from tests.least_cost import LeastCost, Penalty
 
+ABSOLUTE = "log_ratio, absolute"
 SHAPE = (8, 7)
 AUTO = "auto"
 COARSE = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
@@ -256,7 +257,7 @@ def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("chosen", [False, True], ids=["known", "chosen"])
 @pytest.mark.parametrize("level", SETTINGS)
-@pytest.mark.parametrize("name", PRIORS)
+@pytest.mark.parametrize("name", [name for name in PRIORS if name != ABSOLUTE])
 def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(
     name: str, level: str, chosen: bool
 ) -> None:
@@ -276,6 +277,22 @@ def test_intervals_contain_draws_of_the_prior_at_their_stated_rate(
         ), "five standard deviations of 2,880 cells, of which neighbours agree"
         assert np.allclose(drawn.weights, 1)
     assert min(drawn.uniformity) > UNIFORM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", SETTINGS)
+def test_intervals_contain_draws_of_laplace_under_an_absolute_loss_with_a_chosen_weight(
+    level: str,
+) -> None:
+    drawn = calibration(PRIORS[ABSOLUTE], *SETTINGS[level], True, 40, 7)
+    assert 0.92 < drawn.coverage[2] < 0.98
+
+
+def test_bars_of_changes_that_noise_hides_are_as_wide_as_the_changes() -> None:
+    """The weight of least risk is 10 times that of the prior, and holds all changes at 0."""
+    drawn = calibration(PRIORS[ABSOLUTE], 0.06, 0.06, True, 3, 11)
+    assert np.median(drawn.weights) > 2
+    assert np.sqrt(np.mean(drawn.scores**2)) < 1.4
 
 
 def going_over(folder: Path) -> lampest.Recording:

@@ -179,6 +179,7 @@ class Method(Configuration):
                 choice + perf_counter() - begin,
                 weights,
                 weight_sigma=objective.weight_sigma,
+                prior_variance=objective.prior_variance,
             )
 
     def begin(self, state: AnyState) -> AnyState:
@@ -223,7 +224,10 @@ class Method(Configuration):
             State after the frame, and its step.
         """
         before = replace(
-            state, estimator=state.estimator.with_weights(step.weights, step.weight_sigma)
+            state,
+            estimator=state.estimator.with_weights(
+                step.weights, step.weight_sigma, step.prior_variance
+            ),
         )
         data, previous = self.given(before, readings)
         cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
