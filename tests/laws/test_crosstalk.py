@@ -118,6 +118,7 @@ def test_the_misfit_alone_has_no_bias_and_a_penalty_has() -> None:
     assert np.sqrt(np.mean(scores["smooth"] ** 2)) > 10
 
 
+@pytest.mark.slow
 def test_a_wrong_pull_up_scales_cells_without_a_warning_and_leaves_changes() -> None:
     """20 kilo-ohm that the scene calls 35, as in the README: cells are 1.75 times too large."""
     readout = LoadedColumnsReadout(

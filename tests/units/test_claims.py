@@ -23,16 +23,20 @@ from lampest import (
     Readings,
     Scene,
     SeriesPerLine,
+    Systematic,
     TwoPointReadout,
     two_point_resistance,
 )
 from lampest.cost import problem as problem_module
 from lampest.cost.given import Background
+from lampest.estimate import model_error
 from lampest.estimate.calibration.loads import Loaded, fit_loads, response_of
 from lampest.estimate.calibration.resistors import calibrate_resistors
 from lampest.estimate.methods import method as method_module
+from lampest.estimate.prepared import Prepared
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import pressure_of
+from lampest.loads.recognition.suction import may_suck, suctions
 from lampest.panel.response import PUBLISHED
 from lampest.report.detect.detection import detect_recording
 from lampest.solvers import projected_newton
@@ -265,3 +269,42 @@ def test_single_resistors_show_the_circuit_as_the_table_of_readouts_says(
         assert apparent == pytest.approx(6 * R, rel=0.1)
     else:
         assert around < 0.05 * usual
+
+
+def resting(evenness: float, hidden: bool = False) -> SimpleNamespace:
+    """Changes of a mouth: a risen or a hidden cell within fallen ones, on an uneven panel."""
+    change = np.zeros((7, 7))
+    change[2:5, 2:5] = -1.0
+    change[3, 3] = 0.0 if hidden else 1.0
+    sd = np.full((7, 7), 0.02)
+    sd[3, 3] = 1.0 if hidden else 0.02
+    logarithm = 8 + evenness * np.random.default_rng(1).standard_normal((7, 7))
+    panel = Panel(7, 7)
+    baseline = SimpleNamespace(logarithm=logarithm, scene=Scene(panel))
+    return SimpleNamespace(panel=panel, free_map=change, free_sd=sd, baseline=baseline)
+
+
+def test_nothing_sucks_on_cells_as_uneven_as_under_loads_or_where_none_may_rise() -> None:
+    (place,) = suctions(resting(0.1))
+    assert place.cells[3, 3] and place.cells.sum() == 1
+    assert may_suck(resting(0.1, hidden=True)) and not suctions(resting(0.1, hidden=True))
+    uneven, hidden = resting(1.5), resting(1.5, hidden=True)
+    assert not suctions(uneven) and not may_suck(hidden)
+    pressed = resting(0.1)
+    pressed.free_map[3, 3] = -1.0
+    assert not suctions(pressed) and not may_suck(pressed)
+
+
+@pytest.mark.parametrize(
+    ("unloaded", "key", "widened"),
+    [(3, None, False), (3, "estimated", True), (0, None, True), (0, 0.0, False)],
+)
+def test_heavy_tails_widen_sigma_without_unloaded_frames_or_on_request(
+    unloaded: int, key: float | str | None, widened: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(model_error, "heavy_tails", lambda *_: 3.0)
+    scene = Scene(Panel(6, 6), TwoPointReadout(**NOISE), systematic=Systematic(model_error=key))
+    exact = two_point_resistance(np.repeat(cells_of((1, 6, 6)), 5, axis=0))
+    noise = scene.circuit.sigma(exact) * np.random.default_rng(7).standard_normal(exact.shape)
+    prepared = Prepared(recording_of(scene, exact + noise, unloaded))
+    assert prepared.noise.model_factor == (3.0 if widened else 1.0)

@@ -77,6 +77,20 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
 
 
 @pytest.mark.slow
+def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_readings() -> None:
+    recording = recording_with((ROD, 0, 10))
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    every = np.ones(len(recording.time), dtype=bool)
+    claimed, silent = (
+        replaced.answer(measured_frames(recording, replaced, every))
+        for replaced in (known, dataclasses.replace(known, explained=False))
+    )
+    assert "in its unloaded frames, and left" in claimed.why
+    assert "in its unloaded frames, and left" not in silent.why
+
+
+@pytest.mark.slow
 def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
     """What cells show then is like suction."""
     answer = answered(recording_with((ROD, 0, 10)))
