@@ -308,3 +308,37 @@ def test_heavy_tails_widen_sigma_without_unloaded_frames_or_on_request(
     noise = scene.circuit.sigma(exact) * np.random.default_rng(7).standard_normal(exact.shape)
     prepared = Prepared(recording_of(scene, exact + noise, unloaded))
     assert prepared.noise.model_factor == (3.0 if widened else 1.0)
+
+
+def test_own_and_common_errors_add_up_in_square_to_the_whole_one() -> None:
+    scene = Scene(Panel(4, 5), TwoPointReadout(**NOISE), 140.0, systematic=Systematic(0.01, 3.0))
+    recorded = two_point_resistance(cells_of((3, 4, 5))) + 140.0
+    estimate = lampest.reconstruct(recording_of(scene, recorded, 1), [Misfit(weighting="noise")])
+    whole = estimate.cell_resistance_errors / estimate.cell_resistance
+    assert np.all(estimate.sigma_own > 0) and np.all(estimate.sigma_common > 0)
+    assert_allclose(estimate.sigma_own**2 + estimate.sigma_common**2, whole**2, rtol=1e-6)
+
+
+def test_a_calibration_that_does_not_show_its_resistors_writes_nothing(
+    tmp_path: Path, lampest: Command
+) -> None:
+    scene = Scene(Panel(3, 4), TwoPointReadout(adc_bits=10, readings=20, noise_lsb=0.7))
+    readings = two_point_resistance(np.repeat(cells_of((1, 3, 4)), 10, axis=0)) + 140.0
+    readings += scene.circuit.sigma(readings) * np.random.default_rng(1).standard_normal(
+        readings.shape
+    )
+    recording_of(scene, readings).save(tmp_path / "panel.h5")
+    words = ("calibrate", tmp_path / "panel.h5", "--known", 1000, "--out", tmp_path / "new.yaml")
+    completed = lampest(*words)
+    assert completed.code == 2 and completed.err.count("\n") == 1
+    assert "no calibration: " in completed.err and not (tmp_path / "new.yaml").exists()
+
+
+def test_readings_behind_amplifiers_do_not_show_the_ratio_of_their_voltages() -> None:
+    """Cells of half the size at half the driving voltage, and channels as much smaller."""
+    usual = lampest.VirtualGroundReadout(
+        feedback_ohm=R, drive_volt=1.0, converter_volt=2.5, drive_ohm=0.01, sense_ohm=0.01
+    )
+    half = replace(usual, drive_volt=0.5)
+    cells = cells_of((4, 5))
+    assert_allclose(half.exact_reading(cells / 2), usual.exact_reading(cells), rtol=1e-3)

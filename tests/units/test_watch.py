@@ -76,6 +76,20 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
     assert answered(recording).answer == PRESSES
 
 
+@pytest.mark.parametrize(("frames", "steps"), [(1, False), (2, True)])
+def test_a_change_of_a_single_frame_is_no_step(frames: int, steps: bool) -> None:
+    """The readings of a rod in some frames, without the search for outliers."""
+    recording = recording_with((ROD, 9, 9 + frames), memory_share=0.0)
+    known = known_of(Prepared(recording_with()))
+    assert isinstance(known, Known)
+    watch = known.watch()
+    begins = set[float]()
+    for frame in range(UNLOADED, len(recording.time)):
+        watch = watch.followed(recording.readings().value[frame], known.sigma, float(frame))
+        begins.add(watch.level.since_s)
+    assert (len(begins) > 1) == steps
+
+
 @pytest.mark.slow
 def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_readings() -> None:
     recording = recording_with((ROD, 0, 10))
