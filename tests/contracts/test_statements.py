@@ -1,7 +1,7 @@
 """The list of statements: each stands in its page, and a test fails without it.
 
-`docs/statements.yaml` has for each page what tests ask of (`tested`), and sentences with strong words
-that promise no behaviour (`no_behaviour`), with a reason.
+`docs/statements.yaml` has two lists for each page: statements with their tests (`tested`), and
+sentences whose strong words promise no behaviour, with a reason (`no_behaviour`).
 """
 
 import ast
