@@ -342,3 +342,46 @@ def test_readings_behind_amplifiers_do_not_show_the_ratio_of_their_voltages() ->
     half = replace(usual, drive_volt=0.5)
     cells = cells_of((4, 5))
     assert_allclose(half.exact_reading(cells / 2), usual.exact_reading(cells), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("missing", "bounds", "enough"),
+    [(18, 0, True), (19, 0, False), (0, 25, True), (0, 26, False), (18, 7, True), (18, 8, False)],
+)
+def test_a_frame_needs_half_of_its_readings_and_so_many_values_as_factors_of_lines(
+    missing: int, bounds: int, enough: bool
+) -> None:
+    """6 × 6: at most 18 missing, at least 6 + 6 − 1 values."""
+    scene = Scene(Panel(6, 6))
+    recorded = two_point_resistance(cells_of((6, 6)))
+    recorded.flat[:missing] = np.nan
+    recorded.flat[missing : missing + bounds] = np.inf
+    assert bool(Readings.of(scene, recorded).enough(scene)) == enough
+
+
+@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
+@pytest.mark.parametrize(
+    "readout",
+    [
+        TwoPointReadout(**NOISE, groups=((0, 1), (2, 3, 4))),
+        lampest.LoadedColumnsReadout(**NOISE, drive_ohm=70.0, groups=((0, 1), (2, 3, 4))),
+        lampest.DrivenReadout(**NOISE, drive_ohm=70.0, idle_ohm=1000.0),
+    ],
+    ids=["two_point", "loaded_columns", "driven"],
+)
+def test_ipopt_solves_readings_of_parallel_multiplexers_and_of_any_circuit(
+    readout: lampest.Readout, formulation: str
+) -> None:
+    scene = Scene(Panel(4, 5), readout)
+    exact = readout.to_recorded(readout.exact_reading(cells_of((3, 4, 5))), scene)
+    cells = {}
+    for name in (formulation, "reduced"):
+        estimate = lampest.reconstruct(
+            recording_of(scene, exact, 1),
+            [Misfit(weighting="noise"), lampest.LogGradient(weight=0.1)],
+            formulation=name,
+            error_bars=False,
+        )
+        assert set(estimate.status) == {"optimum verified"}
+        cells[name] = estimate.cell_resistance
+    assert_allclose(cells[formulation], cells["reduced"], rtol=1e-5)
