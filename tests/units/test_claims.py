@@ -385,3 +385,17 @@ def test_ipopt_solves_readings_of_parallel_multiplexers_and_of_any_circuit(
         assert set(estimate.status) == {"optimum verified"}
         cells[name] = estimate.cell_resistance
     assert_allclose(cells[formulation], cells["reduced"], rtol=1e-5)
+
+
+def test_a_frame_can_be_tried_and_discarded() -> None:
+    """The term carries the frame before on, so a frame that stayed would show."""
+    scene = Scene(Panel(4, 5), TwoPointReadout(**NOISE))
+    exact = two_point_resistance(cells_of((3, 4, 5)))
+    resting, tried, next_one = (Readings.of(scene, frame) for frame in exact)
+    estimator = Estimator((Misfit(weighting="noise"), lampest.Arrival()), "reduced")
+    stream = lampest.Stream.begin(estimator, scene, 0.1, resting)
+    alone = stream.push(next_one)[1].cell_resistance
+    stream.push(tried)
+    assert_array_equal(stream.push(next_one)[1].cell_resistance, alone)
+    with pytest.raises(AttributeError):
+        stream.estimator = estimator

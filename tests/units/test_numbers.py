@@ -4,7 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from lampest.estimate import model_check, noise, nuisances, sequence, variance_components
+from lampest.estimate import (
+    model_check,
+    noise,
+    nuisances,
+    objective,
+    sequence,
+    variance_components,
+    witness,
+)
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.loads import pressure
@@ -20,6 +28,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/theory/inverse_problem.md": [
         ("the residual is at most 10⁻⁶", solution.VERIFIED, 1e-6),
         ("more than a thousandth of its standard deviation", certificate.DEVIATION_SHARE, 1e-3),
+        ("the upper bound is 10⁹ times the readout's apparent", objective.OPEN_FACTOR, 1e9),
+        ("at a millionth of its apparent resistance", objective.SHORT_FACTOR, 1e-6),
     ],
     "docs/theory/solver.md": [
         ("the step below $10^{-8}$", projected_lbfgs.LAST_STEP, 1e-8),
@@ -70,6 +80,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/howto/methods.md": [
         ("up to 144 cells", method.NODAL_CELLS, 144),
         ("at no more than two frames a second", 1 / method.NODAL_PERIOD, 2),
+        ("on panels of up to 256 cells", witness.MAX_CELLS, 256),
     ],
     "docs/howto/error_bars.md": [
         ("every verified estimate of up to 600 cells", trust_region.MATRIX_CELLS, 600),

@@ -90,6 +90,23 @@ def test_a_change_of_a_single_frame_is_no_step(frames: int, steps: bool) -> None
     assert (len(begins) > 1) == steps
 
 
+def test_readings_of_an_open_line_are_left_out_with_a_note() -> None:
+    """Of two-point readings alone: circuits in volt tell an open line otherwise."""
+    recording = recording_with()
+    recording.recorded[9:, 2] *= 10
+    answer = answered(recording)
+    assert answer.answer == NOTHING
+    assert "row 2 is open in frames from 9.0 s on; these are left out" in answer.notes
+    usual = known_of(Prepared(recording_with(readout=LoadedColumnsReadout(noise_lsb=0.7))))
+    assert isinstance(usual, Known)
+    watch = usual.watch()
+    for frame in range(4):
+        value = np.exp(watch.rest.mean).reshape(6, 6)
+        value[2] *= 0.1
+        watch = watch.followed(value, usual.sigma, 5.0 + frame)
+    assert not watch.faults
+
+
 @pytest.mark.slow
 def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_readings() -> None:
     recording = recording_with((ROD, 0, 10))
