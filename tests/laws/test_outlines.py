@@ -148,6 +148,8 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
     )
     result = estimate.result()
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
+    for axis in ("x", "y"):
+        assert np.array_equal(np.isfinite(result.to_xarray()[axis]), panel.present)
     for kind in ("contours", "resistance"):
         estimate.plot(kind).savefig(tmp_path / f"{kind}.png")
 

@@ -192,6 +192,29 @@ def test_intervals_contain_deviating_films() -> None:
     assert MIN_COVERAGE < np.mean(inside) < MAX_COVERAGE
 
 
+def test_only_a_creep_that_is_estimated_carries_later_frames_back() -> None:
+    """Pressures of the first frames, with and without the release of the load."""
+    moved = {}
+    for creep in (0.04, "auto"):
+        recording = pressed_film(
+            Film(0.24, 0.08), Film(hysteresis=0.24, creep_per_decade=creep, cell_spread=0.0)
+        )
+        short = replace(
+            recording,
+            **{
+                name: getattr(recording, name)[:30]
+                for name in ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
+            },
+            raw_sums=None,
+        )
+        whole, part = (
+            reconstruct(replace(each, raw_sums=None), Estimator((Misfit(),), "reduced")).pressure
+            for each in (recording, short)
+        )
+        moved[creep] = np.abs(whole[:20] - part[:20]).max() / np.abs(part[:20]).max()
+    assert moved[0.04] < 1e-3 < 1e-2 < moved["auto"]
+
+
 def test_unspecified_creep_stays_unknown_without_a_release() -> None:
     open_creep = Film(hysteresis=0.24, creep_per_decade="auto", cell_spread=0.1)
     course = replace(SLOW_COURSE, release_at_s=None)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import lampest
 from lampest import InputError, LogGradient, Recording, Rod, Stream, TwoPointReadout
 from lampest.cost.terms import Misfit, RelativeChange, Term
+from lampest.estimate import batch
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
@@ -262,6 +263,49 @@ def test_differences_over_seams_are_weighted_by_their_distance() -> None:
         assert (
             cost(recording, uncoupled.cell_resistance[place], frame, weight) > CLEARLY_ABOVE * least
         )
+
+
+def test_a_coupled_module_without_readings_stays_unknown() -> None:
+    recording = rod_on_four_modules()
+    cells = (..., *COUPLED.cells(2))
+    recorded = recording.recorded.copy()
+    recorded[cells] = np.nan
+    estimate = coupled(
+        replace(recording, recorded=recorded, raw_sums=None), lampest.LogGradient(weight=1e-3)
+    )
+    unknown = np.isnan(estimate.cell_resistance)
+    assert unknown[cells].all() and unknown.sum() == unknown[cells].size
+
+
+@pytest.mark.parametrize(
+    ("term", "lines", "formulation", "together"),
+    [
+        (lampest.LogGradient(weight=1e-3), None, "reduced", True),
+        (lampest.TotalVariation(weight=1e-3), None, "reduced", False),
+        (lampest.LogGradient(weight=1e-3), lampest.Lines(1.0, 1.0), "reduced", False),
+        (lampest.LogGradient(weight=1e-3), None, "nodal", False),
+    ],
+)
+def test_modules_with_absolute_losses_or_wire_or_by_ipopt_are_solved_one_after_the_other(
+    term: Term,
+    lines: lampest.Lines | None,
+    formulation: str,
+    together: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solved = list[object]()
+    solve = batch.solve
+    monkeypatch.setattr(batch, "solve", lambda *given: solved.append(given) or solve(*given))
+    recording = rod_on_four_modules()
+    layout = replace(COUPLED, coupled=False)
+    scene = replace(recording.scene, panel=lampest.Panel(modules=layout), lines=lines)
+    estimate = lampest.reconstruct(
+        replace(recording, scene=scene),
+        [lampest.Misfit(weighting="noise"), term],
+        formulation=formulation,
+        error_bars=False,
+    )
+    assert estimate.solved.all() and bool(solved) == together
 
 
 def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:

@@ -280,6 +280,12 @@ def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
     assert np.median(estimate.relative_change_errors / 100) < NARROWER * np.median(bars)
 
 
+@each_readout
+def test_plain_least_squares_leaves_contacts_as_uncertain_as_before(readout: Readout) -> None:
+    estimate = solved(contacted(readout, 5))
+    assert np.all(estimate.contacts.deviation((5, 6)) > 0.9 * PRIOR.deviation((5, 6)))
+
+
 @pytest.mark.slow
 @each_readout
 def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:

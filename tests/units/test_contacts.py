@@ -73,3 +73,11 @@ def test_a_faint_pair_of_cells_near_a_heavy_load_is_not_a_contact() -> None:
 def test_a_light_load_near_a_heavy_one_is_a_contact() -> None:
     heavy, light = contacts_of(PANEL, blob(3, 6, 1.2, 3.5) + blob(10, 6, 1.0, 0.5), SD)
     assert heavy[6, 3] and light[6, 10]
+
+
+def test_one_unloaded_cell_between_two_loads_makes_them_two_contacts() -> None:
+    change = np.zeros(PANEL.shape)
+    change[3:6, 3:6] = change[3:6, 7:10] = -1.0
+    assert len(contacts_of(PANEL, change, SD)) == 2
+    change[3:6, 6] = -0.8
+    assert len(contacts_of(PANEL, change, SD)) == 1

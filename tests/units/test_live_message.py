@@ -18,7 +18,7 @@ from lampest.loads.recognition.breathing import Breathing
 from lampest.panel.response import PublishedResponse
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
-from lampest.report.detect.answer import Detected
+from lampest.report.detect.answer import Detected, alarming
 from lampest.report.detect.detection import detect_recording
 from lampest.report.live.engine import Engine
 from lampest.report.live.handover import Errand
@@ -109,6 +109,15 @@ def test_a_wait_ends_on_its_condition_or_timeout() -> None:
     begin = time.monotonic()
     assert not waited(lambda: False, 0.03) and 0.03 <= time.monotonic() - begin < 5.0
     assert waited(lambda: True, 0.0)
+
+
+def test_below_four_frames_a_second_everything_that_sucks_raises_the_alarm() -> None:
+    unsure = dataclasses.replace(LAMPREY, breath=Breathing(0.0))
+    stone = dataclasses.replace(unsure, sucks=0.01)
+    for rate, raised in ((8.0, []), (1.0, [unsure.since_s])):
+        assert alarming(Detected.of("mouth", (unsure,), rate)) == raised
+        assert alarming(Detected.of("mouth", (stone,), rate)) == []
+        assert alarming(Detected.of("mouth", (LAMPREY,), rate)) == [LAMPREY.since_s]
 
 
 def test_the_log_contains_each_changed_answer_with_its_reason(

@@ -16,6 +16,7 @@ from laws.recognised import answered
 
 from docs.studies.attachments import recording as attached
 from docs.studies.attachments import seen
+from lampest import Array
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breath import breath
@@ -24,6 +25,7 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.steady_frames import SteadyFrames
 from lampest.loads.recognition.swings import Patterns
+from lampest.loads.recognition.watch import Watch
 from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answer_of
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.detect.visits import COLUMNS, count_table, visits_of
@@ -170,6 +172,29 @@ def test_a_folder_without_a_recording_is_refused(
 ) -> None:
     refused = lampest("detect", tmp_path)
     assert refused.code == 2 and "holds no recording" in refused.err
+
+
+def test_a_frame_that_cannot_be_computed_is_left_out_with_a_note(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    frames = list(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
+    failing_s = frames[2][2]
+    push = Watch.push
+
+    def pushed(watch: Watch, measured: Array, sigma: Array, time: float) -> Watch:
+        if time == failing_s:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return push(watch, measured, sigma, time)
+
+    monkeypatch.setattr(Watch, "push", pushed)
+    answer = known.answer(frames)
+    assert answer.answer == PRESSES
+    assert any(
+        note.startswith(f"the frame at {failing_s:.1f} s is left out") for note in answer.notes
+    )
 
 
 def test_a_failed_recognition_is_repeated_with_the_next_frames(

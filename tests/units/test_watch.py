@@ -76,6 +76,51 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
     assert answered(recording).answer == PRESSES
 
 
+@pytest.mark.parametrize(("frames", "steps"), [(1, False), (2, True)])
+def test_a_change_of_a_single_frame_is_no_step(frames: int, steps: bool) -> None:
+    """The readings of a rod in some frames, without the search for outliers."""
+    recording = recording_with((ROD, 9, 9 + frames), memory_share=0.0)
+    known = known_of(Prepared(recording_with()))
+    assert isinstance(known, Known)
+    watch = known.watch()
+    begins = set[float]()
+    for frame in range(UNLOADED, len(recording.time)):
+        watch = watch.followed(recording.readings().value[frame], known.sigma, float(frame))
+        begins.add(watch.level.since_s)
+    assert (len(begins) > 1) == steps
+
+
+def test_readings_of_an_open_line_are_left_out_with_a_note() -> None:
+    """Of two-point readings alone: circuits in volt tell an open line otherwise."""
+    recording = recording_with()
+    recording.recorded[9:, 2] *= 10
+    answer = answered(recording)
+    assert answer.answer == NOTHING
+    assert "row 2 is open in frames from 9.0 s on; these are left out" in answer.notes
+    usual = known_of(Prepared(recording_with(readout=LoadedColumnsReadout(noise_lsb=0.7))))
+    assert isinstance(usual, Known)
+    watch = usual.watch()
+    for frame in range(4):
+        value = np.exp(watch.rest.mean).reshape(6, 6)
+        value[2] *= 0.1
+        watch = watch.followed(value, usual.sigma, 5.0 + frame)
+    assert not watch.faults
+
+
+@pytest.mark.slow
+def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_readings() -> None:
+    recording = recording_with((ROD, 0, 10))
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    every = np.ones(len(recording.time), dtype=bool)
+    claimed, silent = (
+        replaced.answer(measured_frames(recording, replaced, every))
+        for replaced in (known, dataclasses.replace(known, explained=False))
+    )
+    assert "in its unloaded frames, and left" in claimed.why
+    assert "in its unloaded frames, and left" not in silent.why
+
+
 @pytest.mark.slow
 def test_a_load_present_from_the_first_frame_is_not_an_arrival_when_it_leaves() -> None:
     """What cells show then is like suction."""
