@@ -204,13 +204,13 @@ def patterns_of(
             others = np.column_stack([whitening.sum(axis=1), by_cell[:, changed & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
             known = Patterns.of(*own_cells, moves, others, curve=curve)
-            beside = _adjoin(panel, changed & ~under, under)
+            beside = adjoin(panel, changed & ~under, under)
             patterns[number] = known._replace(adjoins=beside)
         first += len(own)
     return patterns
 
 
-def _adjoin(panel: Panel, some: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
+def adjoin(panel: Panel, some: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
     """Return whether one of some cells, (cells,), is within ADJOINS_PITCHES of others."""
     x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
     distance = np.hypot(x[some, None] - x[others], y[some, None] - y[others])
