@@ -11,6 +11,8 @@ resistances are the package's.
     python -m docs.studies.attachments --read seen.csv other.csv --figure roc.png
     python -m docs.studies.attachments --table --attached 300 --side 8 --scenes 4 --rates 1 2 4 10
     python -m docs.studies.attachments --attached 3600 --rates 1 --side 6 --kinds cup rod
+    python -m docs.studies.attachments --day --seed 5
+    python -m docs.studies.attachments --pumps-alone --attached 300 --scenes 200
 """
 
 import argparse
@@ -18,6 +20,7 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 from time import process_time
 
 import numpy as np
@@ -26,6 +29,8 @@ from docs.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
 from docs.studies.mouth_scenes import Scene as Made
 from lampest import two_point_resistance
 from lampest.estimate.prepared import Prepared
+from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
@@ -89,6 +94,12 @@ OF_COURSE |= {
 SLIDES_MM = 15.0
 SLIDES_S = (6.0, 8.0)
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
+# of a day: the loads that visit, one after another, and the sway of the temperature over it
+VISITORS = (PUMPING, "rod", PUMPING, "cup", PUMPING, "rod", PUMPING, "cup")
+VISIT_S = (3180.0, 6300.0)
+DAY_S = 86400.0
+DAY_SWAY = 0.05
+BLOCK = 3600  # frames that are read at once
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
 # between pumps (Shi et al. 2021), and the part that is lost until one
 PUMPED_S = (20.0, 200.0)
@@ -132,9 +143,16 @@ class Seen:
 
 
 def courses(
-    rng: np.random.Generator, kind: str, time: Array, attached_s: float
+    rng: np.random.Generator,
+    kind: str,
+    time: Array,
+    attached_s: float,
+    pumps: list[float] | None = None,
 ) -> tuple[Array, float, float]:
-    """((frames, 3) factors of contact, of suction and of a body beside, breathing depth, rate)."""
+    """((frames, 3) factors of contact, of suction and of a body beside, breathing depth, rate).
+
+    The times of pumps are appended to `pumps`, s after the touch.
+    """
     since = time - TOUCH_S
     on = (since >= 0) & (since < attached_s)
     press = np.clip(since / 0.4, 0, 1) * on
@@ -160,7 +178,7 @@ def courses(
         return np.stack([press * pulls, suck * pulls, body], axis=1), 0.0, hertz
     if kind in LIVING:
         breath = 1 + depth * np.sin(phase)
-        suck = suck * (_pumped(rng, since) if kind == PUMPING else 1.0)
+        suck = suck * (_pumped(rng, since, pumps) if kind == PUMPING else 1.0)
         if kind == PULLED:
             begin = rng.uniform(3, 9)
             lasts = rng.uniform(2, 4)
@@ -191,13 +209,15 @@ def courses(
     )
 
 
-def _pumped(rng: np.random.Generator, since: Array) -> Array:
+def _pumped(rng: np.random.Generator, since: Array, pumps: list[float] | None = None) -> Array:
     """Suction over that after a pump (frames).
 
-    It decays until the next one, which takes half a second to two.
+    It decays until the next one, which takes half a second to two. Their times are appended to
+    `pumps`, s after the touch.
     """
     factor = np.ones_like(since)
     begin = 1.5
+    pumps = [] if pumps is None else pumps
     while begin < since[-1]:
         length = np.exp(rng.uniform(*np.log(PUMPED_S)))
         lost = rng.uniform(*DECAY)
@@ -209,6 +229,7 @@ def _pumped(rng: np.random.Generator, since: Array) -> Array:
         rises = low + (falls - low) * np.clip(lasted / takes, 0, 1)
         factor = np.where(lasted < 0, factor, rises)
         begin = begin + length
+        pumps.append(begin)
     return factor
 
 
@@ -332,10 +353,16 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
     gain = 1 + rng.uniform(0, 0.001) * rng.standard_normal((len(time), 1, 1))
     ripple = rng.uniform(0, 0.4) * rng.standard_normal((len(time), 1, columns))
     codes = 1023 * reference / (total + reference) * gain + ripple
+    parts = np.split(codes, range(BLOCK, len(codes), BLOCK))
+    mean = np.concatenate([_sampled(rng, part) for part in parts])
+    return np.asarray(1000 * (1023 - mean) / mean)
+
+
+def _sampled(rng: np.random.Generator, codes: Array) -> Array:
+    """Return the means of 20 readings of codes, of which some are wild."""
     codes = np.round(codes + 0.7 * rng.standard_normal((20, *codes.shape)))
     wild = rng.random(codes.shape) < 1e-4
-    mean = np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0)
-    return np.asarray(1000 * (1023 - mean) / mean)
+    return np.asarray(np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0))
 
 
 def recording(
@@ -368,14 +395,7 @@ def recording(
     if kind in (CURRENT, CUP_CURRENT):
         shake += rng.uniform(0.1, 0.6) * _wandering(rng, np.diff(time, prepend=time[0]), 2.0)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve)
-    scene = Scene(
-        panel,
-        TwoPointReadout(noise_lsb=0.7),
-        140.0,
-        response=PublishedResponse(),
-        gain="estimated",
-        ripple="estimated",
-    )
+    scene = _scene(panel)
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
         Recording(
@@ -388,6 +408,18 @@ def recording(
         made,
         depth,
         hertz,
+    )
+
+
+def _scene(panel: Panel) -> Scene:
+    """Return the scene of the recordings of a panel."""
+    return Scene(
+        panel,
+        TwoPointReadout(noise_lsb=0.7),
+        140.0,
+        response=PublishedResponse(),
+        gain="estimated",
+        ripple="estimated",
     )
 
 
@@ -458,6 +490,116 @@ def seen(
         lamprey,
         float(whole.time[-1] - whole.time[UNLOADED]),
     )
+
+
+def visited(seed: int, side: int = 6) -> tuple[Array, Array, list[tuple[str, float, float]]]:
+    """Return a day at one frame a second in which loads visit a panel.
+
+    Returns
+    -------
+    time : array, shape (frames,)
+        s since the first of the unloaded frames.
+    readings : array, shape (frames, side, side)
+        ohm.
+    visits : list of (str, float, float)
+        Kind, begin and end of each visit, s.
+    """
+    rng = np.random.default_rng([seed, side])
+    panel = Panel(side, side)
+    layer = film(rng, "real")
+    time = np.arange(UNLOADED + DAY_S)
+    quiet = MAKERS["nothing"](rng, panel)
+
+    def resistance(made: Made, course: Array, at: Array) -> Array:
+        own = np.random.default_rng([seed, side, 1])  # the cells of the same film
+        return cells(own, panel, made, layer, course, at, np.zeros(len(at)))
+
+    whole = np.repeat(resistance(quiet, np.zeros((1, 3)), time[:1]), len(time), axis=0)
+    slot = DAY_S / len(VISITORS)
+    visits = []
+    for number, kind in enumerate(VISITORS):
+        lasts = rng.uniform(*VISIT_S)
+        begin = np.ceil(number * slot + rng.uniform(600, slot - lasts - 600))
+        some = (time >= begin - TOUCH_S) & (time < begin + lasts + 10 * FADES_S)
+        at = time[some] - begin + TOUCH_S
+        made = MAKERS[OF_COURSE.get(kind, kind)](rng, panel)
+        whole[some] = resistance(made, courses(rng, kind, at, lasts)[0], at)
+        visits.append((kind, begin, begin + lasts))
+    sway = DAY_SWAY * np.sin(2 * np.pi * time / DAY_S)
+    return time, recorded(rng, whole * np.exp(sway)[:, None, None], time), visits
+
+
+def day(seed: int, side: int = 6) -> None:
+    """Print the visits of a day, and what `lampest detect` sees of them."""
+    time, values, visits = visited(seed, side)
+    scene = _scene(Panel(side, side))
+    role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
+    head = Recording(scene, values[:60], time[:60], role[:60], name="day")
+    begin = process_time()
+    watched = known_of(Prepared(head))
+    assert isinstance(watched, Known)
+    watch = watched.watch()
+    memory = []
+    for first in range(0, len(time), BLOCK):
+        some = slice(first, first + BLOCK)
+        part = Recording(scene, values[some], time[some], role[some], name="day")
+        asked = np.ones(len(part.time), dtype=bool)
+        for value, sigma, at in measured_frames(part, watched, asked):
+            watch = watch.push(value, sigma, at)
+        memory.append(getrusage(RUSAGE_SELF).ru_maxrss / 1024)
+    cpu = process_time() - begin
+    print("| visit | from, to [s] | seen from, to [s] | answer |\n|---|---|---|---|")
+    for kind, since, until in visits:
+        seen = [load for load in watch.attachments if _overlaps(load, since, until)]
+        times = "; ".join(f"{load.since_s:.0f}, {load.until_s or np.nan:.0f}" for load in seen)
+        answers = [Detected.of(kind, (load,), 1.0).answer for load in seen]
+        print(f"| {kind} | {since:.0f}, {until:.0f} | {times} | {', '.join(answers)} |")
+    other = sum(
+        not any(_overlaps(load, since, until) for _, since, until in visits)
+        for load in watch.attachments
+    )
+    print(
+        f"{other} other loads seen; {cpu:.0f} s of processor time for {len(time)} frames; at most "
+        f"{memory[2]:.0f} MB until the third hour, {memory[-1]:.0f} MB until the last"
+    )
+
+
+def pumped_alone(seed: int, count: int, attached_s: float) -> None:
+    """Print how often pumps alone name a mouth whose suction is known, by the number of pumps.
+
+    The samples of `lampest detect` at one frame a second are of the true suction, breath included.
+    What they do not name, no reading at this rate can.
+    """
+    time = np.arange(TOUCH_S + attached_s)
+    numbers = []
+    named = []
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        pumps: list[float] = []
+        suction = courses(rng, PUMPING, time, attached_s, pumps)[0][:, 1]
+        attached = (time >= TOUCH_S + 2) & (time < TOUCH_S + attached_s)
+        rests = suction[attached] / np.median(suction[attached]) - 1
+        blocks = rests[: len(rests) // 3 * 3].reshape(-1, 3, 1)
+        track = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
+        odds = []
+        for block, at in zip(blocks, BLOCK_S * np.arange(1, len(blocks) + 1), strict=True):
+            track = track.after(block, float(at))
+            odds.append(track.odds)
+        numbers.append(sum(at < attached_s - BLOCK_S for at in pumps))
+        named.append(max(odds) >= np.log(9))
+    print(f"| pumps in {attached_s:.0f} s | mouths | named |\n|---|---|---|")
+    for least, most in ((0, 0), (1, 1), (2, 2), (3, 4), (5, 99)):
+        some = [has for has, pumps in zip(named, numbers, strict=True) if least <= pumps <= most]
+        label = (
+            f"{least}" if least == most else f"{least} to {most}" if most < 99 else f"{least} on"
+        )
+        print(f"| {label} | {len(some)} | {sum(some)} |")
+    print(f"| all | {count} | {sum(named)}, {np.mean(named):.0%} |")
+
+
+def _overlaps(load: Attachment, since: float, until: float) -> bool:
+    """Return whether a load was seen during a visit."""
+    return load.since_s < until and (load.until_s is None or load.until_s > since)
 
 
 def read(path: Path) -> Iterator[Seen]:
@@ -675,8 +817,18 @@ if __name__ == "__main__":
     parser.add_argument(
         "--curve", choices=list(CURVES), default="published", help="of the film under suction"
     )
+    parser.add_argument("--day", action="store_true", help="a day of visits to 6 x 6 cells alone")
+    parser.add_argument(
+        "--pumps-alone", action="store_true", help="mouths that known suction names by its pumps"
+    )
     parser.add_argument("--figure", type=Path, help="ROC curves and calibration, such as roc.png")
     given = parser.parse_args()
+    if given.pumps_alone:
+        pumped_alone(given.seed, given.scenes, given.attached)
+        raise SystemExit
+    if given.day:
+        day(given.seed)
+        raise SystemExit
     found = [record for path in given.read or () for record in read(path)]
     for number in range(0 if given.read else given.scenes):
         for rate in given.rates:

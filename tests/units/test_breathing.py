@@ -10,8 +10,8 @@ from lampest.loads.recognition.breath import Breath, breath
 from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.loads.recognition.steady_frames import SteadyFrames, settled
-from lampest.loads.recognition.swings import Patterns
-from lampest.panel.panel import Array
+from lampest.loads.recognition.swings import Patterns, adjoin
+from lampest.panel.panel import Array, Panel
 
 TIMES = np.arange(0, 8, 0.25)
 READINGS = 40
@@ -31,6 +31,7 @@ def window(
     waves: float = 0.0,
     wild: bool = False,
     strong: float = 1.0,
+    adjoins: bool = False,
 ) -> Breath:
     """8 s at four frames a second in which parts swing by so much at 1.1 Hz.
 
@@ -39,7 +40,8 @@ def window(
     Each reading is that of a cell; half of them lie under the rim. edges : six cells swing, as no
     fit knows. slower : by so much does the place swing more slowly. waves : what all readings share
     swings. wild : outliers of fifty
-    standard deviations. strong : so many times the readings change with suction.
+    standard deviations. strong : so many times the readings change with suction. adjoins : a body
+    lies beside.
     """
     rng = np.random.default_rng(seed)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)
@@ -56,6 +58,7 @@ def window(
     changes += wild * 50 * (rng.random(changes.shape) < 0.003)
     spread = 0.2 * np.abs(slopes)
     known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, supply)
+    known = known._replace(adjoins=adjoins)
     return breath(SteadyFrames.of(TIMES, changes), settled(changes), known)
 
 
@@ -106,6 +109,46 @@ def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
     for hiding in ({"own": 0.08, "waves": 3.0}, {"own": 0.04, "wild": True, "strong": 0.05}):
         shown = window(**hiding, seed=seed)
         assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stronger_movement_at_another_rate_hides_no_breath(seed: int) -> None:
+    """A current moves the load at 0.65 Hz; the suction swings at 1.1 Hz."""
+    shown = window(own=0.05, place=2.0, slower=1.7, seed=seed)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
+    assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
+
+
+def test_a_body_beside_makes_swings_of_the_rim_likelier() -> None:
+    """Cells that swing on one side may be moved by it; a swing of the whole suction is not."""
+    alone, beside = (window(rim=0.02, seed=1, adjoins=adjoins) for adjoins in (False, True))
+    assert beside.odds == alone.odds and beside.suction < alone.suction / 10
+    assert window(own=0.08, seed=1, adjoins=True).suction > 0.95
+
+
+def test_a_body_is_told_from_cells_of_the_rim() -> None:
+    panel = Panel(6, 6)
+    load, rim, body, far = np.zeros((4, 6, 6), dtype=bool)
+    load[1:3, 1:3] = rim[3, 1] = body[1, 4] = far[5, 5] = True
+    beside = [adjoin(panel, some.ravel(), load.ravel()) for some in (rim, body, far, rim | body)]
+    assert beside == [False, True, False, True]
+    assert not adjoin(panel, np.zeros(36, dtype=bool), load.ravel())
+
+
+def test_swings_within_a_pull_are_no_outliers() -> None:
+    pull = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
+    swings = pull + 0.05 * np.sin(2 * np.pi * 1.1 * TIMES)
+    inner = (TIMES > 3) & (TIMES < 5)
+    np.testing.assert_allclose(settled(swings[:, None])[inner, 0], swings[inner], atol=0.01)
+
+
+@pytest.mark.parametrize("hertz", [0.7, 1.1, 1.8])
+def test_a_pull_that_no_step_shows_hides_no_breath(hertz: float) -> None:
+    """It begins and ends within half a second, which is less than half of the load's change."""
+    level = 0.8 * np.clip(2 * np.minimum(TIMES - 2.25, 5.25 - TIMES), 0, 1)
+    shown = pulled_window(0.05 * (1 + level) * np.sin(2 * np.pi * hertz * TIMES), level)
+    assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.97
+    assert shown.hertz[0] == pytest.approx(hertz, abs=0.1)
 
 
 def test_a_pull_keeps_the_odds_of_earlier_windows() -> None:

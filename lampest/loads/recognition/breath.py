@@ -13,6 +13,7 @@ docs/theory/recognition.md.
 from dataclasses import dataclass, replace
 from math import log
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,16 @@ from scipy.special import expit, logsumexp
 
 from lampest.loads.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS
 from lampest.loads.recognition.steady_frames import SteadyFrames
-from lampest.loads.recognition.swings import BREATHING_SD, MAX_SWINGS, TREMBLE_SD, Patterns
+from lampest.loads.recognition.swings import BREATHING_SD, EDGE_SD, MAX_SWINGS, TREMBLE_SD, Patterns
 from lampest.panel.panel import Array
 from lampest.panel.response import RESPONSE_SD
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 # assumed, of suction that oscillates to the rim alone, and to the place or the tilt
 PRIOR_ODDS = 10.0
+# The same of a load that another one, or a body, adjoins and may move: of 25 cups beside a body
+# that beats, five were taken for lampreys with PRIOR_ODDS (docs/studies/mouths.md).
+ADJOINED_ODDS = 0.1
 LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
 MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
 MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and as many again
@@ -102,7 +106,9 @@ def _steady_breath(
 ) -> Breath | None:
     """Return the breath of a window in which it is steady.
 
-    None where it is too short or frames are too few.
+    None where it is too short or frames are too few. Other movements hide a breath that is weaker
+    than they are, unless they are its background. The strongest rate, and that at which the suction
+    swings most besides, therefore have backgrounds of their own; each is as probable as the other.
 
     Parameters
     ----------
@@ -118,48 +124,137 @@ def _steady_breath(
     if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
         return None
     lasted = float(times[-1] - times[0])
-    within = (times - times[0]) / lasted
     trend = interval.trend()
     own_patterns, changes = patterns.beside_others(_without(trend, recorded))
-    # Sine and cosine at every rate, without their trend as orthonormal axes (rates, 2, frames) with
-    # their gains.
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
     even_waves = _waves(hertz, times)
-    waves = suction[:, None] * even_waves
-    axes, sizes, _ = np.linalg.svd(_without(trend, waves), full_matrices=False)
+    waves = _without(trend, suction[:, None] * even_waves)
+    axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
     axes = np.swapaxes(axes, 1, 2)
-    gain = sizes**2
-    swings = axes @ changes  # (rates, 2, readings)
-    strongest = hertz[np.argmax((swings**2).sum(axis=(1, 2)))]
-    far = even_waves[np.abs(hertz - strongest) > LEAKS / lasted]
-    whitening = _whitening(_tapered(far, within) @ changes)
-    loud = _background(swings)  # with what the wave leaks into other rates
-    steadied = own_patterns.seen_by(whitening)
-    swings = swings @ whitening.T
-    # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against A = TREMBLE_SD.
-    series = changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / gain.mean())
-    amplitude = axes @ series
-    total = float(series @ series)
-    power = (amplitude**2).sum(axis=1)
-    if pulled := interval.pulled(series, float(power.max())):
+    level = changes @ own_patterns.weights(MAX_SWINGS["own"], 1.0, EDGE_SD)
+    if pulled := interval.pulled(level, axes):
         parts, left = interval.parted(pulled)
         return breath(parts, recorded[left], patterns)
+    within = (times - times[0]) / lasted
+    window = _Window(
+        times, hertz, waves, axes, sizes**2, _tapered(even_waves, within), changes, own_patterns
+    )
     freedom = len(times) - trend.shape[1]
-    best = int(np.argmax(power))
-    breathing, steady = (
-        logsumexp(_evidence(total, amplitude, gain, sd, freedom))
-        for sd in (BREATHING_SD, TREMBLE_SD)
-    )
-    remaining = max(total - power[best], 1e-12) / (freedom - 2)
-    # Rife, Boorstyn, IEEE Trans. IT-20, 1974
-    spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
-    mean_gain = float(gain.mean())
-    return Breath(
-        float(breathing - steady),
-        _suction(steadied, swings, 1.0, mean_gain),
-        (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        _depth(own_patterns, changes, _without(trend, waves[best]), within, loud / mean_gain),
-    )
+    breaths = [window.breath(*rates, freedom) for rates in window.rates(level, rate)]
+    best = max(breaths, key=attrgetter("odds"))
+    return replace(best, odds=best.odds - log(len(breaths)))
+
+
+class _Window(NamedTuple):
+    """A window between steps, without its trend.
+
+    Attributes
+    ----------
+    times : array, shape (frames,)
+        s.
+    hertz : array, shape (rates,)
+        Rates in Hz.
+    waves : array, shape (rates, frames, 2)
+        Sine and cosine in proportion to the suction.
+    axes, gain : arrays, shapes (rates, 2, frames) and (rates, 2)
+        Their orthonormal axes, and the squares of the singular values.
+    tapered : array, shape (rates, 2, frames)
+        Waves that fade towards the ends of the window.
+    changes : array, shape (frames, readings)
+        Whitened changes of ln y.
+    patterns : Patterns
+    """
+
+    times: Array
+    hertz: Array
+    waves: Array
+    axes: Array
+    gain: Array
+    tapered: Array
+    changes: Array
+    patterns: Patterns
+
+    @property
+    def distance(self) -> float:
+        """Distance in Hz beyond which a tapered wave does not leak."""
+        return LEAKS / float(self.times[-1] - self.times[0])
+
+    @property
+    def swings(self) -> Array:
+        """Swings of the readings at every rate, (rates, 2, readings)."""
+        return self.axes @ self.changes
+
+    def rates(
+        self, level: Array, rate: float
+    ) -> list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Return the rates that may be the breath's, with the rates of its background.
+
+        Each has its number, the rates that it stands for, and those of the background, (rates,).
+        The first is the strongest of all readings. The second is the strongest of the suction
+        elsewhere. Its background lacks the rates whose double it may be, because the square of a
+        movement resembles a breath.
+
+        Parameters
+        ----------
+        level : array, shape (frames,)
+            Relative suction.
+        rate : float
+            Frames per second.
+        """
+        strongest = int(np.argmax((self.swings**2).sum(axis=(1, 2))))
+        far = np.abs(self.hertz - self.hertz[strongest]) > self.distance
+        rates = [(strongest, np.ones(len(self.hertz), dtype=bool), far)]
+        if far.any():
+            second = int(np.argmax(far * ((self.axes @ level) ** 2).sum(axis=1)))
+            hertz = self.hertz[second]
+            halves = np.array([hertz, hertz / 2, (rate - hertz) / 2])
+            apart = np.abs(self.hertz[:, None] - halves) > self.distance
+            rates.append((second, ~apart[:, 0], apart.all(axis=1)))
+        return rates
+
+    def breath(
+        self, centre: int, near: NDArray[np.bool_], far: NDArray[np.bool_], freedom: int
+    ) -> Breath:
+        """Return the breath at one of the rates `near`, each as probable as any rate of all.
+
+        Parameters
+        ----------
+        centre : int
+            Number of the rate without which the background is estimated.
+        near, far : boolean arrays, shape (rates,)
+            Rates of the breath, and of the background.
+        freedom : int
+            Degrees of freedom of a series in the window.
+        """
+        lasted = float(self.times[-1] - self.times[0])
+        mean_gain = float(self.gain.mean())
+        swings = self.swings
+        # without the wave itself, which gaps between the parts of a window spread over all rates
+        others = self.changes - self.axes[centre].T @ swings[centre]
+        whitening = _whitening(self.tapered[far] @ others)
+        steadied = self.patterns.seen_by(whitening)
+        # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against
+        # A = TREMBLE_SD.
+        series = self.changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / mean_gain)
+        amplitude = self.axes @ series
+        total = float(series @ series)
+        power = near * (amplitude**2).sum(axis=1)
+        best = int(np.argmax(power))
+        breathing, steady = (
+            logsumexp(_evidence(total, amplitude, self.gain, sd, freedom)[near])
+            for sd in (BREATHING_SD, TREMBLE_SD)
+        )
+        remaining = max(total - power[best], 1e-12) / (freedom - 2)
+        # Rife, Boorstyn, IEEE Trans. IT-20, 1974
+        spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
+        loud = _background(swings)  # with what the wave leaks into other rates
+        within = (self.times - self.times[0]) / lasted
+        return Breath(
+            float(breathing - steady + np.log(near.mean())),
+            _suction(steadied, swings @ whitening.T, 1.0, mean_gain),
+            (float(self.hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
+            _depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
+        )
 
 
 def _without(trend: Array, series: Array) -> Array:
@@ -303,7 +398,8 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
     suction, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
     # 1/w = 1 + Σ_causes (E_cause/E_own)^½/PRIOR_ODDS
-    odds = EVIDENCE_SHARE * (suction - np.array(others)) + np.log(PRIOR_ODDS)
+    odds = EVIDENCE_SHARE * (suction - np.array(others))
+    odds += np.log(ADJOINED_ODDS if patterns.adjoins else PRIOR_ODDS)
     return float(expit(-logsumexp(-odds)))
 
 

@@ -8,12 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
 
+LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 
 
@@ -64,11 +66,17 @@ class SteadyFrames(NamedTuple):
         _, part = np.unique(self.part[frames], return_inverse=True)
         return SteadyFrames(self.times[frames], self.logarithms[frames], part, self.period)
 
-    def pulled(self, series: Array, wave: float) -> tuple[float, ...]:
+    def pulled(self, series: Array, axes: Array) -> tuple[float, ...]:
         """Return the times between which a series, (frames,), is at another level.
 
-        () where a wave explains it better. Both ends of the best level, or one, are compared by the
-        squares that they explain, `wave` by the best wave.
+        () where a wave alone explains it as well. Both ends of the best level, or one, are compared
+        beside the best wave.
+
+        Parameters
+        ----------
+        series : array, shape (frames,)
+        axes : array, shape (rates, 2, frames)
+            Waves without a trend, orthonormal at each rate.
         """
         trend = self.trend()
         count = len(series)
@@ -76,12 +84,17 @@ class SteadyFrames(NamedTuple):
         numbers = np.arange(count)[:, None]
         level = ((numbers >= begins) & (numbers < ends)).astype(float)
         level -= trend @ (trend.T @ level)
-        size = np.sum(level**2, axis=0)
-        explained = np.where(size > 1e-3, (level.T @ series) ** 2 / np.maximum(size, 1e-3), 0.0)
-        best = int(np.argmax(explained))
-        total = float(series @ series)
-        scatter = (total - explained[best]) / max(count - trend.shape[1] - 1, 1)
-        if explained[best] <= max(wave, SIGNIFICANT**2 * scatter):
+        amplitude = axes @ series
+        waves = axes @ level  # (rates, 2, levels)
+        size = np.sum(level**2, axis=0) - (waves**2).sum(axis=1)
+        along = level.T @ series - (amplitude[..., None] * waves).sum(axis=1)
+        explained = np.where(size > 1e-3, along**2 / np.maximum(size, 1e-3), 0.0)
+        beside = float(series @ series) - (amplitude**2).sum(axis=1)
+        remaining = beside[:, None] - explained
+        best = int(np.argmin(remaining.min(axis=0)))
+        ratio = float(beside.min()) / max(float(remaining.min()), 1e-12)
+        # twice the ln of the ratio of likelihoods, of normal residuals of unknown variance
+        if (count - trend.shape[1]) * np.log(ratio) <= SIGNIFICANT**2:
             return ()
         edges = (int(edge) for edge in (begins[best], ends[best]))
         return tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count)
@@ -130,7 +143,11 @@ def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) 
 
 
 def settled(series: Array) -> Array:
-    """Return a series (frames, …) clipped at four robust standard deviations from its median."""
-    middle = np.median(series, axis=0)
-    most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - middle), axis=0)
-    return np.asarray(np.clip(series, middle - most, middle + most))
+    """Return a series (frames, …) clipped at four robust standard deviations from its level.
+
+    The level is the running median of LEVEL_FRAMES, which a pull moves.
+    """
+    size = (LEVEL_FRAMES, *(1 for _ in series.shape[1:]))
+    level = median_filter(series, size, mode="nearest")
+    most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - level), axis=0)
+    return np.asarray(np.clip(series, level - most, level + most))

@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
+from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.recognition.suction import MIN_FALL
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
 # A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads
@@ -37,6 +38,9 @@ OWN_SD = 0.1
 CURVE_SD = 0.27
 # Suction from which an alternative curve through the published point may begin, instead of 0 kPa.
 THRESHOLD_KPA = -2.0
+# Distances of a body's cells to the nearest of a load, in pitches, at which it may move the rim.
+# Nearer ones may be of the rim itself.
+ADJOINS_PITCHES = (1.5, 3.2)
 
 
 class Patterns(NamedTuple):
@@ -57,6 +61,8 @@ class Patterns(NamedTuple):
         Further changes of any size, which are projected out.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
+    adjoins : bool
+        Whether another load, or a body, adjoins the load and may move its rim.
     """
 
     own: Array
@@ -64,6 +70,7 @@ class Patterns(NamedTuple):
     moves: Array
     others: Array
     curve: float = 0.0
+    adjoins: bool = False
 
     @classmethod
     def of(
@@ -116,12 +123,12 @@ class Patterns(NamedTuple):
             pattern - span @ (span.T @ pattern)
             for pattern in (self.own, self.rim, self.moves, changes.T)
         )
-        return Patterns(suction, rim, moves, self.others, self.curve), left.T
+        return self._replace(own=suction, rim=rim, moves=moves), left.T
 
     def seen_by(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that are whitened once more, by (readings, readings)."""
         own, rim, moves, others = (whitening @ pattern for pattern in self[:4])
-        return Patterns(own, rim, moves, others, self.curve)
+        return self._replace(own=own, rim=rim, moves=moves, others=others)
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction.
@@ -196,9 +203,20 @@ def patterns_of(
             moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
             others = np.column_stack([whitening.sum(axis=1), by_cell[:, changed & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
-            patterns[number] = Patterns.of(*own_cells, moves, others, curve=curve)
+            known = Patterns.of(*own_cells, moves, others, curve=curve)
+            beside = adjoin(panel, changed & ~under, under)
+            patterns[number] = known._replace(adjoins=beside)
         first += len(own)
     return patterns
+
+
+def adjoin(panel: Panel, some: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
+    """Return whether one of some cells, (cells,), is within ADJOINS_PITCHES of others."""
+    x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
+    distance = np.hypot(x[some, None] - x[others], y[some, None] - y[others])
+    nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
+    least, most = ADJOINS_PITCHES
+    return bool(np.any((nearest > least) & (nearest < most)))
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
