@@ -29,7 +29,9 @@ OPEN_OHM = 20_000.0
 PRESSED_OHM = 900.0
 PRESSED = (slice(3, 7), slice(10, 16))
 NEAR_RAIL = 0.5  # relative: an open cell reads a dozen codes of 8 bits
-MAX_ERROR = 0.2  # of a pressed cell, relative; the divider without the circuit errs by more than 1
+# Of a pressed cell, relative: codes of 8 bits; measured 0.17, once 0.2002 on a busy machine. The
+# divider without the circuit errs by more than 1.
+MAX_ERROR = 0.2
 MAX_SECONDS = 0.03  # 15 ms on an idle core; the machine of a test may be busy
 
 
