@@ -27,11 +27,13 @@ from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
 from lampest.panel import least_squares
 from lampest.panel.trust_region import steihaug
-from lampest.posterior import certainty, covariance, interval, spectrum
+from lampest.posterior import certainty, covariance, interval, matrices, spectrum
+from lampest.posterior.at_bounds import active_bounds
 from lampest.posterior.chain import Chain
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.reference import references
+from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers import bounds, by_ipopt, multistart, preconditioners
@@ -619,7 +621,7 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
     columns = rng.standard_normal((3, len(model.noise), 2))
     if sampled:
         memory: Any = SampledMemory(0.1 * rng.standard_normal((2, 20, size)))
-        errors: covariance.DenseErrors = covariance.SampledErrors(model, memory, drawn, samples=20)
+        errors: covariance.DenseErrors = SampledErrors(model, memory, drawn, samples=20)
     else:
         memory = DenseMemory(earlier.reshape(2, size, 2, size).swapaxes(1, 2))
         errors = covariance.DenseErrors(model, memory, drawn)
@@ -643,7 +645,7 @@ def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
         "noise": model.noise,
         "conductance": errors.certainty.by_conductance(),
         "weights": spectrum.next_weights(model, range(1, len(terms))),
-        "active": [] if sampled else covariance.active_bounds(errors, columns[2], known),
+        "active": [] if sampled else active_bounds(errors, columns[2], known),
     }
 
 
@@ -681,7 +683,7 @@ def pair_row() -> Any:
     )
     memories = (
         covariance.DenseErrors(model).memory(),
-        covariance.SampledErrors(model, samples=20).memory(),
+        SampledErrors(model, samples=20).memory(),
     )
     return [[each.shared(), each.variance(), each.resting().shared()] for each in memories]
 
@@ -773,9 +775,9 @@ def of_posterior() -> Rows:
                 interval.student_two_sided(4.0),
                 interval.largest_of(np.array([0.0, 2.0, 4.0]), 20),
                 interval.largest_normal(20, 0.01),
-                covariance.positive_inverse(np.diag([2.0, 4.0])),
-                covariance.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
-                covariance.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
+                matrices.positive_inverse(np.diag([2.0, 4.0])),
+                matrices.inverse_and_volume(np.array([[2.0, 0.5], [0.5, 1.0]])),
+                matrices.swept(np.array([[2.0, 1.0, 3.0], [1.0, 4.0, 5.0]]), 0),
                 certainty.common_variance(np.arange(6.0).reshape(3, 2)),
                 certainty.Certainty(
                     np.array([3.0, 5.0]), *np.zeros((4, 2)), np.array([1.0, 5.0])

@@ -36,7 +36,15 @@ from lampest.studies.certified import (
 )
 from lampest.studies.common import StudyMethod
 from lampest.studies.study import Cases, Study, read_settings
-from lampest.studies.weight_curves import Curves, WeightSubject, l_curve, morozov, solve_at, tune
+from lampest.studies.weight_curves import (
+    Curves,
+    WeightSubject,
+    l_curve,
+    morozov,
+    solve_at,
+    trace,
+    tune,
+)
 from lampest.studies.weights import why_not
 
 
@@ -552,9 +560,7 @@ def weights_study_row() -> dict[str, Any]:
             [point.weight for point in Curves(subject, each).finer().points] for each in parts
         ],
         "why": why_not(subject.case.estimator, 9),
-        "traced": [
-            weights.trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)
-        ],
+        "traced": [trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)],
     }
 
 
