@@ -15,6 +15,7 @@ from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPoint
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.prepared import Prepared
 from lampest.files.levels import UNUSUAL
+from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.studies.study import read_settings
 from tests.estimates import recording_of
@@ -132,6 +133,28 @@ def test_detect_uses_frames_without_the_leak() -> None:
     ]
     assert np.allclose(frames, Prepared(recording).noise.readings.value[UNLOADED:], rtol=CORRECTED)
     assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=10 * CORRECTED)
+
+
+@pytest.mark.slow
+def test_estimates_of_modules_are_corrected_and_their_detection_is_not() -> None:
+    leaking, sound = (
+        panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED),
+        panel(2, **ESTIMATED),
+    )
+    layout = Modules(1, 2, EachModule(ROWS, COLUMNS), 4.0)
+    recording = replace(
+        leaking,
+        scene=replace(leaking.scene, panel=lampest.Panel(modules=layout)),
+        recorded=np.concatenate([leaking.recorded, sound.recorded], axis=2),
+    )
+    prepared = Prepared(recording)
+    change = np.abs(prepared.noise.readings.value / recording.readings().value - 1)
+    assert change[..., :COLUMNS].max() > 0.03 and not change[..., COLUMNS:].any()
+    known = known_of(prepared)
+    assert isinstance(known, Known)
+    every = np.ones(len(recording.role), dtype=bool)
+    seen = [value for value, _, _ in measured_frames(recording, known, every)]
+    np.testing.assert_array_equal(seen, recording.readings().value[UNLOADED:])
 
 
 def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:

@@ -44,6 +44,7 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.solution import Solution, Status
 from tests.estimates import recording_of
 
 Command = Callable[..., SimpleNamespace]
@@ -399,3 +400,34 @@ def test_a_frame_can_be_tried_and_discarded() -> None:
     assert_array_equal(stream.push(next_one)[1].cell_resistance, alone)
     with pytest.raises(AttributeError):
         stream.estimator = estimator
+
+
+@pytest.mark.parametrize(
+    ("shape", "second", "solvers"),
+    [
+        ((4, 5), 0.1, ["ProjectedNewton", "Ipopt"]),
+        ((4, 5), 1.0, ["Ipopt", "ProjectedNewton"]),
+        ((13, 20), 0.1, ["ProjectedNewton"]),
+    ],
+    ids=["newton first", "ipopt first", "more than 256 cells"],
+)
+def test_a_frame_that_one_solver_does_not_solve_is_given_to_the_other(
+    shape: tuple[int, int], second: float, solvers: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called = list[str]()
+    solve = method_module.best_solution
+
+    def failing_once(solver: object, *given: object) -> Solution:
+        called.append(type(solver).__name__)
+        solution = solve(solver, *given)
+        return replace(solution, status=Status.STALLED) if len(called) == 1 else solution
+
+    scene = Scene(Panel(*shape), TwoPointReadout(**NOISE))
+    readings = Readings.of(scene, two_point_resistance(cells_of(shape)))
+    terms = (Misfit(weighting="noise"), lampest.LogGradient(weight=1.0))
+    stream = lampest.Stream.begin(
+        Estimator(terms, "auto", error_bars=False), scene, second, readings
+    )
+    monkeypatch.setattr(method_module, "best_solution", failing_once)
+    _, step = stream.push(readings)
+    assert called == solvers and step.solution.solved == (len(solvers) > 1)

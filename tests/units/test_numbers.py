@@ -55,7 +55,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("have less than a quarter of that unevenness", watch.UNCOVERED, 0.25),
         ("and at least three, have risen", watch.MIN_RELIEVED, 3),
         ("more than 80 % of its resistances", watch.OPEN_SHARE, 0.8),
-        ("are more than twice those at rest", watch.OPEN_RATIO, 2),
+        ("exceed twice those at rest", watch.OPEN_RATIO, 2),
         ("The longest time between two looks is a minute.", watch.LOOKS_S, 60),
         ("less than three tenths of the weaker group's peak", contacts.FAINT_SHARE, 0.3),
         ("an interquartile range of ln r₀ of 0.9", suction.MAX_RANGE, 0.9),

@@ -33,6 +33,7 @@ Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(
     lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0
 )
+WITH_FILM = replace(SCENE, film=lampest.Film(0.2, 0.05))
 SMALL_SCENE = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout())
 UNLOADED = 6
 CONVERGED = 1e-9  # relative; parts of a recording are solved from the same starts
@@ -261,12 +262,13 @@ def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
 def test_methods_that_need_all_frames_refuse_long_recordings(
     tmp_path: Path, lampest: Command, small: None
 ) -> None:
-    save(tmp_path, frames(40))
     robust = "misfit: {weighting: noise, loss: {kind: student, corner: 4}}"
-    for entry, words in (
-        (f"{{formulation: smoother, terms: {{{robust}}}}}", "all frames together"),
-        ("{tare: {}, terms: {misfit: {weighting: noise}}}", "zero is followed"),
+    for entry, words, scene in (
+        (f"{{formulation: smoother, terms: {{{robust}}}}}", "all frames together", SCENE),
+        ("{tare: {}, terms: {misfit: {weighting: noise}}}", "zero is followed", SCENE),
+        ("{terms: {misfit: {weighting: noise}}}", "film: what it remembers is followed", WITH_FILM),
     ):
+        save(tmp_path, frames(40), scene)
         (tmp_path / "run.yaml").write_text(
             f"schema: 1\nrecordings: [long.h5]\nestimators:\n  one: {entry}\n"
         )
