@@ -436,7 +436,12 @@ def seen(
     touch = float(whole.time[UNLOADED]) + TOUCH_S
     begin = process_time()
     watched = known_of(Prepared(whole))
-    assert isinstance(watched, Known)
+    if isinstance(watched, Detected):
+        size = made.diameters_mm[0] if len(made.diameters_mm) == 1 else np.nan
+        unknown = (np.nan,) * 8
+        cpu = process_time() - begin
+        answered = (watched.answer, 0.0, 0.0, 0.5, np.nan, np.nan, 0)
+        return Seen(kind, rate, seed, depth, hertz, *answered, size, *unknown, cpu)
     watch = watched.watch()
     moments = []
     lamprey = np.nan
