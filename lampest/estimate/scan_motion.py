@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.changed_cells import mostly_still, usual_starts
 from lampest.estimate.deciding import MAX_NEIGHBOURS
-from lampest.estimate.nuisances import FittedPair
+from lampest.estimate.fitted_pair import FittedPair
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene
