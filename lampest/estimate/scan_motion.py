@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import fitted
+from lampest.estimate.cells_fit import CellsFit, fitted
 from lampest.estimate.changed_cells import mostly_still, usual_starts
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.fitted_pair import FittedPair
@@ -109,7 +109,7 @@ def share_of_motion(
         return None
     if scene.panel.crossings > MAX_CELLS:
         return None
-    displaced, _ = displacement(scene, readings, measured)
+    displaced, doubt = displacement(scene, readings, measured)
     size = np.sqrt(np.mean((displaced / readings.known_sigma) ** 2, axis=(1, 2)))
     base = fitted(scene, resting, patient=True)
     costs = np.zeros(len(SHARES))
@@ -120,7 +120,7 @@ def share_of_motion(
         if base is None or fit is None:
             return None
         near = fit.cells
-        cost, still = _costs(FittedPair.of(base, fit), fit.response(displaced[frame][None])[:, 0])
+        cost, still = _costs((base, fit), displaced[frame], doubt[frame])
         if still:
             costs += cost
             counted += 1
@@ -133,14 +133,27 @@ def share_of_motion(
     return Share(mean, deviation, float(costs[0] - costs.min()))
 
 
-def _costs(pair: FittedPair, moved: Array) -> tuple[Array, bool]:
-    """Return −2 ln evidence of a pair over SHARES, (shares,), and whether most cells are still.
+def _costs(fits: tuple[CellsFit, CellsFit], displaced: Array, doubt: Array) -> tuple[Array, bool]:
+    """Return −2 ln evidence over SHARES, (shares,), and whether most cells are still.
 
-    `moved` is the apparent change of the log cells if a scan takes the period, (cells,).
+    Cells count as still without the doubt of the interpolation: with it, everything may be still.
+
+    Parameters
+    ----------
+    fits : tuple of two CellsFit
+        The unloaded panel and a frame.
+    displaced, doubt : array, shape (rows, columns)
+        See `displacement`.
     """
-    changes = pair.with_columns(np.zeros((len(moved), 0)))
-    shifted = [replace(changes, change=changes.change - share * moved) for share in SHARES]
-    costs, chosen = zip(
-        *(each.selected(usual_starts(each.change)) for each in shifted), strict=True
-    )
-    return np.array(costs), mostly_still(chosen[int(np.argmin(costs))])
+    frame = fits[1]
+    changes = FittedPair.of(*fits).with_columns(np.zeros((displaced.size, 0)))
+    moved = frame.response(displaced[None])[:, 0]
+    spread = frame.gain * doubt.ravel()
+    exact = [replace(changes, change=changes.change - share * moved) for share in SHARES]
+    doubted = [
+        replace(each, noise=each.noise + share**2 * spread @ spread.T)
+        for share, each in zip(SHARES, exact, strict=True)
+    ]
+    costs = [each.selected(usual_starts(each.change))[0] for each in doubted]
+    best = exact[int(np.argmin(costs))]
+    return np.array(costs), mostly_still(best.selected(usual_starts(best.change))[1])

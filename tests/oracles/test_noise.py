@@ -471,7 +471,7 @@ def test_error_bars_allow_for_loads_that_move_within_a_frame() -> None:
         centre_mm=(35, 35), diameter_mm=30, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90
     )
     scene = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0, motion="estimated")
-    moving = Unmodelled(load_speed_mm_s=25.0)
+    moving = Unmodelled(load_speed_mm_s=2.0)
     plain = Simulation(1, 1, scene, baseline_frames=5, frames=5, loads=(mouth,), unmodelled=moving)
     recordings = [simulate(replace(plain, seed=seed)) for seed in (1, 2)]
     assert all(
