@@ -193,10 +193,12 @@ class NoiseEstimate:
             Share of the time between frames that a scan takes, and its standard deviation.
         """
         readings = self.readings
-        displaced, doubt = displacement(scene, readings, measured)
-        sigma = np.sqrt(
-            readings.known_sigma**2 + (share * doubt) ** 2 + (deviation * displaced) ** 2
-        )
+        displaced, doubt, weight = displacement(scene, readings, measured)
+        noise = readings.known_sigma**2
+        # A reading less its displacement is a mean of two frames, whose noise is independent.
+        own = noise * ((1 - share * weight) ** 2 + (share * weight) ** 2)
+        moved = np.maximum(displaced**2 - 2 * noise * weight**2, 0.0)
+        sigma = np.sqrt(own + (share * doubt) ** 2 + deviation**2 * moved)
         readings = replace(readings, value=readings.value - share * displaced, sigma=sigma)
         return replace(self, readings=readings, motion=share)
 

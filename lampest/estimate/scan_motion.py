@@ -24,6 +24,9 @@ from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
+# Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
+# the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
+INTERPOLATION_ERROR = 0.5
 UNKNOWN_SHARE = 1.0  # of a scan of which nothing is known: it may take the whole time
 
 
@@ -43,46 +46,67 @@ class Share(NamedTuple):
     gain: float
 
 
-def steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
     """Return the steps of each reading from the previous and to the next measured frame.
 
-    They are given times τ, shape (2, frames, …). τ is the delay of a reading from the middle of its
-    frame, in periods, if a scan takes the whole period. The first and the last frame have one
-    neighbour; frames that are not measured have 0. The mean of both steps is the change between the
-    middle of a frame and a reading's own time. It is zero for a load that is present in a single
-    frame, and the larger step is not.
+    Their shape is (2, frames, …). The first and the last frame have one neighbour, and its step
+    twice; frames that are not measured have 0.
     """
     steps = np.zeros((2, *readings.value.shape))
     if len(measured) > 1:
         step = np.diff(readings.value[measured], axis=0)
         steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
-    return steps * _delays(scene, readings)
+    return steps
 
 
 def _delays(scene: Scene, readings: Readings) -> Array:
-    """Return τ of each reading, shape (1, …)."""
+    """Return τ of each reading, shape (1, …).
+
+    It is the delay from the middle of its frame, in periods, if a scan takes the whole period.
+    """
     channels = readings.value[0].size
     # τ of channel k of n: (k + ½)/n − ½
     late = (np.arange(channels) + 0.5) / channels - 0.5
     return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
-def displacement(
-    scene: Scene, readings: Readings, measured: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Return the displacement of each reading by motion, and its doubt, if a scan takes the period.
+class Displacement(NamedTuple):
+    """Displacement of each reading by motion, if a scan takes the whole period.
 
-    Each has the shape of the readings. A reading that was taken late is displaced by τ times the
-    step from the previous frame, an early one by τ times the step to the next frame: a reading less
-    its displacement is between two measured ones. The doubt is |τ| times half the difference of
-    both steps, and √2 times that of the nearest frame where a frame has one neighbour. Readings
-    that are no values, or whose neighbours in time are none, are not displaced; their doubt is the
-    larger step.
+    Attributes
+    ----------
+    value : array
+        Displacement, in the shape and unit of the readings.
+    doubt : array
+        Its standard deviation beside noise.
+    weight : array
+        Share of the neighbouring frame in a reading less its displacement.
     """
-    previous, following = steps_within_scan(scene, readings, measured)
-    late = _delays(scene, readings) > 0
-    displaced = np.where(late, previous, following)
-    doubt = np.abs(following - previous) / 2
+
+    value: Array
+    doubt: Array
+    weight: Array
+
+
+def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Displacement:
+    """Return the displacement of each reading by motion, if a scan takes the whole period.
+
+    A reading that was taken late is displaced by τ times the step from the previous frame, an early
+    one by τ times the step to the next frame: a reading less its displacement is between two
+    measured ones. The doubt is √(|τ|(1 − |τ|)) times the difference of both steps beyond its noise,
+    times INTERPOLATION_ERROR, and √2 times that of the nearest frame where a frame has one
+    neighbour. Readings that are no values, or whose neighbours in time are none, are not displaced;
+    their doubt is the larger step.
+    """
+    steps = _steps(readings, measured)
+    delay = _delays(scene, readings)
+    previous, following = steps * delay
+    displaced = np.where(delay > 0, previous, following)
+    between = np.sqrt(np.abs(delay) * (1 - np.abs(delay)))
+    noise = np.zeros(1) if readings.sigma is None else readings.sigma
+    # The difference of both steps is that of three frames, with the weights 1, −2 and 1.
+    beyond_noise = np.maximum((steps[1] - steps[0]) ** 2 - 6 * noise**2, 0.0)
+    doubt = INTERPOLATION_ERROR * between * np.sqrt(beyond_noise)
     if len(measured) > 2:
         doubt[measured[[0, -1]]] = np.sqrt(2) * doubt[measured[[1, -2]]]
     plain = readings.plain[measured]
@@ -91,7 +115,11 @@ def displacement(
     values[measured] = around[:-2] & plain & around[2:]
     larger = np.maximum(np.abs(previous), np.abs(following))
     known = values & (len(measured) > 2)
-    return np.where(known, displaced, 0.0), np.where(known, doubt, larger)
+    return Displacement(
+        np.where(known, displaced, 0.0),
+        np.where(known, doubt, larger),
+        np.where(known, np.abs(delay), 0.0),
+    )
 
 
 def share_of_motion(
@@ -109,8 +137,8 @@ def share_of_motion(
         return None
     if scene.panel.crossings > MAX_CELLS:
         return None
-    displaced, doubt = displacement(scene, readings, measured)
-    size = np.sqrt(np.mean((displaced / readings.known_sigma) ** 2, axis=(1, 2)))
+    moved = displacement(scene, readings, measured)
+    size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
     base = fitted(scene, resting, patient=True)
     costs = np.zeros(len(SHARES))
     counted = 0
@@ -120,7 +148,8 @@ def share_of_motion(
         if base is None or fit is None:
             return None
         near = fit.cells
-        cost, still = _costs((base, fit), displaced[frame], doubt[frame])
+        of_frame = Displacement(*(part[frame] for part in moved))
+        cost, still = _costs((base, fit), of_frame)
         if still:
             costs += cost
             counted += 1
@@ -129,31 +158,45 @@ def share_of_motion(
     odds = np.exp(-(costs - costs.min()) / 2)
     odds /= odds.sum()
     mean = float(odds @ SHARES)
-    deviation = float(np.sqrt(max(float(odds @ SHARES**2) - mean**2, 0.0)))
+    # A share between two of those compared is known to a uniform distribution at best.
+    variance = max(float(odds @ SHARES**2) - mean**2, 0.0) + (SHARES[1] - SHARES[0]) ** 2 / 12
+    deviation = float(np.sqrt(variance))
     return Share(mean, deviation, float(costs[0] - costs.min()))
 
 
-def _costs(fits: tuple[CellsFit, CellsFit], displaced: Array, doubt: Array) -> tuple[Array, bool]:
+def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Array, bool]:
     """Return −2 ln evidence over SHARES, (shares,), and whether most cells are still.
 
-    Cells count as still without the doubt of the interpolation: with it, everything may be still.
+    A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring frame.
+    Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean of frames
+    would seem to be motion. Cells count as still without the doubt of the interpolation: with it,
+    everything may be still.
 
     Parameters
     ----------
     fits : tuple of two CellsFit
         The unloaded panel and a frame.
-    displaced, doubt : array, shape (rows, columns)
-        See `displacement`.
+    displaced : Displacement
+        That of the frame, (rows, columns).
     """
     frame = fits[1]
-    changes = FittedPair.of(*fits).with_columns(np.zeros((displaced.size, 0)))
-    moved = frame.response(displaced[None])[:, 0]
-    spread = frame.gain * doubt.ravel()
-    exact = [replace(changes, change=changes.change - share * moved) for share in SHARES]
-    doubted = [
-        replace(each, noise=each.noise + share**2 * spread @ spread.T)
-        for share, each in zip(SHARES, exact, strict=True)
-    ]
-    costs = [each.selected(usual_starts(each.change))[0] for each in doubted]
+    changes = FittedPair.of(*fits).with_columns(np.zeros((displaced.value.size, 0)))
+    moved = frame.response(displaced.value[None])[:, 0]
+    weight = displaced.weight.ravel()
+    noise = frame.readings.known_sigma.ravel()
+    # The evidence takes motion as smooth: a wider doubt would favour small shares.
+    smooth = displaced.doubt.ravel() * np.sqrt(weight / (1 - weight))
+    costs = []
+    exact = []
+    for share in SHARES:
+        kept = (1 - share * weight) ** 2 + (share * weight) ** 2
+        averaged = frame.gain * (noise * np.sqrt(1 - kept))
+        doubt = share * frame.gain * smooth
+        exact.append(replace(changes, change=changes.change - share * moved))
+        doubted = replace(exact[-1], noise=changes.noise - averaged @ averaged.T + doubt @ doubt.T)
+        cost, cells_moved = doubted.selected(usual_starts(doubted.change))
+        # Moved cells are free, and take as many readings out of the density.
+        counted = 1 - np.mean(cells_moved)
+        costs.append(cost - 2 * counted * np.sum(np.log(1 - share * weight)))
     best = exact[int(np.argmin(costs))]
     return np.array(costs), mostly_still(best.selected(usual_starts(best.change))[1])

@@ -24,7 +24,7 @@ from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.nuisances import candidates as possible_effects
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
-from lampest.estimate.scan_motion import steps_within_scan
+from lampest.estimate.scan_motion import displacement
 from lampest.estimate.variance_components import noted_excess, repeated_scatter, scatter
 from lampest.loads.recognition import observation
 from lampest.loads.recognition.attachment import Attachment, continued_by
@@ -330,7 +330,7 @@ def scatter_row() -> dict[str, Any]:
         "single": [
             scatter(part - part.mean(axis=0), np.full(part[0].shape, 3e3), 5) for part in single
         ],
-        "steps": steps_within_scan(recording.scene, readings, measured),
+        "displacement": displacement(recording.scene, readings, measured),
         "repeated": repeated_scatter(readings[measured]),
         "excess": [noted_excess(*pair) for pair in ((500.0, 300.0), (310.0, 300.0), (0.0, 0.0))],
         "shown": [noise.shown_noise(recording.scene.circuit, factor) for factor in (0.0, 0.5, 3.0)],

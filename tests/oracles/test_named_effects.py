@@ -169,15 +169,20 @@ def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_i
         for keys in ({}, {"motion": "estimated"})
     )
     share, deviation = Prepared(estimated).noise.estimated["motion"]
-    assert abs(share - 0.6) < 0.1 and deviation < 0.2
+    assert abs(share - 0.6) < 3 * deviation and deviation < 0.2
     before, after = (figures(recording, advised=False) for recording in (unnamed, estimated))
     assert after[0] < 0.6 * before[0]
     assert before[4] < 85 and 92 <= after[4] <= 99
 
 
-def test_a_scan_without_time_has_no_share() -> None:
-    swaying = moving_load(901, "rock", Motion(depth=0.1, scan=0.0), {"motion": "estimated"})
-    assert Prepared(swaying).noise.estimated["motion"][0] < 0.05
+@pytest.mark.parametrize("depth", [0.0, 0.1])
+def test_a_scan_without_time_has_no_share(depth: float) -> None:
+    """Not even where frames of a standing load are quieter when they are averaged."""
+    swaying = moving_load(901, "rock", Motion(depth=depth, scan=0.0), {"motion": "estimated"})
+    share, deviation = Prepared(swaying).noise.estimated["motion"]
+    assert share < 2 * deviation
+    unnamed = Prepared(replace(swaying, scene=replace(swaying.scene, motion=None)))
+    assert not [found for found in effects.unnamed_effects(unnamed) if "motion" in found.line]
 
 
 def test_bars_allow_for_any_share_where_no_cell_is_still() -> None:

@@ -39,7 +39,7 @@ from lampest.loads.pressure import pressure_of
 from lampest.loads.recognition.suction import may_suck, suctions
 from lampest.panel.response import PUBLISHED
 from lampest.report.detect.detection import detect_recording
-from lampest.solvers import projected_newton
+from lampest.solvers import direction
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import TwoLevel
@@ -105,7 +105,7 @@ def test_another_preconditioner_gives_the_same_cells(monkeypatch: pytest.MonkeyP
         made.append(free)
         return TwoLevel.of(hessian)
 
-    monkeypatch.setattr(projected_newton, "preconditioner", other)
+    monkeypatch.setattr(direction, "preconditioner", other)
     changed = lampest.reconstruct(recording, SMOOTH, formulation="reduced")
     assert made and changed.status == usual.status
     assert_allclose(changed.cell_resistance, usual.cell_resistance, rtol=1e-6)

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from lampest.estimate import (
+    explanation,
     model_check,
     noise,
     nuisances,
@@ -15,10 +16,10 @@ from lampest.estimate import (
 )
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
-from lampest.loads import pressure
+from lampest.loads import tare
 from lampest.loads.recognition import breath, breathing, contacts, pumping, suction, swings, watch
 from lampest.panel import trust_region
-from lampest.posterior import covariance, reference, track
+from lampest.posterior import reference, sampled, track
 from lampest.recording import stored
 from lampest.recording.board import several, stream
 from lampest.solvers import certificate, projected_lbfgs, solution
@@ -44,7 +45,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     ],
     "docs/theory/model_check.md": [
         ("A rival is named if its evidence is e¹⁸ times larger", nuisances.MIN_EVIDENCE_GAIN, 36),
-        ("another circuit is better by 15 in", model_check.DOUBTFUL_GAIN, 15),
+        ("another circuit is better by 15 in", explanation.DOUBTFUL_GAIN, 15),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
         ("up to three:", nuisances.MAX_CANDIDATES, 3),
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),
@@ -85,7 +86,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/howto/error_bars.md": [
         ("every verified estimate of up to 600 cells", trust_region.MATRIX_CELLS, 600),
         ("beyond 1,200 unknowns", trust_region.MAX_DENSE, 1200),
-        ("from 100 samples", covariance.SampledErrors.samples, 100),
+        ("from 100 samples", sampled.SampledErrors.samples, 100),
     ],
     "docs/howto/readings.md": [
         ("profile intervals for up to three missing readings", track.MAX_MISSING, 3)
@@ -102,8 +103,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("no valid frame ends after 30 s", stream.UNFIT_SECONDS, 30),
     ],
     "docs/howto/film.md": [
-        ("off by more than 15 % (0.8 kPa)", pressure.MAX_CHANGE, 0.15),
-        ("by more than 6 % in the mean", pressure.MAX_CHANGE_OF_FOUR, 0.06),
+        ("off by more than 15 % (0.8 kPa)", tare.MAX_CHANGE, 0.15),
+        ("by more than 6 % in the mean", tare.MAX_CHANGE_OF_FOUR, 0.06),
     ],
     "docs/faq.md": [("the noise from five or more unloaded frames", noise.MIN_UNLOADED_FRAMES, 5)],
 }
