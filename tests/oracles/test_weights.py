@@ -209,7 +209,7 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
         estimator.cost(Scene(Panel(*SHAPE)), 1, partial=False), tuple(data), Settings()
     )
     assert search.begun == [1.0, 1.0, 1.0] and search.open_terms == [1, 2]
-    weights, sigma = search.by_risk(data[0].uniform_start)
+    weights, sigma, _ = search.by_risk(data[0].uniform_start)
     for number in (1, 2):
         spectra = search.spectra(number, weights)
         assert np.log(best_weight(spectra) / weights[number]) == pytest.approx(0, abs=MINIMUM)
