@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.loads.recognition.fit import Fit
@@ -147,6 +146,9 @@ def settled(series: Array) -> Array:
 
     The level is the running median of LEVEL_FRAMES, which a pull moves.
     """
+    # Estimates import this module and do not need scipy.ndimage.
+    from scipy.ndimage import median_filter
+
     size = (LEVEL_FRAMES, *(1 for _ in series.shape[1:]))
     level = median_filter(series, size, mode="nearest")
     most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - level), axis=0)
