@@ -14,7 +14,8 @@ from lampest.estimate.variance_components import NO_RIPPLE
 from lampest.files.errors import first_and_more
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.observation import ModelErrors
-from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
+from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
+from lampest.loads.recognition.watch_parts import WatchSetup
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
@@ -75,13 +76,13 @@ def touched(recording: Recording) -> bool:
     if scene.readout is None or few or large or noise_factor(unloaded) == 1:
         return False
     supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
-    panelled = replace(
-        Panelled.of(scene, ModelErrors().of_scene(scene, 0.0)),
+    setup = replace(
+        WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
         common=lambda measured: supply.columns(measured[None], baseline=False),
     )
     sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
     values = unloaded.plain_values
-    return Watch.begin(panelled, unloaded.mean().value, sigma, values, 0.0).touched(values)
+    return Watch.begin(setup, unloaded.mean().value, sigma, values, 0.0).touched(values)
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:

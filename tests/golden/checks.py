@@ -33,12 +33,14 @@ from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.candidates import Several
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fit, Verdict, prior_cost
-from lampest.loads.recognition.image import ImageWatch, Window
+from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.steady_frames import SteadyFrames, changes_without_water, settled
 from lampest.loads.recognition.suction import may_suck, suctions
 from lampest.loads.recognition.swings import Patterns, patterns_of
-from lampest.loads.recognition.watch import Look, Panelled, Watch
+from lampest.loads.recognition.watch import Watch
+from lampest.loads.recognition.watch_parts import Look, WatchSetup
+from lampest.loads.recognition.window import Window
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
@@ -747,11 +749,11 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
     readings = lp.simulate(
         lp.Simulation(1, 3, WATCHED, frames=1, loads=ON_FILM["rod"][0])
     ).readings()
-    panelled = Panelled(
+    setup = WatchSetup(
         WATCHED, Detector(6.0), np.zeros((6, 7)), observation.ModelErrors(reading_error=0.01)
     )
     return Watch.begin(
-        panelled, readings.value[0], readings.sigma[0], readings.value[:3], 2.0
+        setup, readings.value[0], readings.sigma[0], readings.value[:3], 2.0
     ), readings
 
 
@@ -870,7 +872,7 @@ def swings_row() -> list[Any]:
     rng = np.random.default_rng(3)
     rows = list[Any]()
     initial, _ = watch_begun()
-    patterns = patterns_of(frame, verdict.best, initial.test.whitening, initial.panelled.detector)
+    patterns = patterns_of(frame, verdict.best, initial.test.whitening, initial.setup.detector)
     pattern = next(filter(None, patterns))
     mouth = Attachment(0.9, 0.0, (44.0, 1.0), (36.0, 1.0), patterns=pattern)
     departed = replace(mouth, until_s=4.0)
@@ -942,8 +944,8 @@ def watch_over(layout: Modules, cells: lp.Array, dead: int) -> tuple[ImageWatch,
     measured = image_of(layout, cells)
     sigma = 0.002 * measured
     sigma[layout.cells(dead)] = np.inf
-    panelled = Panelled(scene, Detector(6.0), np.zeros(layout.shape), observation.ModelErrors())
-    return ImageWatch.begin(panelled, measured, sigma, np.stack([measured] * 3), 0.0), sigma
+    setup = WatchSetup(scene, Detector(6.0), np.zeros(layout.shape), observation.ModelErrors())
+    return ImageWatch.begin(setup, measured, sigma, np.stack([measured] * 3), 0.0), sigma
 
 
 def image_of(layout: Modules, cells: lp.Array) -> lp.Array:
@@ -993,8 +995,7 @@ def opened_row() -> list[Any]:
         for number, part in watch.modules.items()
     }
     middle, corner = (
-        Window.about(watch.panelled.scene, np.array(place))
-        for place in ((20.0, 20.0), (55.0, -9.0))
+        Window.about(watch.setup.scene, np.array(place)) for place in ((20.0, 20.0), (55.0, -9.0))
     )
     watch = replace(watch, modules=parts)
     initial = watch._begun(middle, sigma)

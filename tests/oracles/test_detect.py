@@ -40,7 +40,8 @@ from lampest.loads.recognition.fit import (
     states,
 )
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.loads.recognition.watch import Panelled, Watch
+from lampest.loads.recognition.watch import Watch
+from lampest.loads.recognition.watch_parts import WatchSetup
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate
@@ -369,8 +370,8 @@ def watched(
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
-    panelled = Panelled(SQUARE, Detector(6.0), np.zeros(SQUARE.panel.shape), ModelErrors())
-    watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
+    setup = WatchSetup(SQUARE, Detector(6.0), np.zeros(SQUARE.panel.shape), ModelErrors())
+    watch = Watch.begin(setup, resting.value, readings.sigma[0], readings.value[:3], 0.0)
     rng = np.random.default_rng(3)
     time = 0.0
     wander = drift * (1 + 0.1 * rng.standard_normal(SQUARE.panel.shape))

@@ -26,8 +26,8 @@ from lampest import (
 )
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
-from lampest.loads.recognition.image import Window
 from lampest.loads.recognition.observation import ModelErrors, Observation, Whitening
+from lampest.loads.recognition.window import Window
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import ratio_from_pressure
 from lampest.report.detect.answer import CUP, LAMPREY

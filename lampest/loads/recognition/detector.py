@@ -425,9 +425,7 @@ class Detector:
         evidence = []
         for exponent in (1.0, *self.exponents):
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
-            frame = replace(
-                calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent))
-            )
+            frame = replace(calm, baseline=replace(baseline, response=bent))
             fitting = self.fitting(fit.candidate, frame)
             position, squares = fitting.descended(fit.parameters, likelihood)
             offsets.append(position - fit.parameters)

@@ -10,163 +10,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.step_test import NEAR_PITCHES
-from lampest.loads.recognition.watch import Level, Panelled, Watch
-from lampest.panel.panel import Array, Modules, Panel
-from lampest.panel.response import Response
-from lampest.panel.scene import Scene
+from lampest.loads.recognition.watch import Watch
+from lampest.loads.recognition.watch_parts import Level, WatchSetup
+from lampest.loads.recognition.window import Window, layout_of
+from lampest.panel.panel import Array, Modules
 
 CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
-
-
-class WindowNetwork(NamedTuple):
-    """The solved networks of a window's modules.
-
-    They have the interface that recognition needs of one network.
-    """
-
-    layout: Modules
-    networks: tuple[Any, ...]
-
-    def reading(self) -> Array:
-        """Return the readings of the window, (rows, columns)."""
-        return np.asarray(
-            self.layout.joined(np.stack([network.reading() for network in self.networks]))
-        )
-
-    def sensitivity(self) -> Array:
-        """Return the block diagonal Jacobian J, (readings, cells)."""
-        numbers = self.layout.split(
-            np.arange(np.prod(self.layout.shape)).reshape(self.layout.shape)
-        )
-        matrix = np.zeros((numbers.size, numbers.size))
-        for network, index in zip(self.networks, numbers.reshape(len(numbers), -1), strict=True):
-            matrix[np.ix_(index, index)] = network.sensitivity()
-        return matrix
-
-
-@dataclass(frozen=True, eq=False)
-class WindowScene:
-    """Neighbouring modules with the interface of a scene and of its circuit that recognition needs.
-
-    Attributes
-    ----------
-    panel : Panel
-        The window.
-    response : Response or None
-    scenes : tuple of Scene
-        Scene of each module.
-    """
-
-    panel: Panel
-    response: Response | None
-    scenes: tuple[Scene, ...]
-    wiring: None = None
-
-    @property
-    def circuit(self) -> "WindowScene":
-        """The circuit of all modules."""
-        return self
-
-    @property
-    def unit(self) -> str:
-        """Unit of the readings, ohm or volt."""
-        return self.scenes[0].circuit.unit
-
-    @property
-    def series_ohm(self) -> Array:
-        """Resistance in series, (rows, columns) ohm."""
-        return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
-
-    @property
-    def broken(self) -> NDArray[np.bool_]:
-        """Whether a crossing has no cell to be estimated, (rows, columns)."""
-        return (
-            self._joined(lambda scene, part: scene.broken.astype(float), np.zeros(self.panel.shape))
-            > 0
-        )
-
-    def uniform_start(self, measured: Array) -> Array:
-        """Return the uniform start of every module, as `Readout.uniform_start`."""
-        return self._joined(lambda scene, part: scene.circuit.uniform_start(part), measured)
-
-    def ties(self, cells: Array) -> Array:
-        """Return an empty array, because every module has its own ties."""
-        return np.zeros(0)
-
-    def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
-        """Return the network of all modules."""
-        layout = layout_of(self.panel)
-        parts = zip(self.scenes, layout.split(cells), strict=True)
-        solved = (
-            module.circuit.network(part, module.circuit.ties(part), module.wiring)
-            for module, part in parts
-        )
-        return WindowNetwork(layout, tuple(solved))
-
-    def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
-        layout = layout_of(self.panel)
-        pairs = zip(self.scenes, layout.split(image), strict=True)
-        return np.asarray(layout.joined(np.stack([part(*pair) for pair in pairs])))
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """A rectangle of modules.
-
-    Attributes
-    ----------
-    scene : WindowScene
-    numbers : tuple of int
-        Numbers of the modules, row by row.
-    cells : pair of slice
-        Rows and columns in the image.
-    x_mm, y_mm : float
-        Place of the first cell in the image.
-    middle : array, shape (2,)
-        Mean place of the cells, mm.
-    """
-
-    scene: WindowScene
-    numbers: tuple[int, ...]
-    cells: tuple[slice, slice]
-    x_mm: float
-    y_mm: float
-    middle: Array
-
-    @classmethod
-    def about(cls, scene: Scene, place: Array) -> "Window":
-        """Return the window over the modules that a load at a place (x, y) in mm may reach."""
-        layout = layout_of(scene.panel)
-        spans = list[NDArray[np.intp]]()
-        sizes = layout.each.columns, layout.each.rows
-        for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
-            first = axis[::size]
-            last = axis[size - 1 :: size]
-            reach = min(NEAR_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
-            distance = np.maximum(first - at, at - last)
-            spans.append(np.flatnonzero((distance <= reach) | (distance == distance.min())))
-        columns, rows = spans
-        numbers = tuple(int(j * layout.columns + k) for j in rows for k in columns)
-        top, left = layout.cells(numbers[0])
-        bottom, right = layout.cells(numbers[-1])
-        cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
-        part = replace(layout, rows=len(rows), columns=len(columns))
-        response = scene.response
-        scenes = tuple(scene.of_modules[number] for number in numbers)
-        window_scene = WindowScene(
-            Panel(modules=part), response and response.of_cells(cells), scenes
-        )
-        places = scene.panel.places_mm[:, *cells]
-        x, y = places[:, 0, 0]
-        return cls(window_scene, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
 
 
 Opened: TypeAlias = tuple[Window, Watch, float]
@@ -178,7 +33,7 @@ class ImageWatch:
 
     Attributes
     ----------
-    panelled : Panelled
+    setup : WatchSetup
         Constants of the whole image.
     modules : dict of int to Watch
         Watch of each module with readings for step detection, by its number. Modules under a window
@@ -189,26 +44,26 @@ class ImageWatch:
         Attachments of all windows, each once.
     """
 
-    panelled: Panelled
+    setup: WatchSetup
     modules: Mapping[int, Watch]
     opened: tuple[Opened, ...] = ()
     attachments: tuple[Attachment, ...] = ()
 
     @classmethod
     def begin(
-        cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float
+        cls, setup: WatchSetup, measured: Array, sigma: Array, unloaded: Array, time: float
     ) -> "ImageWatch":
         """Return the watch before the first frame, as `Watch.begin`."""
         modules = dict[int, Watch]()
-        for number, module_scene in enumerate(panelled.scene.of_modules):
-            cells = layout_of(panelled.scene.panel).cells(number)
+        for number, module_scene in enumerate(setup.scene.of_modules):
+            cells = layout_of(setup.scene.panel).cells(number)
             if (read := np.isfinite(sigma[cells]) & np.isfinite(measured[cells])).any():
-                part = replace(panelled, scene=module_scene, water=panelled.water[cells])
+                part = replace(setup, scene=module_scene, water=setup.water[cells])
                 at_rest = np.where(read, measured[cells], np.median(measured[cells][read]))
                 modules[number] = Watch.begin(
                     part, at_rest, sigma[cells], unloaded[(..., *cells)], time
                 )
-        return cls(panelled, modules)
+        return cls(setup, modules)
 
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
@@ -223,7 +78,7 @@ class ImageWatch:
                 followed[number] = module.followed(measured[cells], sigma[cells], time)
         for number, module in followed.items():
             if module.present and number not in under_windows(opened):
-                window = Window.about(self.panelled.scene, self._place(number, module))
+                window = Window.about(self.setup.scene, self._place(number, module))
                 opened.append((window, self._begun(window, sigma), time))
         pushed = list[Opened]()
         for window, watch, touched_s in opened:
@@ -268,7 +123,7 @@ class ImageWatch:
 
         0 elsewhere; None without any.
         """
-        image = np.zeros(self.panelled.scene.panel.shape)
+        image = np.zeros(self.setup.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
                 known = image[window.cells]
@@ -279,7 +134,7 @@ class ImageWatch:
 
     @property
     def _layout(self) -> Modules:
-        return layout_of(self.panelled.scene.panel)
+        return layout_of(self.setup.scene.panel)
 
     @property
     def _watches(self) -> list[Watch]:
@@ -290,38 +145,47 @@ class ImageWatch:
 
     def _place(self, number: int, watch: Watch) -> Array:
         """Return the place (x, y) in the image, mm, where a module's readings changed most."""
-        corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
-        search = watch.panelled.detector.search(watch.panelled.scene.panel)
+        corner = self.setup.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
+        search = watch.setup.detector.search(watch.setup.scene.panel)
         strongest = int(np.argmax(watch.test.scores(watch.level.mean - watch.rest.mean)))
         return np.asarray(corner + search.places[strongest])
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
-        """Return the watch of a new window, with the joined states of its modules."""
+        """Return the watch of a new window, with the joined states of its modules.
+
+        A module that is not read gets the median of the others.
+        """
         layout = layout_of(window.scene.panel)
-        known = [self.modules[n] for n in window.numbers if n in self.modules]
-        blank = np.full(
-            known[0].rest.mean.shape, np.median([np.median(part.rest.mean) for part in known])
+        parts = [self.modules[number] for number in window.numbers if number in self.modules]
+        typical = np.median([np.median(part.rest.mean) for part in parts])
+        unread = np.full(layout.each.rows * layout.each.columns, typical)
+
+        def joined(value: Callable[[Watch], Array]) -> Array:
+            """Return an image (rows, columns) of a value of each module, (cells,)."""
+            images = [
+                value(self.modules[number]) if number in self.modules else unread
+                for number in window.numbers
+            ]
+            return layout.joined(np.reshape(images, (-1, layout.each.rows, layout.each.columns)))
+
+        setup = replace(self.setup, scene=window.scene, water=self.setup.water[window.cells])
+        start = Watch.begin(
+            setup,
+            np.exp(joined(lambda module: module.rest.mean)),
+            sigma[window.cells],
+            np.zeros((0, *layout.shape)),
+            max(part.rest.until_s for part in parts),
         )
-        levels = {
-            number: (part.rest.mean, part.level.mean, *part.recent)
-            for number, part in self.modules.items()
-        }
-        states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
-        images = layout.joined(
-            np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns)
+        loudest = max(float(part.test.loud.mean()) for part in parts)
+        test = replace(start.test, loud=np.full(len(start.test.loud), loudest))
+        rest = replace(start.rest, frames=min(part.rest.frames for part in parts))
+        begun_s = max(part.level.until_s for part in parts)
+        level = Level(joined(lambda module: module.level.mean).ravel(), 1.0, begun_s, begun_s)
+        recent = (
+            joined(lambda module: module.recent[0]).ravel(),
+            joined(lambda module: module.recent[1]).ravel(),
         )
-        _, mean, *recent = images.reshape(4, -1)
-        module = replace(
-            self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells]
-        )
-        resting = np.exp(images[0]), sigma[window.cells], np.zeros((0, *layout.shape))
-        start = Watch.begin(module, *resting, max(part.rest.until_s for part in known))
-        loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
-        begun = max(part.level.until_s for part in known)
-        rest = replace(start.rest, frames=min(part.rest.frames for part in known))
-        level = Level(mean, 1.0, begun, begun)
-        start = replace(start, test=replace(start.test, loud=loud), rest=rest, level=level)
-        return replace(start, recent=tuple(recent), history="")
+        return replace(start, test=test, rest=rest, level=level, recent=recent, history="")
 
     def _closed(self, time: float) -> "ImageWatch":
         """Return the watch without the windows that were calm for CALM_S.
@@ -374,12 +238,6 @@ class ImageWatch:
 def under_windows(opened: Sequence[Opened]) -> set[int]:
     """Return the numbers of the modules under windows."""
     return {number for window, *_ in opened for number in window.numbers}
-
-
-def layout_of(panel: Panel) -> Modules:
-    """Return the layout of a panel of modules."""
-    assert panel.modules is not None
-    return panel.modules
 
 
 def _same_load(first: Attachment, second: Attachment) -> bool:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, lapack
 
 from lampest.files.levels import SIGNIFICANT
-from lampest.panel.network import Network
+from lampest.loads.recognition.recognition_scene import RecognitionNetwork, RecognitionScene
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
 from lampest.panel.scene import Scene
@@ -119,7 +119,7 @@ class ModelErrors:
         common = self.common_drift * log10(1 + seconds / 60)
         return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
 
-    def offsets(self, measured: Array, scene: Scene) -> Array:
+    def offsets(self, measured: Array, scene: RecognitionScene) -> Array:
         """Return the effect of every offset on the readings, E·sd (cells, offsets).
 
         It is that of one standard deviation of the offset. Offsets are those of the channels of
@@ -130,7 +130,7 @@ class ModelErrors:
         ----------
         measured : array, shape (rows, columns)
             Readings without the resistance in series, in the readout's unit.
-        scene : Scene
+        scene : RecognitionScene
         """
         layout = scene.panel.modules
         rows, columns = measured.shape
@@ -251,22 +251,25 @@ class Baseline:
     covariance : array, shape (cells + offsets, cells + offsets)
         Joint covariance of both.
     model_errors : ModelErrors
-    scene : Scene
-        Circuit, panel and response.
+    scene : RecognitionScene
+        Circuit and panel.
+    response : Response
+        Response of the film; the published one where the scene names none.
     """
 
     logarithm: Array
     offsets: Array
     covariance: Array
     model_errors: ModelErrors
-    scene: Scene
+    scene: RecognitionScene
+    response: Response
 
     @classmethod
     def of(
         cls,
         measured: Array,
         sigma: Array,
-        scene: Scene,
+        scene: RecognitionScene,
         model_errors: ModelErrors,
         common: Array | None = None,
     ) -> "Baseline":
@@ -278,7 +281,7 @@ class Baseline:
         ----------
         measured, sigma : array, shape (rows, columns)
             Unloaded readings R0 and their standard deviations, in the readout's unit.
-        scene : Scene
+        scene : RecognitionScene
         model_errors : ModelErrors
         common : array, shape (cells, n), optional
             Root of the covariance of random errors that the readings share.
@@ -310,14 +313,10 @@ class Baseline:
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
         logarithm = fine.state[:cells].reshape(measured.shape)
         shifts = fine.state[cells:]
-        return cls(logarithm, shifts, fine.covariance, model_errors, scene)
+        response = scene.response or PUBLISHED
+        return cls(logarithm, shifts, fine.covariance, model_errors, scene, response)
 
-    @property
-    def response(self) -> Response:
-        """Response of the scene's film; the published one where it names none."""
-        return self.scene.response or PUBLISHED
-
-    def network(self, change: Array | float = 0.0) -> Network:
+    def network(self, change: Array | float = 0.0) -> RecognitionNetwork:
         """Return the solved network of cells r0·e^change."""
         cells = np.exp(self.logarithm + change)
         circuit = self.scene.circuit

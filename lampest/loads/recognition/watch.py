@@ -8,7 +8,6 @@ deep breath or an outlier, is cancelled. Breath is judged through steps, because
 a load and not its end. Without a load, the unloaded readings follow the frames.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import exp
 
@@ -16,25 +15,24 @@ import numpy as np
 
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
-from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
-from lampest.loads.recognition.breathing import WINDOW_S
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import RARE_LOG_ODDS, Verdict
-from lampest.loads.recognition.observation import (
-    Baseline,
-    ModelErrors,
-    Observation,
-    counting,
-    patch_of,
-)
+from lampest.loads.recognition.departure import relieved_by_departure
+from lampest.loads.recognition.fit import RARE_LOG_ODDS
+from lampest.loads.recognition.observation import Observation, counting
+from lampest.loads.recognition.open_lines import open_lines, without_lines
 from lampest.loads.recognition.step_test import StepTest
-from lampest.loads.recognition.suction import MIN_RISE
 from lampest.loads.recognition.swings import patterns_of
+from lampest.loads.recognition.watch_parts import (
+    FOLLOWS_S,
+    MIN_FRAMES,
+    Frames,
+    Level,
+    Look,
+    WatchSetup,
+    latest,
+)
 from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
 
-FOLLOWS_S = 20.0  # time constant with which the mean follows the frames
 SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frames
 # Of the present load's score: a larger change is another load, or the load has left.
 MIN_CHANGE = 0.5
@@ -46,127 +44,13 @@ TOUCHED = "something touched the panel while its unloaded frames were taken"
 UNEVENLY = (
     "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 )
+LEFT = "something stood on the panel in its unloaded frames, and left at {:.1f} s"
 RELIEVED = (
     "the panel changed, and no contact is clear: no cells conduct more by five standard deviations"
 )
 # time until the first recognition, and the longest one between two
 FIRST_S = 1.0
 LOOKS_S = 60.0
-MIN_FRAMES = 3  # that a recognition needs
-# Resistances of an open line over those at rest, and the share of its readings that have them:
-# mouths raise up to five cells of a row of ten.
-OPEN_RATIO = 2.0
-OPEN_SHARE = 0.8
-MIN_RELIEVED = 3  # cells that rise where a load left: one or two are even by chance
-# Of the unevenness of cells under a load, which is left where it has gone: films keep an eighth.
-UNCOVERED = 0.25
-Frames = tuple[tuple[float, Array], ...]
-
-
-def latest(window: Frames) -> Frames:
-    """Return the last frames: those within WINDOW_S, and at least MIN_FRAMES."""
-    return window[-max(sum(at > window[-1][0] - WINDOW_S for at, _ in window), MIN_FRAMES) :]
-
-
-@dataclass(frozen=True, eq=False)
-class Panelled:
-    """Constants while a panel is watched.
-
-    Attributes
-    ----------
-    scene : Scene
-    detector : Detector
-    water : array, shape (rows, columns)
-        Pressure of the water, kPa.
-    errors : ModelErrors
-    common : callable or None
-        Returns a root (cells, n) of the covariance of random errors that a frame's readings share,
-        given the readings (rows, columns); None where there are none.
-    explained : bool
-        Whether the circuit explains the readings.
-    """
-
-    scene: Scene
-    detector: Detector
-    water: Array
-    errors: ModelErrors
-    common: Callable[[Array], Array] | None = None
-    explained: bool = True
-
-    @classmethod
-    def of(cls, scene: Scene, errors: ModelErrors, patch_mm: float | None = None) -> "Panelled":
-        """Return the constants of a scene, without errors that the readings of a frame share.
-
-        Parameters
-        ----------
-        scene : Scene
-        errors : ModelErrors
-        patch_mm : float or None
-            Edge of a cell's film; None where it is not specified.
-        """
-        detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
-        return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
-
-    def frame(
-        self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0
-    ) -> Observation:
-        """Return the observation of a mean of frames, with the σ of one frame.
-
-        The σ is that of one frame because films err equally in all.
-        """
-        common = None if self.common is None else self.common(measured)
-        return Observation(measured, sigma, baseline, self.water, seconds, common=common)
-
-    def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
-        """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame."""
-        scale = frames**-0.5
-        common = None if self.common is None else scale * self.common(measured)
-        return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
-
-
-@dataclass(frozen=True, eq=False)
-class Level:
-    """Mean readings of an interval without a step.
-
-    Attributes
-    ----------
-    mean : array, shape (cells,)
-        ln y.
-    frames : float
-        Number of frames in the mean.
-    since_s, until_s : float
-        Times of its first and of its last frame, s.
-    """
-
-    mean: Array
-    frames: float
-    since_s: float
-    until_s: float
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """The last recognition of a load.
-
-    Attributes
-    ----------
-    verdict : Verdict
-    size : array, shape (discs,)
-        Scores of the load.
-    time_s : float
-        Time of the recognition, or at which the load left.
-    over : bool
-        Whether the load has left.
-    """
-
-    verdict: Verdict
-    size: Array
-    time_s: float
-    over: bool = False
-
-    def fading(self, time: float) -> Array:
-        """Return the scores of the residue of a load that left, (discs,)."""
-        return np.asarray(self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +61,7 @@ class Watch:
 
     Attributes
     ----------
-    panelled : Panelled
+    setup : WatchSetup
     test : StepTest
     sigma : array, shape (rows, columns)
         Standard deviations of one frame's readings.
@@ -213,7 +97,7 @@ class Watch:
         State before the last step; None once a load was recognised since.
     """
 
-    panelled: Panelled
+    setup: WatchSetup
     test: StepTest
     sigma: Array
     rest: Level
@@ -234,13 +118,13 @@ class Watch:
 
     @classmethod
     def begin(
-        cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float
+        cls, setup: WatchSetup, measured: Array, sigma: Array, unloaded: Array, time: float
     ) -> "Watch":
         """Return the state before the first frame, from unloaded readings.
 
         Parameters
         ----------
-        panelled : Panelled
+        setup : WatchSetup
         measured : array, shape (rows, columns)
             Mean of the unloaded readings.
         sigma : array, shape (rows, columns)
@@ -253,17 +137,17 @@ class Watch:
         frames = max(len(unloaded), 1)
         sigma = counting(sigma, measured)
         resting = np.log(measured.ravel())
-        frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames))
+        frame = setup.frame(measured, sigma, setup.baseline(measured, sigma, frames))
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
             len(unloaded), resting.size
         )
-        search = panelled.detector.search(frame.panel)
-        intact = np.where(panelled.scene.broken, np.nan, frame.baseline.logarithm)
+        search = setup.detector.search(frame.panel)
+        intact = np.where(setup.scene.broken, np.nan, frame.baseline.logarithm)
         test = StepTest.of(frame, search, np.log(filled))
         uneven = search.lies_on(intact)
         rest = Level(resting, frames, time, time)
         return cls(
-            panelled,
+            setup,
             test,
             sigma,
             rest,
@@ -290,7 +174,7 @@ class Watch:
         # recognised, breath and suction judged.
         if not watch.known:
             frame = watch._frame(watch.level.mean, time)
-            if watch.panelled.detector.calm(frame) is not None and watch._left(frame):
+            if watch.setup.detector.calm(frame) is not None and watch._left(frame):
                 return watch._with_brief_load()._gone(watch.level.since_s)
         if time >= watch.next_s:
             watch = watch._resumed(watch.level.mean)
@@ -300,7 +184,14 @@ class Watch:
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """Return the watch after a frame, as `push`, with step detection only."""
-        sigma, faults = self._without_open_lines(measured, sigma, time)
+        sigma = np.where(measured > 0, sigma, np.inf)
+        faults = dict(self.faults)
+        if self.setup.scene.circuit.unit == "ohm":
+            at_rest = np.exp(self.rest.mean).reshape(measured.shape)
+            opened = open_lines(measured, sigma, at_rest)
+            sigma = without_lines(sigma, opened)
+            for line in opened:
+                faults.setdefault(line.name, time)
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(
             counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean
@@ -308,29 +199,10 @@ class Watch:
         # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
         sigma = counting(sigma, np.exp(self.rest.mean).reshape(sigma.shape))
-        watch = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma, faults=faults)
+        watch = replace(
+            self, recent=(self.recent[-1], logarithm), sigma=sigma, faults=tuple(faults.items())
+        )
         return watch._stepped(shown, logarithm, time)
-
-    def _without_open_lines(
-        self, measured: Array, sigma: Array, time: float
-    ) -> tuple[Array, tuple[tuple[str, float], ...]]:
-        """Return σ, infinite for the readings of open lines, and the faults.
-
-        The faults have the times of their first frames. Suction raises the cells of a mouth; only
-        an open line raises nearly all resistances of a row or a column.
-        """
-        if self.panelled.scene.circuit.unit != "ohm":
-            return sigma, self.faults
-        known = np.isfinite(sigma) & (measured > 0)
-        ratio = np.where(known, measured, 0.0) / np.exp(self.rest.mean).reshape(measured.shape)
-        faults = dict(self.faults)
-        known_faults = known.copy()
-        for axis, name in enumerate(("row", "column")):
-            read = np.maximum(known.sum(axis=1 - axis), 1)
-            for line in np.flatnonzero((ratio > OPEN_RATIO).sum(axis=1 - axis) > OPEN_SHARE * read):
-                np.moveaxis(known_faults, axis, 0)[line] = False
-                faults.setdefault(f"{name} {line}", time)
-        return np.where(known_faults, sigma, np.inf), tuple(faults.items())
 
     def ended(self) -> "Watch":
         """Return the watch after the last frame.
@@ -354,27 +226,19 @@ class Watch:
         excess = np.array(
             [np.max(self.test.scores(change) / self.test.least()) for change in changes]
         )
-        excess[-2:] /= SINGLE_FRAME
+        first_and_last = slice(-2, None)
+        excess[first_and_last] /= SINGLE_FRAME
         if excess.max() < 1:
             return False
         shown = self.rest.mean + changes[np.argmax(excess)]
-        return (
-            self.panelled.detector.verdict(
-                self._frame(shown, self.rest.until_s + SETTLES_S)
-            ).nothing
-            < 0.5
-        )
+        frame = self._frame(shown, self.rest.until_s + SETTLES_S)
+        return self.setup.detector.verdict(frame).nothing < 0.5
 
     @property
     def stands_out(self) -> float:
         """Largest score of the last frames against the panel at rest, in standard deviations."""
-        return float(
-            np.max(
-                self.test.scores(
-                    np.median([*self.recent, self.level.mean], axis=0) - self.rest.mean
-                )
-            )
-        )
+        shown = np.median([*self.recent, self.level.mean], axis=0)
+        return float(np.max(self.test.scores(shown - self.rest.mean)))
 
     @property
     def change(self) -> Array | None:
@@ -404,7 +268,8 @@ class Watch:
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
         """Return the watch after a frame.
 
-        A step begins a new interval, any other frame continues the present one.
+        A step back to the level before the last one continues that level, another one begins a new
+        interval. Any other frame continues the present one.
 
         Parameters
         ----------
@@ -415,45 +280,42 @@ class Watch:
         time : float
             s.
         """
-        before = self.level.until_s
         scores = self.test.scores(shown - self.level.mean)
-        if np.any(scores >= self._least_step(time)):
-            # A step: either back to the level before the last step, or the beginning of a new
-            # interval.
-            resumed = self._resumed(shown)
-            if resumed is not self:
-                return resumed._stepped(shown, logarithm, time)
-            former = replace(self, former=None) if self.present else None
-            window = latest((*self.window, (time, logarithm)))
-            steps = (*(step for step in self.steps if step >= window[0][0]), before)
-            level = Level(shown, 1.0, before, time)
-            watch = replace(
-                self,
-                level=level,
-                window=window,
-                steps=steps,
-                present=True,
-                known=False,
-                former=former,
-            )
-            return replace(watch, next_s=before + FIRST_S)
-        # No step: running mean with the time constant FOLLOWS_S; without a load the baseline and
-        # v_k² follow, too.
-        share = min((time - before) / FOLLOWS_S, 1.0)
-        follows = max(1 / (self.level.frames + 1), share)
-        mean = self.level.mean + follows * (shown - self.level.mean)
-        level = Level(
-            mean, min(self.level.frames + 1, max(1 / follows, 1.0)), self.level.since_s, time
-        )
-        if self.present:
-            return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
-        test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
+        if not np.any(scores >= self._least_step(time)):
+            return self._continued(shown, logarithm, time)
+        resumed = self._resumed(shown)
+        if resumed is not self:
+            return resumed._stepped(shown, logarithm, time)
+        begun_s = self.level.until_s
+        window = latest((*self.window, (time, logarithm)))
         return replace(
             self,
-            level=level,
-            rest=replace(level, frames=max(level.frames, self.rest.frames)),
-            test=test,
+            level=Level(shown, 1.0, begun_s, time),
+            window=window,
+            steps=(*(step for step in self.steps if step >= window[0][0]), begun_s),
+            present=True,
+            known=False,
+            next_s=begun_s + FIRST_S,
+            former=replace(self, former=None) if self.present else None,
         )
+
+    def _continued(self, shown: Array, logarithm: Array, time: float) -> "Watch":
+        """Return the watch after a frame without a step, with parameters as in `_stepped`.
+
+        The level is a running mean with the time constant FOLLOWS_S. Without a load, the panel at
+        rest and the mean squares of the scores follow, too.
+        """
+        share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
+        follows = max(1 / (self.level.frames + 1), share)
+        mean = self.level.mean + follows * (shown - self.level.mean)
+        frames = min(self.level.frames + 1, max(1 / follows, 1.0))
+        level = Level(mean, frames, self.level.since_s, time)
+        if self.present:
+            return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
+        scores = self.test.scores(shown - self.level.mean)
+        loud = self.test.loud + share * (scores**2 - self.test.loud)
+        rest = replace(level, frames=max(level.frames, self.rest.frames))
+        return replace(self, level=level, rest=rest, test=replace(self.test, loud=loud))
 
     def _resumed(self, logarithm: Array) -> "Watch":
         """Return the state before the last step with the frames since.
@@ -494,12 +356,12 @@ class Watch:
 
         The film's residue is in C.
         """
-        panelled = self.panelled
-        shape = self.panelled.scene.panel.shape
-        baseline = panelled.baseline(
+        setup = self.setup
+        shape = self.setup.scene.panel.shape
+        baseline = setup.baseline(
             np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
         )
-        frame = panelled.frame(
+        frame = setup.frame(
             np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s
         )
         covariance = baseline.covariance.copy()
@@ -516,7 +378,7 @@ class Watch:
             return True
         before = self._before
         common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
-        residue = NOISE_REACH * self.panelled.errors.residue * np.sum(before**2)
+        residue = NOISE_REACH * self.setup.errors.residue * np.sum(before**2)
         return bool(np.sum((frame.map - common) * before) <= residue)
 
     def _keeps(self, frame: Observation) -> Array | float:
@@ -527,13 +389,13 @@ class Watch:
         if self.known or not self._recognised:
             return self.film_sd
         fall = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.film_sd, self.panelled.errors.residue * fall))
+        return np.asarray(np.maximum(self.film_sd, self.setup.errors.residue * fall))
 
     @property
     def _before(self) -> Array:
         """ln r/r0 (rows, columns) of the load before the last step; 0 without one."""
         if self.look is None or self.look.over:
-            return np.zeros(self.panelled.scene.panel.shape)
+            return np.zeros(self.setup.scene.panel.shape)
         return self.look.verdict.changed
 
     def _gone(self, time: float) -> "Watch":
@@ -571,10 +433,10 @@ class Watch:
             return self
         begin = stood[0][0]
         end = self.level.since_s
-        if not self.panelled.detector.any_form:
+        if not self.setup.detector.any_form:
             return replace(self, brief=(*self.brief, (begin, end)))
         frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
-        verdict = self.panelled.detector.verdict(frame)
+        verdict = self.setup.detector.verdict(frame)
         loads = [load.ended(end) for load in attachments_of(verdict.frame, verdict, begin)]
         return replace(self, attachments=(*self.attachments, *loads))
 
@@ -590,28 +452,31 @@ class Watch:
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             frame = self._frame(median, time)
-            verdict = self.panelled.detector.verdict(frame)
+            verdict = self.setup.detector.verdict(frame)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")
             return replace(self, next_s=again)
         frame = verdict.frame
         change = verdict.changed
         before = self._before
-        least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
-        # No load, or only the residue of the former one: the load has left, unless its cells still
-        # show it. the film's residue in the cells of the former load
-        memory = self._recognised and not self.known and np.sum(change**2) <= least
-        # odds: some steps are noise
-        if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):
-            if self._left(frame) and not (self.known and np.any(scores >= self.test.least())):
+        least = NOISE_REACH * self.setup.errors.residue * np.sum(change * before)
+        # the film's residue in the cells of the former load
+        residue = self._recognised and not self.known and np.sum(change**2) <= least
+        # some steps are noise
+        noise = verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing)
+        if residue or noise:
+            # The load has left, unless its cells still show it.
+            shown = self.known and np.any(scores >= self.test.least())
+            if self._left(frame) and not shown:
                 return self._gone(time if self.known else self.level.since_s)
             return replace(self, known=True, next_s=again, former=None)
         look = Look(verdict, self.test.sizes(self.level.mean - self.rest.mean), time)
-        if not self._recognised and self._uncovered(verdict):
-            at = self.level.since_s
-            told = f"something stood on the panel in its unloaded frames, and left at {at:.1f} s"
-            return replace(self, look=look, history=told)._gone(at)
-        patterns = patterns_of(frame, verdict.best, self.test.whitening, self.panelled.detector)
+        first = not self._recognised and not self.attachments
+        if first and self.setup.explained and relieved_by_departure(verdict):
+            left_s = self.level.since_s
+            history = LEFT.format(left_s)
+            return replace(self, look=look, history=history)._gone(left_s)
+        patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
         loads = attachments_of(frame, verdict, self.level.since_s, patterns)
         if not loads:
             return replace(self, known=True, next_s=again, former=None, history=RELIEVED)
@@ -620,28 +485,6 @@ class Watch:
         )
         continued = continued_by(self.attachments, loads, self.level.since_s, again=self.known)
         return replace(watch, attachments=continued)
-
-    def _uncovered(self, verdict: Verdict) -> bool:
-        """Return whether the first change is a load that left.
-
-        The load was present before the first frame. Half of the cells that changed, and at least
-        MIN_RELIEVED, have risen. They were as uneven before, about the median of all, as loads make
-        them, and are even now: their deviations have less than UNCOVERED of the former sum of
-        squares. Nothing is concluded of readings that the circuit does not explain.
-        """
-        if self.attachments or not self.panelled.explained:
-            return False
-        frame = verdict.frame
-        intact = self.panelled.scene.panel.present & ~self.panelled.scene.broken
-        moved = intact & (
-            np.abs(frame.free_map) > np.maximum(MIN_RISE, NOISE_REACH * frame.free_sd)
-        )
-        # what leaves relieves cells, and those rise
-        if np.sum(moved & (frame.free_map > 0)) < max(MIN_RELIEVED, moved.sum() / 2):
-            return False
-        resting = frame.baseline.logarithm - np.median(frame.baseline.logarithm[intact])
-        now = resting + frame.free_map
-        return bool(np.sum(now[moved] ** 2) < UNCOVERED * np.sum(resting[moved] ** 2))
 
     def _heard(self, time: float) -> "Watch":
         """Return the watch after breath and suction of every load were judged.

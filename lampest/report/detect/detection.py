@@ -21,7 +21,8 @@ from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.loads.recognition.breath import too_slow
 from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.observation import ModelErrors
-from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Panelled, Watch
+from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
+from lampest.loads.recognition.watch_parts import WatchSetup
 from lampest.loads.tare import sigma_of_frames
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -112,12 +113,12 @@ class Known:
             if noise is None or layout
             else lambda measured: noise.columns(measured[None], baseline=False)
         )
-        panelled = Panelled.of(
+        setup = WatchSetup.of(
             self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm
         )
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         return kind.begin(
-            replace(panelled, common=common, explained=self.explained),
+            replace(setup, common=common, explained=self.explained),
             self.resting,
             self.sigma,
             self.unloaded,
