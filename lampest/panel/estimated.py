@@ -1,6 +1,7 @@
 """Sentences on the numbers of a scene that its recording determined."""
 
 from collections.abc import Iterable, Mapping
+from math import floor, inf, log10
 
 # Key of a scene, or the end of it → unit; other numbers are relative.
 UNITS = {
@@ -48,4 +49,20 @@ def _line(key: str, number: float, deviation: float) -> str:
         return f"{key}: {number:.3g} to {deviation:.3g} V"
     name = key.partition(" of ")[0]  # without the place: leaks of row 3
     unit = next((unit for end, unit in UNITS.items() if name.endswith(end)), "(relative)")
-    return f"{key}: {number:.2g} ± {deviation:.2g} {unit}"
+    if not 0 < deviation < inf:
+        return f"{key}: {number:.2g} ± {deviation:.2g} {unit}"
+    decimals = 1 - floor(log10(deviation))
+    value, error = (_with_decimals(part, decimals) for part in (number, deviation))
+    return f"{key}: {value} ± {error} {unit}"
+
+
+def _with_decimals(value: float, decimals: int) -> str:
+    """Return a value rounded to decimals, which are negative for tens, such as '1230' or '2e-07'.
+
+    Its exponent is written out below 0.0001.
+    """
+    rounded = round(value, decimals)
+    if rounded == 0:
+        return "0"
+    exponent = floor(log10(abs(rounded)))
+    return f"{rounded:.{max(exponent + decimals, exponent, 0) + 1}g}"

@@ -218,6 +218,23 @@ def test_a_wide_table_folds_its_texts_and_keeps_its_figures(
     )
 
 
+@pytest.mark.parametrize(
+    ("number", "deviation", "words"),
+    [
+        pytest.param(6.1e-11, 0.058, "0 ± 0.058", id="far below its deviation"),
+        pytest.param(-3e-9, 0.01, "0 ± 0.01", id="negative and far below"),
+        pytest.param(148.23, 0.32, "148.23 ± 0.32", id="far above its deviation"),
+        pytest.param(1234.0, 120.0, "1230 ± 120", id="hundreds"),
+        pytest.param(1e-6, 2e-7, "1e-06 ± 2e-07", id="small"),
+        pytest.param(12.0, 0.0, "12 ± 0", id="without deviation"),
+    ],
+)
+def test_a_determined_number_has_the_digits_of_its_deviation(
+    number: float, deviation: float, words: str
+) -> None:
+    assert estimated_lines({"contacts": (number, deviation)}) == (f"contacts: {words} ohm",)
+
+
 def test_lines_of_estimated_numbers_have_their_units_and_are_few() -> None:
     held = {
         "readout.passes_volt": (0.1, 4.25),
