@@ -76,11 +76,9 @@ def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evalu
     steps = 0
     limit = METHOD.max_steps if max_steps is None else min(max_steps, METHOD.max_steps)
     while steps < limit and not start.data.overdue:
-        trial = (
-            barrier.advanced()
-            if barrier.added > METHOD.max_barrier_share * barrier.at.objective
-            else None
-        )
+        if not barrier.added > METHOD.max_barrier_share * barrier.at.objective:
+            break
+        trial = barrier.advanced()
         if trial is None:
             break
         barrier = trial
@@ -216,11 +214,9 @@ class Barrier:
         It is infinite outside the bounds.
         """
         distances = self.distances[:, self.moving]
-        return (
-            self.at.objective - mean * float(np.log(distances).sum())
-            if np.all(distances > 0)
-            else float("inf")
-        )
+        if not np.all(distances > 0):
+            return float("inf")
+        return self.at.objective - mean * float(np.log(distances).sum())
 
     def advanced(self) -> "Barrier | None":
         """Return the iterate after one step; None if no step lowers the barrier function."""
@@ -263,11 +259,8 @@ class Barrier:
         stiff = (self.stiffness * self.conductance**2).ravel()
         slope = -(push * self.conductance).ravel()[chosen]
         step = np.zeros(push.size)
-        step[chosen] = (
-            self._dense(chosen, stiff, slope)
-            if self.hessian.dense
-            else self._sparse(chosen, stiff, slope)
-        )
+        solve = self._dense if self.hessian.dense else self._sparse
+        step[chosen] = solve(chosen, stiff, slope)
         return step.reshape(push.shape) * self.conductance
 
     def _dense(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
