@@ -204,7 +204,8 @@ class FittedPair:
         """
         changes = self.with_columns(columns)
         score, moved = changes.selected(usual_starts(self.change))
-        mean = sd = np.full(1 + columns.shape[1], np.nan)
+        mean = np.full(1 + columns.shape[1], np.nan)
+        sd = mean
         if not moved.all():
             mean, covariance = changes.posterior(away_from_changed(~moved, self.shape))
             sd = np.sqrt(np.diag(covariance))

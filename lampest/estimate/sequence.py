@@ -227,11 +227,10 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
-    deciding = [
-        (part.scene, resting, read[frame])
-        for part, read, resting in networks
-        for frame in deciding_frames(part, read, resting)[:count]
-    ]
+    deciding = list[tuple[Scene, Readings, Readings]]()
+    for part, read, resting in networks:
+        frames = deciding_frames(part, read, resting)[:count]
+        deciding += [(part.scene, resting, read[frame]) for frame in frames]
     if not deciding:
         return estimator
     numbers = strongest(
@@ -326,7 +325,8 @@ class Parts:
             Returns the memory after a part's last frame, given the part's number; None where it is
             not done.
         """
-        stream = start = self.stream
+        start = self.stream
+        stream = start
         for number, frames in enumerate(self.stored.blocks):
             carried = done(number)
             part = self._part(frames) if carried is None or not start.rested else None
@@ -338,7 +338,8 @@ class Parts:
             elif part is not None:
                 stream, estimates = part.solve(stream)
                 yield number, estimates, CarriedOver.of(stream)
-                stream = start = self.stream if self.independent else stream.restarted(self.stream)
+                start = self.stream if self.independent else stream.restarted(self.stream)
+                stream = start
 
     def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead.

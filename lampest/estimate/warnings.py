@@ -191,14 +191,13 @@ def _less_load(recording: Recording, readings: Readings) -> str:
     change = changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
-    reverse = [
-        f", or is it readout.{name}: {word}"
-        for name, words in choices(type(circuit)).items()
-        for word in words
-        if name in ("polarity", "measured_across") and word != getattr(circuit, name)
-    ]
     message = (
         "readings only ever show less load than the unloaded frames: did something lie on "
         "the panel then"
     )
-    return f"{message}{''.join(reverse)}?"
+    for name, words in choices(type(circuit)).items():
+        if name in ("polarity", "measured_across"):
+            for word in words:
+                if word != getattr(circuit, name):
+                    message += f", or is it readout.{name}: {word}"
+    return f"{message}?"

@@ -159,20 +159,12 @@ class Instance:
             groups = [*residuals, *program.split_residuals(apparent, unscaled)]
             largest = [float(np.abs(group).max(initial=0)) for group in groups]
             split_scale = max(split_scale, *largest)
-        lower = {
-            "conductance": scale / values.upper,
-            "split": 0.0,
-            **{name: unknown.lower for name, unknown in program.own.items()},
-        }
-        upper = {
-            "conductance": scale / values.lower,
-            **{name: unknown.upper for name, unknown in program.own.items()},
-        }
+        lower, upper = _bounds(program, scale / values.upper, scale / values.lower)
         return cls(
             program,
             start=unknowns(values.cells, voltages, _split_start(residuals, split_scale)),
-            lower=program.unknown.stacked(lower, default=-np.inf),
-            upper=program.unknown.stacked(upper, default=np.inf),
+            lower=lower,
+            upper=upper,
             parameter=program.parameter.stacked({**parameters, "split_scale": split_scale}),
             equations=(_equation_limits(program, "lower"), _equation_limits(program, "upper")),
             shape=values.cells.shape,
@@ -215,11 +207,25 @@ def _voltage_unit(voltages: Array) -> Array:
     return np.asarray(np.maximum(size, MIN_VOLTAGE * size.max(initial=0.0)))
 
 
+def _bounds(program: Program, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the bounds of all unknowns, (unknowns,), for those of the conductances.
+
+    Voltages have none, and split parts are not negative.
+    """
+    lower = {name: unknown.lower for name, unknown in program.own.items()}
+    upper = {name: unknown.upper for name, unknown in program.own.items()}
+    return (
+        program.unknown.stacked({"conductance": low, "split": 0.0, **lower}, default=-np.inf),
+        program.unknown.stacked({"conductance": high, **upper}, default=np.inf),
+    )
+
+
 def _split_start(residuals: Sequence[Array], unit: float) -> Array:
     """Return p and q of split residuals ±(p − q), SPLIT_START from their bound, in their unit."""
-    sides = [side for group in residuals for side in (group, -group)]
-    split = [np.maximum(side / unit, 0) + SPLIT_START for side in sides]
-    return np.concatenate([np.zeros(0), *split])
+    split = [np.zeros(0)]
+    for group in residuals:
+        split += [np.maximum(side / unit, 0) + SPLIT_START for side in (group, -group)]
+    return np.concatenate(split)
 
 
 def _equation_limits(program: Program, side: str) -> Array:

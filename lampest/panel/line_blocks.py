@@ -47,10 +47,12 @@ class LineBlocks:
         """
         count = len(self.diagonal)
         rows, columns = self.between.shape[-2:]
-        short, long = slice(rows), slice(rows, None)
+        short = slice(rows)
+        long = slice(rows, None)
         between = self.between
         if rows > columns:
-            short, long = long, short
+            short = slice(rows, None)
+            long = slice(rows)
             between = between.swapaxes(-1, -2)
         # E = A P⁻¹ with the pivots P of the eliminated lines, and the Schur complement S = D − E Aᵀ
         # of the others

@@ -189,7 +189,8 @@ def solve(
         Numbers of these panels in `inverses`.
     settings : Settings
     """
-    begun = points = Hessian(start, Smoothing(1.0, NO_DUAL))
+    begun = Hessian(start, Smoothing(1.0, NO_DUAL))
+    points = begun
     ends = begun.position.copy()
     (count,) = start.data.panels
     solved = np.zeros(count, dtype=bool)

@@ -200,7 +200,9 @@ class SmootherMethod(Method):
             baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
             if track is not None and baseline.solution.solved:
                 begin = perf_counter()
-                shared = track.shared and track.shared.beyond(joint.errors)
+                shared = None
+                if track.shared is not None:
+                    shared = track.shared.beyond(joint.errors)
                 certainty, bars = error_bars(joint, len(resting), shared)
                 seconds = (perf_counter() - begin) / len(solutions)
                 track = replace(track, baseline=certainty)
