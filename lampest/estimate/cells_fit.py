@@ -267,7 +267,7 @@ def _levenberg_marquardt_fit(
         cells = np.exp(position).reshape(start.shape)
         return CellsFit.at(scene, data, readings, cells, effects)
 
-    def is_exact(fit: CellsFit, _: Array) -> bool:
+    def is_exact(fit: CellsFit, evaluations: int) -> bool:
         return fit.chi_square <= EXACT_CHI_SQUARE
 
     loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)

@@ -188,7 +188,7 @@ def scatter(
     noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
     # Variance of one reading by own noise and line ripple.
     line_variance = noise + float((line_ripple**2).sum()) / channels
-    common_ripple = np.zeros((channels, 0))
+    common_ripple: Array = np.zeros((channels, 0))
     ripple_sd = 0.0
     ripple_tail = 1.0
     if has_common_ripple:

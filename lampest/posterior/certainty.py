@@ -110,7 +110,7 @@ class Certainty:
                 return np.asarray(np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0)))
 
         ends = TWO_SIDED**2 * shared
-        of_common = np.zeros(self.common.shape)
+        of_common: Array = np.zeros(self.common.shape)
         if common is not None:
             of_common = joined(self.common, baseline.common, common)
         return replace(

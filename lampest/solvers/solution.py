@@ -339,8 +339,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
         return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    status = Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM
-    return solution_at(at, residual, outcome, status)
+    held = bounds_matter(at, gradient, dual)
+    return solution_at(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
 
 
 def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
