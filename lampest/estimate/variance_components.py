@@ -41,7 +41,7 @@ EDGE_WIDTHS = 3.0
 MIN_SAMPLES_PER_CHANNEL = 1.5
 # Of the median size as an estimate of σ, as a share of the readings (Hampel, 1974).
 MEDIAN_EFFICIENCY = 0.37
-MIN_FREEDOM = 3.0  # degrees of a shrunk covariance: Student's t has no variance with two
+MIN_SHRUNK_FREEDOM = 3.0  # degrees of a shrunk covariance: Student's t has no variance with two
 # Of the root mean square of two differences that share a frame, over √2 σ (by simulation).
 PAIR_MEDIAN = 0.7960
 NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
@@ -291,7 +291,7 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
     # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
     within = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
     share = min(((1 - 2 / channels) * squares + total**2) / max(within, TINY), 1.0)
-    freedom = max(repeats * (1 - share + share * channels), MIN_FREEDOM)
+    freedom = max(repeats * (1 - share + share * channels), MIN_SHRUNK_FREEDOM)
     return (1 - share) * sizes + share * total / channels, freedom
 
 

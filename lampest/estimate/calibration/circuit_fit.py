@@ -37,7 +37,7 @@ from lampest.panel.readouts.readout import with_memory
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import SHORT_OHM
 
-MAX_MEMORY = 0.9  # of a converter; with 1, nothing of a new reading would be seen
+MAX_KEPT_FRACTION = 0.9  # of a converter; with 1, nothing of a new reading would be seen
 CONVERTER_ERROR_LSB = 0.5  # integral nonlinearity of the ATmega2560, by its data sheet
 MAX_EVALUATIONS = 25  # good calibrations take 5, and 10 from numbers ten times too large
 STEP = 1e-5  # of an unknown, or of ln of a resistor, for forward differences
@@ -181,7 +181,7 @@ class Problem:
     def _limits(self, unknown: Unknown) -> tuple[float, float]:
         """Return the range of a number in its unit, beyond which the circuit has no meaning."""
         if unknown.number.unit == "1":
-            return 0.0, MAX_MEMORY
+            return 0.0, MAX_KEPT_FRACTION
         if unknown.number.unit == "volt":
             return self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
         return SHORT_OHM if unknown.lines else 0.0, MAX_OHM
