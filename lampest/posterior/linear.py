@@ -216,8 +216,8 @@ class LinearModel:
         """Independent errors of half the gradient due to penalties, (W, Zᵀ H), sparse (cells, n).
 
         W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard
-        deviation σ of log λ. Without it, 95 % intervals cover 81 to 83 % of the cells where the
-        noise is as large as the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
+        deviation σ of log λ. Without it, intervals are too narrow where the noise is as large as
+        the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
         each row beyond ω x̂; see `Loss.steady_pull`. Where the data show the variance of a term's
         residuals, its column is Zᵀ (λ z/2 − ω x̂), z the duals: it moves the estimate to the mean
         of the posterior with this variance.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, restricted, steihaug
+from lampest.panel.trust_region import SUFFICIENT_DECREASE, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, TwoLevel
@@ -60,8 +60,8 @@ class InteriorPoint:
     max_barrier_share: float = 1e-8
 
 
-# Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes
-# more than 60 s in place of 5 to 8 s (docs/studies/speed.md).
+# Without min_step, and with μ reduced after every step, a frame of a large panel may take ten times
+# as long (docs/studies/speed.md).
 METHOD = InteriorPoint()
 # Change of the distances (g − g_low, g_high − g) with g.
 SIDES = np.array([1.0, -1.0])[:, None, None, None]
@@ -279,17 +279,20 @@ class Barrier:
         free = self.moving.ravel()
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of
-        # the others. With ACCURACY throughout, besides the changes named at METHOD, a later frame
-        # takes 83 s (docs/studies/speed.md).
+        # the others (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         distances = (self.distances / self.conductance).reshape(2, -1)[:, chosen]
 
         def admits(step: Array) -> bool:
             return reach(distances, SIDES[:, 0, 0] * step) >= METHOD.min_step
 
-        exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
-        squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
-        for product in (exact, squares):
+        def exact(step: Array) -> Array:
+            return hessian.product(step) + (stiff + hessian.gradient) * step
+
+        def gauss_newton(step: Array) -> Array:
+            return hessian.gauss_newton_product(step) + stiff * step
+
+        for product in (exact, gauss_newton):
             solved = steihaug(
                 restricted(product, chosen, free.size), precondition, slope, accuracy, admits=admits
             )
