@@ -101,7 +101,7 @@ def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dic
     changes = [stream.change(readings[number]) for number, stream in group.items()]
     numbers = [list(group)[place] for place in strongest(changes)]
     deciding = group[numbers[0]]
-    pairs = [group[number].given(readings[number]) for number in numbers]
+    pairs = [group[number].data_and_start(readings[number]) for number in numbers]
     data, start = pairs[0]
     first = data.limited(deciding.estimator.solver.time_limit_s)
     further = [data for data, _ in pairs[1:]]

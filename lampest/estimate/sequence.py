@@ -247,7 +247,7 @@ def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: 
     """
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
-    return Stream.begin(estimator, scene, float("inf"), resting).given(frame)[0]
+    return Stream.begin(estimator, scene, float("inf"), resting).data_and_start(frame)[0]
 
 
 def frame_period(recording: Recording) -> float:

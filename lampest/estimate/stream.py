@@ -250,9 +250,9 @@ class Stream(SequenceState):
         """
         return self.estimator.method.sequence(self, resting, readings, on_frame)
 
-    def given(self, readings: Readings) -> tuple[Data, Array | None]:
-        """Return the data of a frame's solve and its start, see `Method.given`."""
-        return self.estimator.method.given(self, readings)
+    def data_and_start(self, readings: Readings) -> tuple[Data, Array | None]:
+        """Return the data of a frame's solve and its start, see `Method.data_and_start`."""
+        return self.estimator.method.data_and_start(self, readings)
 
 
 def _check_frame(readings: Readings, scene: Scene) -> None:

@@ -202,10 +202,7 @@ def scatter(
         # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
         ripple_variance = float((common_ripple**2).sum()) / channels * lines
         variances = (line_variance + ripple_variance) / squared_loudness
-        chi_square = (gains**2 / np.maximum(variances, TINY)).sum()
-        gain_tail = float(chi_square_tail(chi_square, repeats))
-        squares = float((gains**2).sum())
-        gain_size, gain_sd = posterior_size(squares, repeats, float(variances.mean()))
+        gain_size, gain_sd, gain_tail = _gain(gains, repeats, variances)
     degrees = samples * (channels - line_ripple.shape[1])
     return Scatter(
         own=float(np.sqrt(max(noise, 0.0))),
@@ -218,6 +215,24 @@ def scatter(
         gain_tail=gain_tail,
         ripple_tail=ripple_tail,
     )
+
+
+def _gain(gains: Array, repeats: int, variances: Array) -> tuple[float, float, float]:
+    """Return the size of a frame's gain, its deviation, and the probability of it in noise alone.
+
+    Parameters
+    ----------
+    gains : array, shape (frames,)
+        Estimated gain of each frame.
+    repeats : int
+        Degrees of freedom, frames − 1.
+    variances : array, shape (frames,)
+        Variance of each estimate if no gain existed.
+    """
+    chi_square = (gains**2 / np.maximum(variances, TINY)).sum()
+    tail = float(chi_square_tail(chi_square, repeats))
+    size, deviation = posterior_size(float((gains**2).sum()), repeats, float(variances.mean()))
+    return size, deviation, tail
 
 
 def _common_ripple(common: Array, repeats: int, variance: float) -> tuple[Array, float, float]:

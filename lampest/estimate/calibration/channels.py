@@ -109,17 +109,15 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         "their mean, "
         f"from {frames} frames"
     )
-    texts = [
-        f"{error:+.2f} +- {sd:.2f}" for error, sd in zip(errors[1:], deviation[1:], strict=True)
-    ]
-    remarks = (
-        f"rows are off by {', '.join(texts[:rows])} ohm",
-        f"columns are off by {', '.join(texts[rows:])} ohm",
-    )
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
-        remarks=(f"from {frames} frames; +- is one standard deviation", summary, *remarks),
+        remarks=(
+            f"from {frames} frames; +- is one standard deviation",
+            summary,
+            f"rows are off by {_offsets_in_words(errors[1 : 1 + rows], deviation[1 : 1 + rows])}",
+            f"columns are off by {_offsets_in_words(errors[1 + rows :], deviation[1 + rows :])}",
+        ),
         warnings=() if spread < UNCHANGED * channel_prior else (HARDLY,),
         errors=errors,
         covariance=covariance,
@@ -127,6 +125,12 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         apart_before=channel_prior,
         frames=frames,
     )
+
+
+def _offsets_in_words(errors: Array, deviations: Array) -> str:
+    """Return the offsets of the lines of a side with their standard deviations, in words."""
+    pairs = zip(errors, deviations, strict=True)
+    return f"{', '.join(f'{error:+.2f} +- {sd:.2f}' for error, sd in pairs)} ohm"
 
 
 def _check_determined(name: str, scene: Scene) -> None:

@@ -107,7 +107,7 @@ class Method(Configuration):
         """Return whether the baseline is solved together with the first frame; by default never."""
         return False
 
-    def given(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
+    def data_and_start(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve, and its start or None.
 
         The data of a joint first pair include the unloaded readings (paper, equations 15 and 21).
@@ -196,7 +196,7 @@ class Method(Configuration):
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
         absolute = state.without_comparisons() if state.estimator.relative else state
-        first = self.solve(absolute, *self.given(absolute, state.resting))
+        first = self.solve(absolute, *self.data_and_start(absolute, state.resting))
         settled, baseline = with_contacts(absolute, state.resting, first, self._elsewhere)
         state = replace(state, scene=settled.scene, track=settled.track)
         model = baseline.surroundings()
@@ -211,7 +211,7 @@ class Method(Configuration):
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after one frame's readings (rows, columns), and the frame's step."""
-        data, start = self.given(state, readings)
+        data, start = self.data_and_start(state, readings)
         step = self.solve(state, data, start)
         if len(data.measured) == 2:
             state, step = with_contacts(state, readings, step, self._elsewhere)
@@ -238,7 +238,7 @@ class Method(Configuration):
             step.weights, step.weight_sigma, step.prior_variance
         )
         before = replace(state, estimator=weighted)
-        data, previous = self.given(before, readings)
+        data, previous = self.data_and_start(before, readings)
         cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
         witness = testimony(cost, data, previous, state.estimator.solver)
         comparison = compared(step.solution, witness)
@@ -298,7 +298,9 @@ class Method(Configuration):
 
         It is solved from given cells on.
         """
-        return self.solve(state, replace(self.given(state, readings)[0], first=False), near)
+        return self.solve(
+            state, replace(self.data_and_start(state, readings)[0], first=False), near
+        )
 
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
