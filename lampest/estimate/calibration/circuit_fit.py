@@ -334,7 +334,7 @@ def estimated_number(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
         """Return the mean over measured lines, then the lines' offsets from it."""
         common, offsets = unknown.values(unknowns)
         means = [
-            offset[known].mean() for offset, known in zip(offsets, measured.values(), strict=True)
+            offset[lines].mean() for offset, lines in zip(offsets, measured.values(), strict=True)
         ]
         return np.concatenate([[common + sum(means)], *map(np.subtract, offsets, means)])
 
@@ -345,7 +345,7 @@ def estimated_number(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
     parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
     offsets = tuple(
-        LineOffsets(side, np.where(known, offset, np.nan), np.where(known, sd, np.nan))
-        for (side, known), offset, sd in parts
+        LineOffsets(side, np.where(lines, offset, np.nan), np.where(lines, sd, np.nan))
+        for (side, lines), offset, sd in parts
     )
     return CircuitNumber(unknown.number, float(at[0]), float(sigma[0]), offsets)

@@ -157,12 +157,12 @@ def _drive_terms(states: LineStates) -> tuple[Array, Array]:
     """
     drive = states.drive
     idle = states.idle
-    one = np.ones(len(drive))
+    ones = np.ones(len(drive))
     held = idle == 0
     with np.errstate(divide="ignore", invalid="ignore"):
         by_own = np.where(drive == idle, 0.0, 1 - drive / idle)
-        drive_terms = np.where(held, (one, -drive), (drive, by_own))
-        current_terms = np.where(held, [[0.0], [-1.0]], (one, -1 / idle))
+        drive_terms = np.where(held, (ones, -drive), (drive, by_own))
+        current_terms = np.where(held, [[0.0], [-1.0]], (ones, -1 / idle))
     return drive_terms, current_terms
 
 
@@ -171,13 +171,13 @@ def _load_terms(states: LineStates, *, in_ties: bool) -> Array:
 
     `in_ties` states whether the loads are a part of the ties.
     """
-    one = np.ones(len(states.load))
+    ones = np.ones(len(states.load))
     if in_ties:
-        return np.stack([one, np.zeros(len(states.load))])
+        return np.stack([ones, np.zeros(len(states.load))])
     with np.errstate(divide="ignore", invalid="ignore"):
         load_ties = 1 / states.load
-        of_tied = (one, load_ties - 1 / states.idle_load)
-        return np.where(states.idle_load == 0, (load_ties, -one), of_tied)
+        of_tied = (ones, load_ties - 1 / states.idle_load)
+        return np.where(states.idle_load == 0, (load_ties, -ones), of_tied)
 
 
 def _addresses(groups: Groups) -> list[NDArray[np.intp]]:
