@@ -192,9 +192,9 @@ class RandomProblem:
         """What that solve is given."""
         if self.requested is None:
             state = Stream(self.estimator, self.scene, 1.0, self._readings[0]).without_comparisons()
-            return self.estimator.method.given(state, self._readings[0])[0]
+            return self.estimator.method.data_and_start(state, self._readings[0])[0]
         stream, readings = self.requested
-        return stream.given(readings)[0]
+        return stream.data_and_start(readings)[0]
 
     @cached_property
     def cost(self) -> Cost:

@@ -127,7 +127,7 @@ def timed_frames(case: Case) -> list[Solve]:
     solves: list[Solve] = []
     before: Array | None = None
     for frame in recording.measured_frames():
-        data, _ = stream.given(readings[frame])
+        data, _ = stream.data_and_start(readings[frame])
         stream, step = stream.push(readings[frame])
         if before is not None and before.shape == data.measured.shape:
             cost = case.estimator.with_weights(step.weights).cost(

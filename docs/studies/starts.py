@@ -80,7 +80,7 @@ def _objectives(
     readings = recording.readings()
     stream = first_stream(recording, readings, case.estimator)
     for frame in recording.measured_frames():
-        data, _ = stream.given(readings[frame])
+        data, _ = stream.data_and_start(readings[frame])
         stream, step = stream.push(readings[frame])
         if step.solution.status in (Status.UNREAD, Status.UNRESTED):
             continue

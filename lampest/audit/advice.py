@@ -54,11 +54,13 @@ class Audit:
         return (*acted, *self._circuit(), *self._noise(), *effects)
 
     def _circuit(self) -> Iterator[Finding]:
+        """Yield the circuit that explains the readings better."""
         check = self.prepared.check
         if check.better and not check.by_effect:
             yield Finding("circuit", "another circuit", check.sentence, entry_line(check.better))
 
     def _noise(self) -> Iterator[Finding]:
+        """Yield the finding that noise is another one than the scene specifies."""
         scene = self.prepared.recording.scene
         noise = self.prepared.frame_noise
         if scene.readout is None:

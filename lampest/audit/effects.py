@@ -89,9 +89,9 @@ def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
     findings = dict[str, Finding]()
     for number, part in enumerate(prepared.modules):
         for finding in () if part is None else unnamed_effects(part):
-            what = f"module {list(prepared.layout.place(number))}: {finding.what}"
+            named = f"module {list(prepared.layout.place(number))}: {finding.what}"
             # a line of the scene holds for all modules
-            findings.setdefault(finding.line, replace(finding, what=what))
+            findings.setdefault(finding.line, replace(finding, what=named))
     return tuple(findings.values())
 
 
@@ -132,9 +132,9 @@ def _frame_errors(evidence: Gathered) -> Iterator[Finding]:
     unknown = scene.readout is None or readings.sigma is None or unloaded.sum() < 2
     if unknown or scene.readout is None or not evidence.names_none("gain", "ripple"):
         return
-    asked = replace(evidence.recording, scene=replace(scene, gain=ESTIMATED, ripple=ESTIMATED))
-    scale = evidence.noise.sigma_factor
-    parts = unloaded_scatter(asked, replace(readings, sigma=readings.known_sigma / scale)[unloaded])
+    estimating = replace(evidence.recording, scene=replace(scene, gain=ESTIMATED, ripple=ESTIMATED))
+    unscaled = replace(readings, sigma=readings.known_sigma / evidence.noise.sigma_factor)
+    parts = unloaded_scatter(estimating, unscaled[unloaded])
     if parts is None:
         return
     if parts.gain_tail < SIGNIFICANCE:
@@ -147,29 +147,31 @@ def _frame_errors(evidence: Gathered) -> Iterator[Finding]:
 
 def _besides(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on leaks, contacts and a common change of all cells."""
-    found = evidence.effects
-    if found.name and evidence.check.by_effect and evidence.names_none("leaks", "contacts"):
-        key = "leaks" if "leak" in found.name else "contacts"
-        yield _finding(f"{found.name} explains the readings better: {found.reason}", key, ESTIMATED)
-    if found.common_change and evidence.names_none("creep", "temperature", "film"):
-        yield _finding(found.common_change, "creep", ESTIMATED)
+    besides = evidence.effects
+    if besides.name and evidence.check.by_effect and evidence.names_none("leaks", "contacts"):
+        key = "leaks" if "leak" in besides.name else "contacts"
+        sentence = f"{besides.name} explains the readings better: {besides.reason}"
+        yield _finding(sentence, key, ESTIMATED)
+    if besides.common_change and evidence.names_none("creep", "temperature", "film"):
+        yield _finding(besides.common_change, "creep", ESTIMATED)
 
 
 def _memory(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on a converter that remembers the channel before."""
-    if (
-        evidence.names_none("converter_memory")
-        and memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN
-    ):
-        found = estimated_memory(evidence.recording)
-        if not isinstance(found, str):
-            yield _finding(
-                f"the converter keeps {100 * found[0]:.2g} +- {100 * found[1]:.1g} % of the "
-                "channel before: so fewer "
-                "cells have moved under the load",
-                "converter_memory",
-                ESTIMATED,
-            )
+    if not evidence.names_none("converter_memory"):
+        return
+    if not memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN:
+        return
+    estimate = estimated_memory(evidence.recording)
+    if not isinstance(estimate, str):
+        share, deviation = estimate
+        yield _finding(
+            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % of the "
+            "channel before: so fewer "
+            "cells have moved under the load",
+            "converter_memory",
+            ESTIMATED,
+        )
 
 
 def _reading_error(evidence: Gathered) -> Iterator[Finding]:
@@ -183,8 +185,8 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
         or not evidence.names_none("systematic.reading_error")
     ):
         return
-    known = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
-    asked = replace(scene, systematic=replace(known, reading_error=ESTIMATED))
+    sizes = scene.systematic if isinstance(scene.systematic, Systematic) else Systematic()
+    estimating = replace(scene, systematic=replace(sizes, reading_error=ESTIMATED))
     # without the error of the model: the same misses would count for it and for errors of the
     # readings
     readings = replace(noise.readings, sigma=noise.readings.sigma / noise.model_factor)
@@ -195,9 +197,9 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if len(evidence.measured):
         strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
         loaded = readings[strongest]
-    found = shared_errors(asked, resting, loaded, noise.frame)
-    if found.no_reading_error < SIGNIFICANCE:
-        mean, deviation = found.sizes["reading_error"]
+    errors = shared_errors(estimating, resting, loaded, noise.frame)
+    if errors.no_reading_error < SIGNIFICANCE:
+        mean, deviation = errors.sizes["reading_error"]
         yield _finding(
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in "
             "all frames: cells are "

@@ -39,11 +39,14 @@ class Finding:
     @property
     def text(self) -> str:
         """The finding in one line, ASCII."""
-        parts = (
-            self.evidence and f": {self.evidence}",
-            self.line and f"; add to the scene: {self.line}",
-        )
-        return f"{self.what}{''.join(parts)}{self.remedy and f'; {self.remedy}'}"
+        text = self.what
+        if self.evidence:
+            text += f": {self.evidence}"
+        if self.line:
+            text += f"; add to the scene: {self.line}"
+        if self.remedy:
+            text += f"; {self.remedy}"
+        return text
 
 
 def with_line(scene: Scene, line: str) -> Scene:
@@ -64,29 +67,28 @@ def with_lines(
 
     Also return sentences on those that it did not take.
     """
-    taken = list[str]()
+    accepted = list[str]()
     refused = list[str]()
     for line in dict.fromkeys(finding.line for finding in findings if finding.line):
         try:
             scene = with_line(scene, line)
-            taken.append(line)
+            accepted.append(line)
         except InputError as error:
             refused.append(f"{line}: {str(error).partition(': ')[2]}")
-    return scene, tuple(taken), tuple(refused)
+    return scene, tuple(accepted), tuple(refused)
 
 
 def _fitting(content: dict[str, Any], addition: dict[str, Any]) -> dict[str, Any]:
     """Return a scene's content without the entries that a readout of another kind does not have."""
     readout = content.get("readout")
     kind = addition.get("readout", {}).get("kind")
-    known = {
+    keys_by_kind = {
         member.kind: {entry.name for entry in fields(member)} for member in members_of(AnyReadout)
     }
-    if readout is None or kind not in known:
+    if readout is None or kind not in keys_by_kind:
         return content
-    return content | {
-        "readout": {key: value for key, value in readout.items() if key in known[kind]}
-    }
+    keys = keys_by_kind[kind]
+    return content | {"readout": {key: value for key, value in readout.items() if key in keys}}
 
 
 def merged(content: Any, addition: Any) -> Any:

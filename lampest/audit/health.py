@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,9 @@ MIN_SHIFT_SHARE = 0.5
 MIN_NOISE_FRAMES = 4  # unloaded frames that show whose noise is larger
 # Of a line's or a cell's standard deviation to the usual one.
 MAX_NOISE_RATIO = {"line": 2.0, "cell": 4.0}
+MAX_NOISY_SHARE = 1 / 3  # of the lines of a side
+MAX_SHORTED = 3  # cells that are examined for a short, those with the most unusual readings
+MIN_LIVING_SHARE = 0.9  # of the readings of living lines: far from those of dead ones
 MAX_GAP = 2.5  # median intervals between frames: beyond it frames are missing
 MAX_NAMED = 6  # places in one sentence
 
@@ -81,13 +85,13 @@ class Health:
         """
         view = _View(recording)
         checks = (_dead_lines, _touching_lines, _cells, _noise, _readings, _frames, _times, _order)
-        found = tuple(finding for check in checks for finding in check(view))
-        asked = recording.scene.requested
-        missing = view.readings.missing(recording.scene)[:, asked]
-        bounds = view.readings.bounds[:, asked]
+        findings = tuple(chain.from_iterable(check(view) for check in checks))
+        requested = recording.scene.requested
+        missing = view.readings.missing(recording.scene)[:, requested]
+        bounds = view.readings.bounds[:, requested]
         unloaded = int((recording.role == UNLOADED).sum())
         return cls(
-            found, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean())
+            findings, len(recording.role), unloaded, float(missing.mean()), float(bounds.mean())
         )
 
     @property
@@ -101,9 +105,9 @@ class Health:
         rows = list[tuple[str, str]]()
         for room in ROOMS:
             texts = [finding.text for finding in self.findings if finding.room == room]
-            rows += [(room if not number else "", text) for number, text in enumerate(texts)] or [
-                (room, WELL[room])
-            ]
+            first, *further = texts or [WELL[room]]
+            rows.append((room, first))
+            rows += [("", text) for text in further]
         return tuple(rows)
 
     @property
@@ -139,8 +143,8 @@ class _View:
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             volts = self.scene.circuit.volt_from_recorded(self.recording.recorded)
-        known = ~np.isnan(self.recording.recorded) & ~self.garbled & self.scene.requested
-        return np.where(known, volts, np.nan)
+        usable = ~np.isnan(self.recording.recorded) & ~self.garbled & self.scene.requested
+        return np.where(usable, volts, np.nan)
 
     @cached_property
     def resting(self) -> Array:
@@ -201,11 +205,8 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
         for name, axis in (("row", 1), ("column", 0)):
             dead = np.flatnonzero(bare.all(axis=axis))
             living = np.delete(away, dead, axis=1 - axis)
-            if (
-                len(dead)
-                and len(dead) < view.scene.panel.shape[1 - axis] / 2
-                and living.mean() > 0.9
-            ):
+            few = 0 < len(dead) < view.scene.panel.shape[1 - axis] / 2
+            if few and living.mean() > MIN_LIVING_SHARE:
                 plural = "s are" if len(dead) > 1 else " is"
                 numbers = first_and_more(dead.tolist(), MAX_NAMED)
                 yield Finding(
@@ -224,14 +225,14 @@ def _touching_lines(view: _View) -> Iterator[Finding]:
     if not view.modelled:
         return
     with suppress(*BROKEN, InputError), np.errstate(all="ignore"):
-        known = view.scene.faults or Faults()
+        specified = view.scene.faults or Faults()
         for name, joined, groups in (
-            ("row", known.joined_rows, touching_rows(view.readings)),
-            ("column", known.joined_columns, touching_columns(view.readings)),
+            ("row", specified.joined_rows, touching_rows(view.readings)),
+            ("column", specified.joined_columns, touching_columns(view.readings)),
         ):
             for group in groups:
                 shown = _is_structured(view, name, group) or _is_shifted(view, name, group)
-                if shown and not any(set(group) <= set(other) for other in joined):
+                if shown and not any(set(group) <= set(lines) for lines in joined):
                     yield Finding(
                         "lines",
                         f"{name}s {', '.join(map(str, group))} are shorted",
@@ -246,15 +247,14 @@ def _is_structured(view: _View, name: str, group: Sequence[int]) -> bool:
     If they do, equal ones are no chance.
     """
     lines = view.resting if name == "row" else view.resting.T
-    others = np.delete(lines, group, axis=0)
-    if len(others) < 2:
+    single = np.delete(lines, group, axis=0)
+    if len(single) < 2:
         return False
-    distances = np.sqrt(median((others[:, None] - others[None]) ** 2, 2)[:, :, 0])
+    distances = np.sqrt(median((single[:, None] - single[None]) ** 2, 2)[:, :, 0])
     own = np.sqrt(middle((lines[list(group[1:])] - lines[group[0]]) ** 2))
     least = max(OUTLIER_THRESHOLD * own, 2 * view.scene.circuit.lsb_volt)
-    return bool(
-        np.min(np.nan_to_num(distances, nan=np.inf)[np.triu_indices(len(others), 1)]) > least
-    )
+    pairs = np.triu_indices(len(single), 1)
+    return bool(np.min(np.nan_to_num(distances, nan=np.inf)[pairs]) > least)
 
 
 def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
@@ -263,27 +263,30 @@ def _is_shifted(view: _View, name: str, group: Sequence[int]) -> bool:
     The deviation is that from the other ones.
     """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
-    known = view.scene.faults or Faults()
-    joined = (tuple(group),)
-    faults = (
-        replace(known, joined_rows=joined)
-        if name == "row"
-        else replace(known, joined_columns=joined)
-    )
+    specified = view.scene.faults or Faults()
+    if name == "row":
+        faults = replace(specified, joined_rows=(tuple(group),))
+    else:
+        faults = replace(specified, joined_columns=(tuple(group),))
     axis = 1 if name == "row" else 0
-    effects = [
-        median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()
-        for volts in (view.resting, view.volts_of(cells, faults))
-    ]
-    others = np.delete(effects[0], group)
-    others = others[np.isfinite(others)]
-    if len(others) < 2:
+
+    def levels(volts: Array) -> Array:
+        """Return the median of ln volt of every line, (lines,)."""
+        return median(np.log(np.maximum(volts, view.scene.circuit.lsb_volt)), axis).ravel()
+
+    def shift(of_lines: Array) -> float:
+        """Return the level of the lines of the group less that of single ones."""
+        return middle(of_lines[list(group)]) - middle(np.delete(of_lines, group))
+
+    observed = levels(view.resting)
+    expected = shift(levels(view.volts_of(cells, faults)))
+    single = np.delete(observed, group)
+    single = single[np.isfinite(single)]
+    if len(single) < 2:
         return False
-    shifts = [middle(values[list(group)]) - middle(np.delete(values, group)) for values in effects]
-    scatter = MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))
-    expected = shifts[1]
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(single - np.median(single))))
     least = max(MIN_SHIFT_SHARE * abs(expected), NOISE_REACH * scatter)
-    return bool(abs(expected) > MIN_SHIFT and shifts[0] * np.sign(expected) > least)
+    return bool(abs(expected) > MIN_SHIFT and shift(observed) * np.sign(expected) > least)
 
 
 def _cells(view: _View) -> Iterator[Finding]:
@@ -308,16 +311,18 @@ def _shorted_cells(view: _View) -> Iterator[Finding]:
     """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     usual = middle(view.resting)
-    extreme = np.argsort(-np.abs(np.nan_to_num(view.resting, nan=usual) - usual), axis=None)[:3]
+    distance = np.abs(np.nan_to_num(view.resting, nan=usual) - usual)
+    extreme = np.argsort(-distance, axis=None)[:MAX_SHORTED]
     shorted = list[list[int]]()
-    for row, column in (np.unravel_index(number, cells.shape) for number in extreme.tolist()):
+    for number in extreme.tolist():
+        row, column = np.unravel_index(number, cells.shape)
         short = cells.copy()
         short[row, column] = SHORT_OHM
         expected = float(view.volts_of(short)[row, column])
         volts = view.volts[:, row, column]
-        known = volts[np.isfinite(volts)]
+        volts = volts[np.isfinite(volts)]
         aside = MAX_ASIDE * abs(expected - usual)
-        if aside > view.noise and len(known) and np.abs(known - expected).max() < aside:
+        if aside > view.noise and len(volts) and np.abs(volts - expected).max() < aside:
             shorted.append([int(row), int(column)])
     shorted = [place for place in shorted if not view.scene.shorted_cells[*place]]
     if shorted:
@@ -344,43 +349,20 @@ def _noise(view: _View) -> Iterator[Finding]:
     if not usual > 0:
         return
     ratio = np.nan_to_num(square / usual)
-    known = np.isfinite(square)
-    noisy = {
-        name: np.flatnonzero(
-            (
-                np.sqrt(
-                    (ratio.sum(axis=axis) - ratio.max(axis=axis))
-                    / np.maximum(known.sum(axis=axis) - 1, 1)
-                )
-            )
-            > MAX_NOISE_RATIO["line"]
-        )
-        for name, axis in (("row", 1), ("column", 0))
-    }
-    most = view.scene.panel.shape
-    noisy = {
-        name: lines if len(lines) <= most[name == "column"] / 3 else lines[:0]
-        for name, lines in noisy.items()
-    }
-    for name, lines in noisy.items():
-        if len(lines):
-            size = float(np.sqrt(np.mean(ratio[lines] if name == "row" else ratio[:, lines])))
-            yield Finding(
-                "noise",
-                f"{name}{'s' if len(lines) > 1 else ''} "
-                f"{first_and_more(lines.tolist(), MAX_NAMED)} "
-                f"{'are' if len(lines) > 1 else 'is'} noisy",
-                f"unloaded readings scatter {size:.2g} times as much as the others: is a contact "
-                "loose?",
-            )
-    inside = np.zeros(square.shape, dtype=bool)
-    inside[noisy["row"]] = True
-    inside[:, noisy["column"]] = True
+    read = np.isfinite(square)
+    rows = _noisy_lines(ratio, read)
+    columns = _noisy_lines(ratio.T, read.T)
+    yield from _noise_of_lines("row", rows, ratio)
+    yield from _noise_of_lines("column", columns, ratio.T)
+    in_noisy_line = np.zeros(square.shape, dtype=bool)
+    in_noisy_line[rows] = True
+    in_noisy_line[:, columns] = True
     tails = chi_square_tail(degrees * ratio, np.full(ratio.shape, degrees))
-    alone = (ratio > MAX_NOISE_RATIO["cell"] ** 2) & (tails < SIGNIFICANCE / square.size) & ~inside
-    if alone.any():
-        places = first_and_more(np.argwhere(alone).tolist(), MAX_NAMED)
-        size = float(np.sqrt(ratio[alone].max()))
+    noisy = (ratio > MAX_NOISE_RATIO["cell"] ** 2) & (tails < SIGNIFICANCE / square.size)
+    single = noisy & ~in_noisy_line
+    if single.any():
+        places = first_and_more(np.argwhere(single).tolist(), MAX_NAMED)
+        size = float(np.sqrt(ratio[single].max()))
         yield Finding(
             "noise",
             f"readings at {places} are noisy",
@@ -388,8 +370,41 @@ def _noise(view: _View) -> Iterator[Finding]:
         )
 
 
+def _noisy_lines(ratio: Array, read: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the numbers of lines whose readings scatter more than the others.
+
+    A line counts without its noisiest cell. If more than MAX_NOISY_SHARE of the lines are noisy,
+    none is another one.
+
+    Parameters
+    ----------
+    ratio : array, shape (lines, cells of a line)
+        Variance of each reading over the usual one.
+    read : boolean array, same shape
+        Whether there is a reading.
+    """
+    others = np.maximum(read.sum(axis=1) - 1, 1)
+    scatter = np.sqrt((ratio.sum(axis=1) - ratio.max(axis=1)) / others)
+    noisy = np.flatnonzero(scatter > MAX_NOISE_RATIO["line"])
+    return noisy if len(noisy) <= MAX_NOISY_SHARE * len(ratio) else noisy[:0]
+
+
+def _noise_of_lines(name: str, lines: NDArray[np.intp], ratio: Array) -> Iterator[Finding]:
+    """Yield the finding on noisy lines of a side, where there are any."""
+    if not len(lines):
+        return
+    size = float(np.sqrt(np.mean(ratio[lines])))
+    numbers = first_and_more(lines.tolist(), MAX_NAMED)
+    subject = f"{name}s {numbers} are" if len(lines) > 1 else f"{name} {numbers} is"
+    yield Finding(
+        "noise",
+        f"{subject} noisy",
+        f"unloaded readings scatter {size:.2g} times as much as the others: is a contact loose?",
+    )
+
+
 def _readings(view: _View) -> Iterator[Finding]:
-    """Tell the shares of missing readings and of those at rails."""
+    """Yield the shares of missing readings and of those at rails."""
     scene = view.scene
     missing = view.readings.missing(view.scene)
     bounds = view.readings.bounds
@@ -398,14 +413,14 @@ def _readings(view: _View) -> Iterator[Finding]:
         (missing, "missing"),
         (bounds & scene.requested, "at a rail, zero or below the series resistance"),
     )
-    for which, words in kinds:
-        if which.any():
-            frames = int(which.any(axis=(1, 2)).sum())
-            share = float(f"{100 * which.sum() / total:.2g}")
+    for affected, words in kinds:
+        if affected.any():
+            frames = int(affected.any(axis=(1, 2)).sum())
+            share = float(f"{100 * affected.sum() / total:.2g}")
             yield Finding(
                 "readings",
                 f"{share:g} % {words}",
-                f"{int(which.sum())} in {frames} of {len(which)} frames",
+                f"{int(affected.sum())} in {frames} of {len(affected)} frames",
             )
 
 
@@ -432,19 +447,19 @@ def repeated_frames(recording: Recording) -> NDArray[np.intp]:
     are no copies.
     """
     value = recording.recorded[:, recording.scene.requested]
-    known = np.isfinite(value[1:]) & np.isfinite(value[:-1])
-    same = (value[1:] == value[:-1]) & known
-    counts = known.sum(axis=1)
+    compared = np.isfinite(value[1:]) & np.isfinite(value[:-1])
+    same = (value[1:] == value[:-1]) & compared
+    counts = compared.sum(axis=1)
     if len(value) < 3 or not counts.any():
         return np.zeros(0, dtype=np.intp)
     shares = same.sum(axis=1) / np.maximum(counts, 1)
     copies = (shares == 1) & (counts > 0)
-    others = shares[~copies & (counts > 0)]
-    if not copies.any() or not len(others):
+    shares_of_others = shares[~copies & (counts > 0)]
+    if not copies.any() or not len(shares_of_others):
         return np.zeros(0, dtype=np.intp)
     # probability that noise repeats all readings of a frame by chance, if the largest share of the
     # others is usual
-    chance = len(copies) * float(others.max()) ** int(np.median(counts))
+    chance = len(copies) * float(shares_of_others.max()) ** int(np.median(counts))
     return np.flatnonzero(copies) + 1 if chance < SIGNIFICANCE else np.zeros(0, dtype=np.intp)
 
 

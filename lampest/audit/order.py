@@ -134,13 +134,11 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
     change = np.where(np.isfinite(change), change, 0.0)
     readout = recording.scene.readout
     steps = np.diff(volts[unloaded], axis=0)
-    known = np.isfinite(steps)
-    noise = float(np.sqrt(np.sum(steps[known] ** 2) / (2 * max(int(known.sum()), 1))))
+    finite = np.isfinite(steps)
+    noise = float(np.sqrt(np.sum(steps[finite] ** 2) / (2 * max(int(finite.sum()), 1))))
     noise = max(noise, 0.0 if readout is None else readout.lsb_volt)
-    strong = (np.abs(interaction(change)) > OUTLIER_THRESHOLD * noise).sum(
-        axis=(1, 2)
-    ) >= MIN_CHANGED
-    return np.asarray(change[strong])
+    changed = np.abs(interaction(change)) > OUTLIER_THRESHOLD * noise
+    return np.asarray(change[changed.sum(axis=(1, 2)) >= MIN_CHANGED])
 
 
 def interaction(change: Array) -> Array:

@@ -33,6 +33,7 @@ def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None)
 
 
 def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
+    """Yield the doubts: unnamed effects, errors of the model, another panel, health."""
     yield from (finding.what for finding in unnamed_effects(prepared))
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
@@ -47,13 +48,16 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
 def _another_panel(prepared: Prepared) -> Iterator[str]:
     """Yield the doubt that cells of quite another size give the unloaded readings, too."""
     recording = prepared.recording
-    resting = np.flatnonzero(recording.role == UNLOADED)
-    measured = prepared.noise.readings[resting if resting.size else np.array([0])].mean().value
-    panels = recording.scene.circuit.panels_alike(measured) if np.isfinite(measured).all() else []
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    chosen = unloaded if unloaded.size else np.array([0])
+    resting = prepared.noise.readings[chosen].mean().value
+    if not np.isfinite(resting).all():
+        return
+    panels = recording.scene.circuit.panels_alike(resting)
     if len(panels) > 1 and panels[0][0] - panels[1][0] < CLEAR_LOG_ODDS:
-        taken, other = (float(np.median(cells)) for _, cells in panels[:2])
+        likely, second = (float(np.median(cells)) for _, cells in panels[:2])
         yield (
-            f"cells of about {taken:.2g} ohm and of about {other:.2g} ohm give these readings "
+            f"cells of about {likely:.2g} ohm and of about {second:.2g} ohm give these readings "
             "alike, and the former are"
             " taken: with a smaller drive_ohm they differ"
         )

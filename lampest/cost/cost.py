@@ -84,10 +84,10 @@ class Cost:
             baseline = symbols.cell_resistance[:, 0] if frame else None
             # Frame 1 of a joint solve compares with frame 0, its baseline; a single frame compares
             # with given earlier frames.
-            known = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
+            inputs = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
             cells = symbols.cell_resistance[:, frame]
             reading = symbols.reading[:, frame]
-            state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
+            state = State(panel=self.panel, cell_resistance=cells, reading=reading, **inputs)
             for number, term in enumerate(self.terms):
                 if frame or self.needs_previous or not term.needs_previous:
                     pairs.append((number, _residual_of(term, state)))
@@ -104,11 +104,9 @@ class Cost:
         symbols = self.symbols()
         cells = casadi.vec(symbols.cell_resistance)
         # Columns of faulty cells in ∂residual/∂r; rows with a nonzero there are removed.
-        fault_columns = [
-            frame * self.panel.crossings + cell
-            for frame in range(self.frames)
-            for cell in self.faulty
-        ]
+        fault_columns = list[int]()
+        for frame in range(self.frames):
+            fault_columns += [frame * self.panel.crossings + cell for cell in self.faulty]
         rows = []
         for _, residual in replace(self, faulty=()).residuals(symbols):
             touched = set(casadi.jacobian(residual, cells)[:, fault_columns].sparsity().row())
@@ -135,17 +133,11 @@ def _residual_of(term: Term, state: State) -> casadi.SX:
             warnings.filterwarnings("ignore", r"\s*casadi: a numpy function", FutureWarning)
             residual = casadi.SX(term.residual(state))
     except Exception as error:
-        hint = (
-            ""
-            if term.needs_previous
-            else "; a term that reads state.previous or state.baseline says needs_previous"
-        )
-        pairs = (
-            ""
-            if state.panel.cells is None
-            else ", and gradients of listed cells have a row for each pair"
-        )
-        shape = f"fields of state are columns of {state.panel.crossings} cells{pairs}{hint}"
+        shape = f"fields of state are columns of {state.panel.crossings} cells"
+        if state.panel.cells is not None:
+            shape += ", and gradients of listed cells have a row for each pair"
+        if not term.needs_previous:
+            shape += "; a term that reads state.previous or state.baseline says needs_previous"
         raise InputError(
             f"{name} raises {type(error).__name__} ({str(error).splitlines()[-1]}): {shape}"
         ) from error
@@ -275,13 +267,9 @@ class CostFunctions:
             name: symbols.compiled(name, output, weights=weights, dual=dual)
             for name, output in outputs.items()
         }
-        return cls(
-            **compiled,
-            nonsmooth_terms=np.array(
-                [part.term for part in through_duals for _ in range(part.residual.shape[0])],
-                dtype=np.intp,
-            ),
-        )
+        terms = np.array([part.term for part in through_duals], dtype=np.intp)
+        rows = np.array([part.rows for part in through_duals], dtype=np.intp)
+        return cls(**compiled, nonsmooth_terms=np.repeat(terms, rows))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ They are arrays in data, symbols in costs and in a term's `State`. A further inp
 one more field of `Given`, with its source and its value if absent.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, Protocol, Self
@@ -91,7 +91,7 @@ class Source:
     after: Callable[[casadi.SX], casadi.SX] | None = None
 
 
-def given(
+def input_field(
     of: Callable[[FrameReadings, Background], Array | None], absent: float, **more: Any
 ) -> Any:
     """Declare a field of `Given` with the default None; the arguments are those of `Source`."""
@@ -124,18 +124,28 @@ class Given:
         Standard deviation of log r0; 0 if r0 is an unknown of the same solve.
     """
 
-    measured: Any = given(lambda readings, behind: readings.value, 1.0, per_frame=True)
-    sigma: Any = given(lambda readings, behind: _noise(readings), 1.0, per_frame=True)
-    side: Any = given(
-        lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True
+    measured: Any = input_field(lambda readings, background: readings.value, 1.0, per_frame=True)
+    sigma: Any = input_field(lambda readings, background: _noise(readings), 1.0, per_frame=True)
+    side: Any = input_field(
+        lambda readings, background: _mark(readings, readings.side),
+        0.0,
+        per_frame=True,
+        partial=True,
     )
-    seen: Any = given(
-        lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True
+    seen: Any = input_field(
+        lambda readings, background: _mark(readings, readings.seen),
+        1.0,
+        per_frame=True,
+        partial=True,
     )
-    previous: Any = given(lambda readings, behind: behind.previous, 1.0, after=lambda r: r)
-    baseline: Any = given(lambda readings, behind: _baseline(behind), 1.0, after=lambda r: r)
-    previous_deviation: Any = given(
-        lambda readings, behind: behind.previous_deviation, 0.0, after=lambda r: 0 * r
+    previous: Any = input_field(
+        lambda readings, background: background.previous, 1.0, after=lambda r: r
+    )
+    baseline: Any = input_field(
+        lambda readings, background: _baseline(background), 1.0, after=lambda r: r
+    )
+    previous_deviation: Any = input_field(
+        lambda readings, background: background.previous_deviation, 0.0, after=lambda r: 0 * r
     )
 
     @staticmethod
@@ -181,20 +191,21 @@ class Given:
         parts = {}
         for name, source in self.sources().items():
             value = getattr(self, name)
-            if source.after is not None:
-                value = (
-                    (value if looks_back else None) if baseline is None else source.after(baseline)
-                )
+            if source.after is not None and baseline is not None:
+                value = source.after(baseline)
+            elif source.after is not None and not looks_back:
+                value = None
             elif source.per_frame and value is not None:
                 value = value[:, frame]
             parts[name] = value
         return parts
 
-    def named(self) -> Iterable[tuple[str, Any]]:
+    def named(self) -> Iterator[tuple[str, Any]]:
         """Yield (name, value) of every field that is known."""
-        return (
-            (name, value) for name in self.sources() if (value := getattr(self, name)) is not None
-        )
+        for name in self.sources():
+            value = getattr(self, name)
+            if value is not None:
+                yield name, value
 
 
 def _noise(readings: FrameReadings) -> Array:

@@ -103,12 +103,12 @@ class Data:
 
         Absent ones consist of the number of their source.
         """
-        blank = (*self.panels, self.lower[0].size)
-        known = dict(self.given.named())
-        absent = {
-            name: np.full(blank, source.absent) for name, source in self.given.sources().items()
+        shape = (*self.panels, self.lower[0].size)
+        arrays = {
+            name: np.full(shape, source.absent) for name, source in self.given.sources().items()
         }
-        return {name: values.reshape(*self.panels, -1) for name, values in (absent | known).items()}
+        arrays |= dict(self.given.named())
+        return {name: values.reshape(*self.panels, -1) for name, values in arrays.items()}
 
     def limited(self, seconds: float | None) -> "Data":
         """Return the data with a time limit in s from now on; None for no limit."""
@@ -136,11 +136,9 @@ class Data:
         It is boolean (frames, rows, columns).
         """
         shown = np.ones(self.measured.shape, dtype=bool)
-        return (
-            np.asarray(shown & (self.given.side == 0) & (self.given.seen == 1))
-            if self.partial
-            else shown
-        )
+        if not self.partial:
+            return shown
+        return np.asarray(shown & (self.given.side == 0) & (self.given.seen == 1))
 
     @property
     def deviation(self) -> Array:
@@ -148,11 +146,9 @@ class Data:
 
         They are arbitrary for missing readings.
         """
-        return (
-            self.sigma
-            if not self.partial
-            else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
-        )
+        if not self.partial:
+            return self.sigma
+        return np.asarray(self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0))
 
     @property
     def partial(self) -> bool:
@@ -325,10 +321,10 @@ class Evaluation:
         """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (…, frames, rows, columns)."""
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
         # `first` = (costs of the terms, costs at y = 0, ∂φ/∂r, ∂φ/∂y)
-        both = values[..., 2 * len(self.cost.terms) :].reshape(
+        gradient = values[..., 2 * len(self.cost.terms) :].reshape(
             *self.data.panels, 2, *self.cell_resistance.shape[-3:]
         )
-        return both[..., 0, :, :, :], both[..., 1, :, :, :]
+        return gradient[..., 0, :, :, :], gradient[..., 1, :, :, :]
 
     def log_gradient(self, dual: Array) -> Array:
         """Return ∂φ/∂u = r·∂φ/∂r + Jᵀ ∂φ/∂y, u = log r, (…, frames, rows, columns).
@@ -400,15 +396,9 @@ class Evaluation:
         optimality conditions hold. `log_gradient` is ∂φ/∂u for these duals, if it is already
         computed.
         """
+        gradient = self.log_gradient(dual) if log_gradient is None else log_gradient
         gap = self.dual_gap(np.clip(dual, -1, 1)) / self.cost_scale if len(dual) else 0.0
-        return (
-            float(
-                self.projected_gradients(
-                    self.log_gradient(dual) if log_gradient is None else log_gradient
-                )
-            )
-            + gap
-        )
+        return float(self.projected_gradients(gradient)) + gap
 
     def projected_gradients(self, log_gradient: Array) -> Array:
         """Return max |u − Π(u − ∇φ/s)| of every panel, (…).
@@ -448,10 +438,10 @@ class Part:
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
         """Return the derivatives by an input at a point, (rows, unknowns) sparse."""
-        structure = self.functions[name].structure
-        return (
-            with_entries(structure, at.call(self.functions[name])) if structure.nnz else structure
-        )
+        function = self.functions[name]
+        if not function.structure.nnz:
+            return function.structure
+        return with_entries(function.structure, at.call(function))
 
 
 @dataclass(frozen=True, eq=False)
@@ -478,6 +468,7 @@ def residuals(cost: Cost) -> Residuals:
 @guarded
 @lru_cache(maxsize=64)
 def _residuals(cost: Cost) -> Residuals:
+    """Return the residuals of a cost with weights of one."""
     symbols = cost.symbols()
     inputs = symbols.inputs()
     pairs = cost.residuals(symbols)

@@ -4,7 +4,7 @@ They are taken in batches over a leading axis where possible, all others one by 
 """
 
 import os
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -12,6 +12,7 @@ from functools import lru_cache
 from math import sqrt
 from multiprocessing import parent_process
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,8 @@ from lampest.files.errors import BROKEN
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
-from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
+from lampest.solvers.projected_lbfgs import NAME, BatchOutcome, InverseHessians, serves, solve
+from lampest.solvers.solution import VERIFIED, Outcome, Solution, Status, solution_at
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
@@ -71,36 +72,51 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     weighed = list(streams)
     groups = dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
-        if (
-            stream is None
-            or not stream.chooses_weights
-            or not (stream.rested or not stream.estimator.relative)
-        ):
-            continue
-        if readings[number].enough(stream.scene):
+        if stream is not None and _may_choose(stream, readings[number]):
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
         if any(stream.choosing(readings[number]) for number, stream in group.items()):
-            changes = [stream.change(readings[number]) for number, stream in group.items()]
-            numbers = [list(group)[place] for place in strongest(changes)]
-            stream = group[numbers[0]]
-            pairs = [group[number].given(readings[number]) for number in numbers]
-            first = pairs[0][0].limited(stream.estimator.solver.time_limit_s)
-            further = [data for data, _ in pairs[1:]]
-            objective = with_chosen_weights(
-                stream.estimator, stream.scene, first, pairs[0][1], further
-            )
-            weights = tuple(float(term.weight) for term in objective.terms)
-            for number, stream in group.items():
-                weighed[number] = replace(
-                    stream,
-                    weights=weights,
-                    weight_sigma=objective.weight_sigma,
-                    prior_variance=objective.prior_variance,
-                    weighed_at=max(changes),
-                )
+            for number, stream in _with_common_weights(group, readings).items():
+                weighed[number] = stream
     return weighed
+
+
+def _may_choose(stream: Stream, frame: Readings) -> bool:
+    """Return whether weights of a stream can be chosen from a frame, (rows, columns)."""
+    comparable = stream.rested or not stream.estimator.relative
+    return stream.chooses_weights and comparable and bool(frame.enough(stream.scene))
+
+
+def _with_common_weights(group: Mapping[int, Stream], readings: Readings) -> dict[int, Stream]:
+    """Return the streams of a group with weights that the strongest of them choose.
+
+    Parameters
+    ----------
+    group : mapping
+        Number of a stream to the stream.
+    readings : Readings
+        One frame of each stream, (streams, rows, columns).
+    """
+    changes = [stream.change(readings[number]) for number, stream in group.items()]
+    numbers = [list(group)[place] for place in strongest(changes)]
+    deciding = group[numbers[0]]
+    pairs = [group[number].data_and_start(readings[number]) for number in numbers]
+    data, start = pairs[0]
+    first = data.limited(deciding.estimator.solver.time_limit_s)
+    further = [data for data, _ in pairs[1:]]
+    objective = with_chosen_weights(deciding.estimator, deciding.scene, first, start, further)
+    weights = tuple(float(term.weight) for term in objective.terms)
+    return {
+        number: replace(
+            stream,
+            weights=weights,
+            weight_sigma=objective.weight_sigma,
+            prior_variance=objective.prior_variance,
+            weighed_at=max(changes),
+        )
+        for number, stream in group.items()
+    }
 
 
 def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
@@ -184,17 +200,16 @@ def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
     """
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
-    unweighed = [stream and replace(stream, weights=None) for stream in streams]
-    pairs = zip(streams, _weighed(unweighed, resting[0].together(*resting[1:])), strict=True)
-    known = [
-        stream and chosen and replace(stream, estimator=chosen.weighted).with_rest()
-        for stream, chosen in pairs
-    ]
-    pairs = zip(streams, known, strict=True)
-    return [
-        stream and rested and replace(rested, estimator=stream.estimator)
-        for stream, rested in pairs
-    ]
+    unweighed = [None if stream is None else replace(stream, weights=None) for stream in streams]
+    weighed = _weighed(unweighed, resting[0].together(*resting[1:]))
+    rested = list[Stream | None]()
+    for stream, chosen in zip(streams, weighed, strict=True):
+        if stream is None or chosen is None:
+            rested.append(None)
+            continue
+        solved = replace(stream, estimator=chosen.weighted).with_rest()
+        rested.append(replace(solved, estimator=stream.estimator))
+    return rested
 
 
 def _solved_together(
@@ -221,7 +236,7 @@ def _solved_together(
         distinct = len({id(batchable[number]) for number in group})
         blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
 
-    def solved(place: int) -> dict[int, tuple[Stream, Step]]:
+    def solved_block(place: int) -> dict[int, tuple[Stream, Step]]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
             numbers = blocks[place]
             batch = [batchable[number] for number in numbers.tolist()]
@@ -229,13 +244,12 @@ def _solved_together(
         return {}
 
     if len(blocks) < 2:
-        return solved(0) if blocks else {}
+        return solved_block(0) if blocks else {}
+    solved = dict[int, tuple[Stream, Step]]()
     with ThreadPoolExecutor(len(blocks)) as pool:
-        return {
-            number: pair
-            for part in pool.map(solved, range(len(blocks)))
-            for number, pair in part.items()
-        }
+        for part in pool.map(solved_block, range(len(blocks))):
+            solved |= part
+    return solved
 
 
 def _in_batches(stream: Stream, readings: Readings, *, partial: bool) -> bool:
@@ -297,12 +311,12 @@ def _solved_batch(
     """
     begin = perf_counter()
     estimator = _unweighted(streams[0].estimator)
-    behind = streams[0].background
+    background = streams[0].background
     previous = np.stack([stream.previous for stream in streams if stream.previous is not None])
     if estimator.relative:
         resting = np.stack([stream.baseline_resistance for stream in streams])
-        behind = replace(behind, previous=previous, baseline=resting)
-    data = estimator.data(frames, behind)
+        background = replace(background, previous=previous, baseline=resting)
+    data = estimator.data(frames, background)
     cost = estimator.cost(streams[0].scene, 1, partial=data.partial)
     if not serves(cost, data):
         return {}
@@ -313,19 +327,27 @@ def _solved_batch(
     start = Evaluation.at(cost, data, np.clip(previous[:, None], data.lower, data.upper), weights)
     ended = solve(start, inverses, numbers, estimator.solver)
     seconds = (perf_counter() - begin) / len(numbers)
-    points = ended.points
+    verified = ended.solved & (ended.points.residual <= VERIFIED)
     after = {}
-    for row in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-        at = points.at.some(row)
+    for row in np.flatnonzero(verified).tolist():
         stream = streams[row]
-        stream_weights = tuple(weights[row].tolist())
-        gradient = points.gradient[row].reshape(at.cell_resistance.shape)
-        status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
-        iterations = int(ended.iterations[row])
-        outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=stream.prepared)
-        solution = replace(
-            solution_at(at, float(points.residual[row]), outcome, status), solver=NAME
+        step = Step(
+            _solution_of(ended, row, carried=stream.prepared),
+            seconds,
+            tuple(weights[row].tolist()),
+            weight_sigma=stream.weighted.weight_sigma,
         )
-        step = Step(solution, seconds, stream_weights, weight_sigma=stream.weighted.weight_sigma)
         after[int(numbers[row])] = stream.estimator.method.after(stream, step, frames[row])
     return after
+
+
+def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:
+    """Return the solution of one stream of a batch, given what its method keeps."""
+    points = ended.points
+    at = points.at.some(row)
+    gradient = points.gradient[row].reshape(at.cell_resistance.shape)
+    status = Status.HELD if bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
+    iterations = int(ended.iterations[row])
+    outcome = Outcome(at.cell_resistance, NO_DUAL, status, iterations, carried=carried)
+    solution = solution_at(at, float(points.residual[row]), outcome, status)
+    return replace(solution, solver=NAME)

@@ -223,32 +223,53 @@ def fitted(
         data = cells_alone().data(readings.alone(), Background(scene))
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
         start = convex_cells(data, None)[0] if near is None else near
-
-        def model(position: Array) -> CellsFit:
-            return CellsFit.at(
-                scene, data, readings, np.exp(position).reshape(start.shape), effects
-            )
-
         # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
-        # usual; large panels are not iterated.
-        loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
-        bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-        _, fit = loop.minimum(
-            model, np.log(start).ravel(), bounds, lambda at, _: at.chi_square <= EXACT_CHI_SQUARE
-        )
+        # usual.
+        fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
         if fit.chi_square <= EXACT_CHI_SQUARE or effects:
             return fit
         if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
             return None
         # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
         # minimum.
-        estimator = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
-        solver = estimator.problem(scene, 1, float("inf"), partial=data.partial)
-        begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
-        previous = None if near is None else near[None]
-        solution = (
-            best_solution(solver, data, previous) if begun is None else solved_from(solver, begun)
-        )
+        if patient:
+            solver = cells_alone().problem(scene, 1, float("inf"), partial=data.partial)
+            solution = best_solution(solver, data, None if near is None else near[None])
+        else:
+            brief = replace(cells_alone(), solver=BRIEF)
+            solver = brief.problem(scene, 1, float("inf"), partial=data.partial)
+            solution = solved_from(solver, evaluated(solver.cost, data, fit.cells[None]))
         if solution.solved:
             return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
     return None
+
+
+def _levenberg_marquardt_fit(
+    scene: Scene, data: Data, readings: Readings, start: Array, effects: Sequence[Effect]
+) -> CellsFit:
+    """Return the fit that the Levenberg-Marquardt method reaches from a start.
+
+    On panels of more than MAX_CELLS it is not iterated, and the fit is that of the start.
+
+    Parameters
+    ----------
+    scene : Scene
+    data : Data
+        Its bounds hold for the cells.
+    readings : Readings
+        (rows, columns).
+    start : array, shape (rows, columns)
+        Cells in ohm.
+    effects : sequence of Effect
+    """
+
+    def model(position: Array) -> CellsFit:
+        cells = np.exp(position).reshape(start.shape)
+        return CellsFit.at(scene, data, readings, cells, effects)
+
+    def is_exact(fit: CellsFit, evaluations: int) -> bool:
+        return fit.chi_square <= EXACT_CHI_SQUARE
+
+    loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
+    bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
+    return loop.minimum(model, np.log(start).ravel(), bounds, is_exact)[1]

@@ -25,6 +25,8 @@ from lampest.posterior.matrices import inverse_and_volume, swept
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 # −2 ln prior odds of a bound, an effect or a resistance in series that an explanation needs
 PARAMETER_COST = 12.0
+MAX_EXCHANGES = 4  # for each cell, of one search
+MIN_PIVOT = 1e-300  # rounding may take a pivot to zero, whose logarithm does not exist
 MIN_STILL_SHARE = 0.3  # of the cells: with fewer still cells, a load covers the panel
 
 Chosen = NDArray[np.bool_]
@@ -192,10 +194,10 @@ def _exchange_cells(
     table[inside] = pulled
     table[np.ix_(inside, inside)] = -inverse
     table[np.ix_(outside, inside)] = pulled[:, outside].T
-    for _ in range(4 * len(slope)):
+    for _ in range(MAX_EXCHANGES * len(slope)):
         # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
         # if it is removed: MOVED_COST − s²/|p| − ln |p|.
-        pivots = np.maximum(np.abs(np.diag(table)), 1e-300)
+        pivots = np.maximum(np.abs(np.diag(table)), MIN_PIVOT)
         gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
         cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
         if fixed[cell] or not gains[cell] > 0:
@@ -258,25 +260,25 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     """
     index = np.arange(len(vector))
     total = np.zeros(len(vector))
-    taken = np.zeros(vector.shape, dtype=bool)
-    # Of the pivoted Cholesky factors of the cells taken.
+    added = np.zeros(vector.shape, dtype=bool)
+    # Rows of the pivoted Cholesky factors, one for each added cell.
     rows = np.zeros((len(vector), 0, vector.shape[1]))
     for _ in range(vector.shape[1]):
-        pivots = np.maximum(size, 1e-300)
-        gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
+        pivots = np.maximum(size, MIN_PIVOT)
+        gains = np.where(added, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
         largest = gains[index, cells]
         active = largest > 0
         if not active.any():
             break
         total = total + np.where(active, largest, 0.0)
-        taken[index[active], cells[active]] = True
+        added[index[active], cells[active]] = True
         # Schur complement by the new cell c: column ← column − Σ_k l_k l_kc, s ← s − column s_c/p,
         # and the diagonal loses l².
-        added = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]
-        pivot = np.where(active, added[index, cells], 1.0)[:, None]
-        added = np.where(active[:, None], added, 0.0)
-        vector = vector - added * (vector[index, cells][:, None] / pivot)
-        rows = np.concatenate([rows, (added / np.sqrt(pivot))[:, None]], axis=1)
+        of_cell = column(cells) - np.matmul(rows[index, :, cells][:, None], rows)[:, 0]
+        pivot = np.where(active, of_cell[index, cells], 1.0)[:, None]
+        of_cell = np.where(active[:, None], of_cell, 0.0)
+        vector = vector - of_cell * (vector[index, cells][:, None] / pivot)
+        rows = np.concatenate([rows, (of_cell / np.sqrt(pivot))[:, None]], axis=1)
         size = size - rows[:, -1] ** 2
     return total

@@ -28,6 +28,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts, contact_responses
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.sampled import errors_of
+from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
 
 # Two or three steps suffice, because readings are nearly linear in contacts. `settled` is the
@@ -65,12 +66,8 @@ class SolvedContacts:
         if self.step.surroundings() is None:
             return np.inf
         deviation = self.ohm - self.mean
-        return (
-            float(
-                self.step.solution.objective / self.scale + (self.precision * deviation) @ deviation
-            )
-            / 2
-        )
+        prior = (self.precision * deviation) @ deviation
+        return float(self.step.solution.objective / self.scale + prior) / 2
 
     @cached_property
     def _model(self) -> LinearModel:
@@ -86,9 +83,8 @@ class SolvedContacts:
     @cached_property
     def gradient(self) -> Array:
         """Gradient of the cost with respect to the contacts, (lines,)."""
-        slope = (
-            self._response.T @ self._model.at.partials(np.clip(self._model.dual, -1, 1))[1].ravel()
-        )
+        by_readings = self._model.at.partials(np.clip(self._model.dual, -1, 1))[1]
+        slope = self._response.T @ by_readings.ravel()
         return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
 
     @cached_property
@@ -97,18 +93,18 @@ class SolvedContacts:
         model = self._model
         rows = model.through @ self._response
         errors = errors_of(model, None)
-        # F = −∂u/∂c: the response of the free cells to contacts; `left` is E − J F
-        follow = errors.answer(rows)
-        full = model.over_all(follow)
-        left = rows - errors.forward(full)
-        charged = model.penalty_jacobian @ full
+        # F = −∂u/∂c: the response of the free cells to contacts; `remaining` is E − J F
+        response = errors.answer(rows)
+        of_all_cells = model.over_all(response)
+        remaining = rows - errors.forward(of_all_cells)
+        penalised = model.penalty_jacobian @ of_all_cells
         # S = (E − J F)ᵀ Ω (E − J F) + ε s² FᵀF + (L F)ᵀ Λ (L F), equal to Eᵀ Ω (E − J F) but
         # without cancellation
         schur = (
-            left.T @ (model.data_curvature[:, None] * left)
-            + IGNORANCE * model.scale * follow.T @ follow
+            remaining.T @ (model.data_curvature[:, None] * remaining)
+            + IGNORANCE * model.scale * response.T @ response
         )
-        schur += charged.T @ (model.penalty_curvature[:, None] * charged)
+        schur += penalised.T @ (model.penalty_curvature[:, None] * penalised)
         return np.asarray(schur / self.scale + np.diag(self.precision))
 
 
@@ -140,30 +136,38 @@ def with_contacts(
         return state, solved
     mean = prior.mean(shape)
     deviation = prior.deviation(shape)
-    sought = deviation > 0
-    scale = model.scale
+    uncertain = deviation > 0
     seconds = [solved.seconds]
     # Contacts without a deviation stay where bounds hold them.
-    precision = np.where(sought, deviation, 1.0) ** -2.0
+    precision = np.where(uncertain, deviation, 1.0) ** -2.0
 
-    def at(ohm: Array) -> SolvedContacts:
+    def solved_with(ohm: Array) -> SolvedContacts:
         if np.array_equal(ohm, mean):
-            return SolvedContacts(solved, mean, scale, mean, precision)
-        trying = replace(
-            state, scene=replace(state.scene, contacts=Contacts.of(ohm, deviation, shape[0]))
-        )
-        trial = solve(trying, readings, solved.solution.cell_resistance)
+            return SolvedContacts(solved, mean, model.scale, mean, precision)
+        contacts = Contacts.of(ohm, deviation, shape[0])
+        trial_state = replace(state, scene=replace(state.scene, contacts=contacts))
+        trial = solve(trial_state, readings, solved.solution.cell_resistance)
         seconds.append(trial.seconds)
-        return SolvedContacts(trial, ohm, scale, mean, precision)
+        return SolvedContacts(trial, ohm, model.scale, mean, precision)
 
-    _, fit = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean)))
+    bounds = (np.where(uncertain, 0.0, mean), np.where(uncertain, np.inf, mean))
+    _, fit = FIT.minimum(solved_with, mean, bounds)
+    block = np.ix_(uncertain, uncertain)
     covariance = np.zeros(fit.normal.shape)
-    covariance[np.ix_(sought, sought)] = np.linalg.inv(fit.normal[np.ix_(sought, sought)])
-    scene = replace(
-        state.scene, contacts=Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0])
-    )
-    vectors, squares = np.linalg.eigh(covariance)[::-1]
+    covariance[block] = np.linalg.inv(fit.normal[block])
+    contacts = Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0])
+    step = replace(fit.step, seconds=sum(seconds))
+    return _with_known_contacts(state, state.track, contacts, covariance), step
+
+
+def _with_known_contacts(
+    state: AnyState, track: Track, contacts: Contacts, covariance: Array
+) -> AnyState:
+    """Return the state with these contacts, whose covariance all readings share as an error."""
+    scene = replace(state.scene, contacts=contacts)
+    squares, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(squares, 0.0))
-    shared = state.track.shared and replace(state.track.shared, scene=scene, contact_root=root)
-    known = replace(state, scene=scene, track=replace(state.track, shared=shared))
-    return known, replace(fit.step, seconds=sum(seconds))
+    shared = track.shared
+    if shared is not None:
+        shared = replace(shared, scene=scene, contact_root=root)
+    return replace(state, scene=scene, track=replace(track, shared=shared))

@@ -55,10 +55,14 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
     ratio = cells / baseline
 
     def frames(name: str, *, change: bool = False, unbarred: float = np.inf) -> Array:
-        parts = [step.bars and (step.bars.change if change else step.bars.frame) for step in steps]
-        blank = np.full(baseline.shape, unbarred)
-        stacked = np.stack([blank if part is None else getattr(part, name) for part in parts])
-        return np.where(np.isnan(cells), np.nan, stacked)
+        maps = []
+        for step in steps:
+            certainty = None
+            if step.bars is not None:
+                certainty = step.bars.change if change else step.bars.frame
+            unknown = np.full(baseline.shape, unbarred)
+            maps.append(unknown if certainty is None else getattr(certainty, name))
+        return np.where(np.isnan(cells), np.nan, np.stack(maps))
 
     with np.errstate(over="ignore"):  # the interval of an undetermined cell extends to infinity
         lower = ratio * np.exp(-frames("below", change=True))
@@ -267,9 +271,12 @@ class Estimates:
         if readout is None or self.recording.scene.panel.modules is not None:
             return tuple(step.status for step in self.steps)
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
-            sentence = AT_RAILS.get(step.solution.status)
-            rails = readout.rails_reached(recorded) if sentence else ""
-            messages.append(sentence.format(rails) if sentence and rails else step.status)
+            message = step.status
+            at_rails = AT_RAILS.get(step.solution.status)
+            if at_rails is not None:
+                rails = readout.rails_reached(recorded)
+                message = at_rails.format(rails) if rails else message
+            messages.append(message)
         return tuple(messages)
 
     @property
@@ -430,12 +437,12 @@ class Estimates:
         Else it is ''.
         """
         chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
-        known = np.isfinite(chi_square)
-        if self.sigma is None or not known.any():
+        solved = np.isfinite(chi_square)
+        if self.sigma is None or not solved.any():
             return ""
         count = np.isfinite(self.sigma).sum(axis=(1, 2))
         # √(χ² per reading) of the median frame
-        factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
+        factor = float(np.sqrt(np.median(chi_square[solved] / count[solved])))
         if factor < OVERRULED_MISFIT:
             return ""
         terms = " and ".join(
@@ -455,12 +462,10 @@ class Estimates:
         leaves open are estimated from the frames after a load was taken off.
         """
         film = self.recording.scene.film
-        known = log_change(self)
-        return (
-            None
-            if film is None or known is None
-            else FilmKnown.specified(film).estimated(*known, self.time)
-        )
+        change_and_deviation = log_change(self)
+        if film is None or change_and_deviation is None:
+            return None
+        return FilmKnown.specified(film).estimated(*change_and_deviation, self.time)
 
     @property
     def misfit(self) -> dict[str, Array]:

@@ -6,6 +6,7 @@ is larger by MIN_EVIDENCE_GAIN. A resistance in series and the memory of the con
 parameters of a circuit: their most probable values are searched for.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -36,6 +37,10 @@ MAX_CELL_SD = 0.5
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 # Fractions of the channel before that a converter may keep.
 MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
+# Fractions nearer to the ends of the searched range, half the smallest and twice the largest of
+# MEMORIES, are no finding.
+MIN_MEMORY = MEMORIES[0] / 2 * 1.1
+MAX_MEMORY = MEMORIES[-1] * 1.9
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 
@@ -129,57 +134,90 @@ def better_rival(frames: ComparedFrames, specified: Explanation | None) -> Bette
     specified : Explanation or None
         The explanation by the scene's circuit; None where it does not explain the readings.
     """
-    if specified is not None:
-        pair = specified.pair
-        if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
-            return BetterExplanation()
-        if np.median([np.sqrt(np.diag(fit.covariance)) for fit in specified.fits]) > MAX_CELL_SD:
-            return BetterExplanation()
-    change = changes_beyond_noise(frames.specified.scene, frames.specified.readings(), frames.role)
-    rivals = rivals_of(
-        frames.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0))
-    )
-    explanations = [
-        Explanation.of(rival, frames) or some_in_series(rival, frames) for rival in rivals
-    ]
-    explanations += [some_in_series(frames.specified, frames)] if specified is None else []
-    threshold = np.inf if specified is None else specified.score
-    likely = sorted(
-        (known for known in explanations if known and known.score < threshold),
-        key=attrgetter("score"),
-    )
-    likely = likely[:MAX_CANDIDATES]
-    assumed = [] if specified is None else [specified]
-    tried = [*likely, *(with_series(known, frames) for known in (*likely, *assumed))]
-    tried += [with_converter_memory(known, frames) for known in assumed]
-    quiet = (known for known in tried if known.pair is None or mostly_still(known.pair.moved))
-    lawful = (known for known in quiet if not broken_law(known.rival, frames))
-
-    # Among rivals a resistance in series is one more parameter.
-    def cost(known: Explanation) -> float:
-        numbers = (known.rival.in_series is not None) + (
-            known.rival.scene.converter_memory != memory
-        )
-        return known.beyond_noise + PARAMETER_COST * numbers
-
-    memory = frames.specified.scene.converter_memory
-    best = min((known for known in lawful if known.rival.name), key=cost, default=None)
-    if best is None:
+    if specified is not None and not _needs_rivals(specified):
         return BetterExplanation()
+    candidates = _likely_rivals(frames, specified)
+    assumed = [] if specified is None else [specified]
+    candidates += [with_series(explanation, frames) for explanation in (*candidates, *assumed)]
+    candidates += [with_converter_memory(explanation, frames) for explanation in assumed]
+    best = _best_candidate(candidates, frames)
+    return BetterExplanation() if best is None else _compared(specified, best, frames)
+
+
+def _needs_rivals(specified: Explanation) -> bool:
+    """Return whether a rival can gain enough evidence over the scene's circuit.
+
+    Where cells are determined badly, linear theory does not hold, and none is tried.
+    """
+    pair = specified.pair
+    if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
+        return False
+    deviations = [np.sqrt(np.diag(fit.covariance)) for fit in specified.fits]
+    return not np.median(deviations) > MAX_CELL_SD
+
+
+def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> list[Explanation]:
+    """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's."""
+    change = changes_beyond_noise(frames.specified.scene, frames.specified.readings(), frames.role)
+    mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
+    explanations = [
+        Explanation.of(rival, frames) or some_in_series(rival, frames)
+        for rival in rivals_of(frames.specified, reversed_too=mostly_increases)
+    ]
+    if specified is None:
+        explanations.append(some_in_series(frames.specified, frames))
+    threshold = np.inf if specified is None else specified.score
+    better = [
+        explanation
+        for explanation in explanations
+        if explanation is not None and explanation.score < threshold
+    ]
+    return sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
+
+
+def _best_candidate(
+    candidates: Sequence[Explanation], frames: ComparedFrames
+) -> Explanation | None:
+    """Return the candidate with the largest evidence, less the costs of its parameters.
+
+    Candidates do not count under which most cells have moved, whose inequalities the readings
+    break, or that do not differ from the scene's circuit.
+    """
+    specified_memory = frames.specified.scene.converter_memory
+    valid = []
+    for candidate in candidates:
+        still = candidate.pair is None or mostly_still(candidate.pair.moved)
+        if still and not broken_law(candidate.rival, frames) and candidate.rival.name:
+            valid.append(candidate)
+
+    def cost(candidate: Explanation) -> float:
+        # Among rivals a resistance in series is one more parameter, and so is a memory.
+        has_series = candidate.rival.in_series is not None
+        has_memory = candidate.rival.scene.converter_memory != specified_memory
+        return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory)
+
+    return min(valid, key=cost, default=None)
+
+
+def _compared(
+    specified: Explanation | None, best: Explanation, frames: ComparedFrames
+) -> BetterExplanation:
+    """Return the best candidate as better, as nearly as good, or as neither."""
     if specified is None or best.pair is None:
         return BetterExplanation(best.rival.name)
     gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
-    if gain <= MIN_EVIDENCE_GAIN or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
+    insignificant = gain <= MIN_EVIDENCE_GAIN
+    if insignificant or specified.pair.gain_apart(best.pair) <= PARAMETER_COST:
         # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
         # alone, neither is a doubt.
-        doubtful = best.rival.kind and best.rival.scene.converter_memory == memory
-        return BetterExplanation(
-            nearly=best.rival.name if gain <= MIN_EVIDENCE_GAIN and doubtful else ""
-        )
-    moved, as_specified = (int(known.moved.sum()) for known in (best.pair, specified.pair))
-    return BetterExplanation(best.rival.name, frames.loaded, moved, as_specified)
+        as_specified = best.rival.scene.converter_memory == frames.specified.scene.converter_memory
+        doubtful = insignificant and best.rival.kind and as_specified
+        return BetterExplanation(nearly=best.rival.name if doubtful else "")
+    moved = int(best.pair.moved.sum())
+    moved_as_specified = int(specified.pair.moved.sum())
+    return BetterExplanation(best.rival.name, frames.loaded, moved, moved_as_specified)
 
 
 def some_in_series(rival: Rival, frames: ComparedFrames) -> Explanation | None:
@@ -194,23 +232,22 @@ def some_in_series(rival: Rival, frames: ComparedFrames) -> Explanation | None:
     return min(filter(None, explanations), key=attrgetter("score"), default=None)
 
 
-def with_series(given: Explanation, frames: ComparedFrames) -> Explanation:
+def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given resistance in series."""
-    coarse = given if given.rival.in_series is not None else some_in_series(given.rival, frames)
-    best = min(filter(None, (given, coarse)), key=attrgetter("score"))
-    spacing = most_in_series(given.rival, frames) / (SERIES_POINTS - 1)
+    rival = explanation.rival
+    coarse = explanation if rival.in_series is not None else some_in_series(rival, frames)
+    best = min(filter(None, (explanation, coarse)), key=attrgetter("score"))
+    spacing = most_in_series(rival, frames) / (SERIES_POINTS - 1)
     if not spacing:
         return best
 
     def score(ohm: float) -> float:
         nonlocal best
-        explanation = Explanation.of(
-            replace(given.rival.with_series(ohm), at_limit=False), frames, best
-        )
-        if explanation is None:
+        trial = Explanation.of(replace(rival.with_series(ohm), at_limit=False), frames, best)
+        if trial is None:
             return np.inf
-        best = min(best, explanation, key=attrgetter("score"))
-        return explanation.score
+        best = min(best, trial, key=attrgetter("score"))
+        return trial.score
 
     ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
     accuracy = SERIES_ACCURACY * spacing
@@ -219,39 +256,38 @@ def with_series(given: Explanation, frames: ComparedFrames) -> Explanation:
     )
     most = (SERIES_POINTS - 1) * spacing
     at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
-    return (
-        replace(best, rival=replace(best.rival, at_limit=at_limit))
-        if best.rival.in_series is not None
-        else best
-    )
+    if best.rival.in_series is None:
+        return best
+    return replace(best, rival=replace(best.rival, at_limit=at_limit))
 
 
-def with_converter_memory(given: Explanation, frames: ComparedFrames) -> Explanation:
+def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given converter memory.
 
     A scene that states a memory keeps it.
     """
-    if given.rival.scene.converter_memory is not None or given.rival.scene.readout is None:
-        return given
-    best = given
+    rival = explanation.rival
+    if rival.scene.converter_memory is not None or rival.scene.readout is None:
+        return explanation
+    best = explanation
 
     def score(fraction: float) -> float:
         nonlocal best
-        explanation = Explanation.of(given.rival.with_memory(float(fraction)), frames, best)
-        if explanation is None:
+        trial = Explanation.of(rival.with_memory(float(fraction)), frames, best)
+        if trial is None:
             return np.inf
-        best = min(best, explanation, key=attrgetter("score"))
-        return explanation.score
+        best = min(best, trial, key=attrgetter("score"))
+        return trial.score
 
     coarse = min(MEMORIES, key=score)
-    if best is given:
-        return given
+    if best is explanation:
+        return explanation
     ends = coarse / 2, 2 * coarse
     scipy.optimize.minimize_scalar(
         score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse}
     )
     fraction = best.rival.scene.known_memory or 0.0
-    return best if MEMORIES[0] / 2 * 1.1 < fraction < MEMORIES[-1] * 1.9 else given
+    return best if MIN_MEMORY < fraction < MAX_MEMORY else explanation
 
 
 def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
@@ -266,8 +302,10 @@ def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
         read = frames.readings(without)
     except (InputError, *BROKEN):
         return 0.0
-    known = [(frame.value, sigma) for frame in read if (sigma := frame.sigma_of_values) is not None]
-    most = min(
-        without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known
-    )
+    limits = []
+    for frame in read:
+        sigma = frame.sigma_of_values
+        if sigma is not None:
+            limits.append(without.scene.circuit.most_in_series(frame.value[None], sigma[None]))
+    most = min(limits)
     return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0

@@ -34,6 +34,7 @@ from lampest.recording.readings import Readings
 
 SETTLED_STEP = 0.1  # step of θ in standard deviations below which the iteration ends
 SECANT_STEP = 1e-3  # of the prior's standard deviation
+MAX_HALVINGS = 5  # lengths of a step of θ that are tried, each half of the one before
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,8 @@ class FittedPair:
         cell moves.
         """
         scene = self.frames[0].scene
-        if (sizes := systematic_of(scene)) is None or not self.moved.any():
+        sizes = systematic_of(scene)
+        if sizes is None or not self.moved.any():
             return None
         resting, loaded = (
             fit.response(
@@ -115,8 +117,10 @@ class FittedPair:
         )
         # columns are of one standard deviation: that of the reference's uniform distribution is its
         # half width over √3
-        ends = np.array([np.sqrt(3), *[1.0] * (loaded.shape[1] - 1)])
-        return float(np.median(np.abs((loaded - resting) * ends).sum(axis=1)[self.moved.ravel()]))
+        ends = np.ones(loaded.shape[1])
+        ends[0] = np.sqrt(3)
+        error = np.abs((loaded - resting) * ends).sum(axis=1)
+        return float(np.median(error[self.moved.ravel()]))
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -200,7 +204,8 @@ class FittedPair:
         """
         changes = self.with_columns(columns)
         score, moved = changes.selected(usual_starts(self.change))
-        mean = sd = np.full(1 + columns.shape[1], np.nan)
+        mean = np.full(1 + columns.shape[1], np.nan)
+        sd = mean
         if not moved.all():
             mean, covariance = changes.posterior(away_from_changed(~moved, self.shape))
             sd = np.sqrt(np.diag(covariance))
@@ -270,11 +275,9 @@ class FittedPair:
         another circuit or an effect, so its cells do not count; 0 without two others.
         """
         distant = ~touching(better.moved[None]).ravel()
-        return (
-            self.beyond_noise_of(distant) - better.beyond_noise_of(distant)
-            if distant.sum() > 1
-            else 0.0
-        )
+        if distant.sum() < 2:
+            return 0.0
+        return self.beyond_noise_of(distant) - better.beyond_noise_of(distant)
 
     @property
     def excess(self) -> float:
@@ -294,20 +297,27 @@ class FittedPair:
         step : array, shape (effects,)
             In units of the priors.
         """
-        stepped = tuple(
-            replace(
-                effect,
-                size=max(
-                    effect.size + effect.prior * float(more), 0.0 if effect.positive else -np.inf
-                ),
-            )
-            for effect, more in zip(effects, step, strict=True)
-        )
+        stepped = []
+        for effect, change in zip(effects, step, strict=True):
+            size = effect.size + effect.prior * float(change)
+            stepped.append(replace(effect, size=max(size, 0.0) if effect.positive else size))
         constant = tuple(effect for effect in stepped if not effect.since)
-        resting, frame = self.frames
-        early = resting.refitted(resting.measured, constant) if constant else resting
-        late = frame.refitted(frame.measured, stepped)
-        return None if early is None or late is None else replace(self, frames=(early, late))
+        resting, loaded = self.frames
+        if constant:
+            refitted = resting.refitted(resting.measured, constant)
+            if refitted is None:
+                return None
+            resting = refitted
+        loaded_fit = loaded.refitted(loaded.measured, tuple(stepped))
+        return None if loaded_fit is None else replace(self, frames=(resting, loaded_fit))
+
+    def _halved_until_fitted(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
+        """Return the pair after the longest of MAX_HALVINGS steps that cells explain; else None."""
+        for halvings in range(MAX_HALVINGS):
+            stepped = self._stepped(effects, step * 0.5**halvings)
+            if stepped is not None:
+                return stepped
+        return None
 
     def settled(self, effects: Sequence[Effect], *, constant: bool = True) -> "FittedPair | None":
         """Return the pair with the most probable sizes of these effects; None where no cells fit.
@@ -330,13 +340,11 @@ class FittedPair:
             # Gauss-Newton step of θ, of at most one prior deviation; halved until cells explain
             # both frames.
             short = step / max(1.0, float(np.abs(step).max()))
-            after = next(
-                filter(None, (pair._stepped(effects, short * 0.5**half) for half in range(5))), None
-            )
-            if after is None:
+            stepped = pair._halved_until_fitted(effects, short)
+            if stepped is None:
                 return None
-            pair = after
-            effects = after.effects
+            pair = stepped
+            effects = pair.effects
             if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
                 break
         return pair

@@ -49,11 +49,12 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     # parabola through the three points around the least cost: its vertex, and 1/√(half of its
     # curvature)
     middle = int(np.clip(np.argmin(costs), 1, len(shares) - 2))
-    before, at, after = costs[middle - 1 : middle + 2]
+    below, least, above = costs[middle - 1 : middle + 2]
     spacing = float(shares[1] - shares[0])
-    slope = (after - before) / (2 * spacing)
-    curvature = (after - 2 * at + before) / spacing**2
-    if not curvature > 0 or (deviation := float(np.sqrt(2 / curvature))) > MAX_DEVIATION:
+    slope = (above - below) / (2 * spacing)
+    curvature = (above - 2 * least + below) / spacing**2
+    deviation = float(np.sqrt(2 / curvature)) if curvature > 0 else np.inf
+    if deviation > MAX_DEVIATION:
         return "the load changes all channels alike: press a few cells"
     return max(float(shares[middle]) - slope / curvature, 0.0), deviation
 
@@ -101,11 +102,9 @@ def _cost(explanation: Explanation | None) -> float:
     if explanation is None or explanation.pair is None:
         return np.inf
     # p(recorded) = p(freed) |∂freed/∂recorded|, (1 − m)⁻¹ for each reading
-    read = float(np.sum(explanation.fits[-1].readings.seen > 0))
-    return (
-        explanation.score
-        + 2 * float(np.log1p(-(explanation.rival.scene.known_memory or 0.0))) * read
-    )
+    count = float(np.sum(explanation.fits[-1].readings.seen > 0))
+    memory = explanation.rival.scene.known_memory or 0.0
+    return explanation.score + 2 * float(np.log1p(-memory)) * count
 
 
 def with_estimated_memory(
@@ -117,6 +116,6 @@ def with_estimated_memory(
     """
     if recording.scene.converter_memory != ESTIMATED:
         return recording, None
-    found = estimated_memory(recording)
-    share = None if isinstance(found, str) else found[0]
-    return replace(recording, scene=replace(recording.scene, converter_memory=share)), found
+    estimate = estimated_memory(recording)
+    share = None if isinstance(estimate, str) else estimate[0]
+    return replace(recording, scene=replace(recording.scene, converter_memory=share)), estimate

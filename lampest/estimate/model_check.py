@@ -30,6 +30,7 @@ EXPLAINED = "the circuit explains its readings"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640
 # simulated modules whose cells scatter by 0.2 exceeds it, and a reference that is off by 20 % does.
 MIN_AWAY = 0.15
+MIN_COMPARED_MODULES = 3  # of two that differ, either may be the wrong one
 # Share of missing readings or bounds: with a fifth, moved cells can no longer be identified.
 MAX_MISSING = 0.1
 
@@ -133,14 +134,16 @@ class Question(ComparedFrames):
         readings = self.specified.readings()
         if scene.circuit.unit != "ohm" or readings.sigma is None:
             return ""
-        left = scene.circuit.from_recorded(self.specified.recorded, scene)
-        excess = np.where((readings.seen > 0) & np.isfinite(left), -left / readings.sigma, -np.inf)
+        remaining = scene.circuit.from_recorded(self.specified.recorded, scene)
+        read = (readings.seen > 0) & np.isfinite(remaining)
+        excess = np.where(read, -remaining / readings.sigma, -np.inf)
         if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
             return ""
-        frame, row, column = place = np.unravel_index(np.argmax(excess), excess.shape)
+        place = np.unravel_index(np.argmax(excess), excess.shape)
+        frame, row, column = place
         return (
             f"the reading of row {row}, column {column} in frame {self.named[frame]} lies "
-            f"{-left[place]:.3g} ohm "
+            f"{-remaining[place]:.3g} ohm "
             f"below its series resistance, {excess[place]:.3g} times its noise"
         )
 
@@ -171,17 +174,12 @@ class Question(ComparedFrames):
             bool(best.name) and best is besides,
             besides.loaded_at_rest,
         )
-        scatter = (
-            f"the unloaded frames scatter by {noise:.2g} times the specified noise"
-            if noise > 1
-            else ""
-        )
-        nearly = (
-            f"{best.nearly} explains them about as well, or better"
-            if explains and best.nearly
-            else ""
-        )
-        return check.with_doubts(scatter, nearly)
+        doubts = []
+        if noise > 1:
+            doubts.append(f"the unloaded frames scatter by {noise:.2g} times the specified noise")
+        if explains and best.nearly:
+            doubts.append(f"{best.nearly} explains them about as well, or better")
+        return check.with_doubts(*doubts)
 
     def _check_without_cells(self) -> ModelCheck:
         """Return the check where there is no fit and no contradiction.
@@ -219,10 +217,10 @@ class Question(ComparedFrames):
                 "are missing or bounds"
             )
         if self.fault:
-            others = (
-                f"{best.name} does" if best.name else "no other circuit that was tried gives them"
-            )
-            return f"{self.fault}; {others}"
+            alternative = "no other circuit that was tried gives them"
+            if best.name:
+                alternative = f"{best.name} does"
+            return f"{self.fault}; {alternative}"
         if best.name:
             return f"{best.name} explains the readings better: {best.reason}"
         return EXPLAINED
@@ -279,8 +277,7 @@ def check_of_modules(
         return ModelCheck(
             None, "the circuit was not checked: no module is like the others and reads values"
         )
-    explains = [check.explains for check in checks.values()]
-    verdict = False if False in explains else True if True in explains else None
+    verdict = _joint_verdict([check.explains for check in checks.values()])
     agreeing = {number: check for number, check in checks.items() if check.explains is verdict}
     sentence = "; ".join(
         f"module {list(layout.place(number))}: {check.sentence}"
@@ -293,6 +290,13 @@ def check_of_modules(
     doubts = tuple(dict.fromkeys(doubt for check in agreeing.values() for doubt in check.doubts))
     noise = max(check.noise for check in checks.values())
     return ModelCheck(verdict, sentence, better, noise, loaded_at_rest=loaded, doubts=doubts)
+
+
+def _joint_verdict(verdicts: Sequence[bool | None]) -> bool | None:
+    """Return False if any circuit is contradicted, else True if any is confirmed, else None."""
+    if False in verdicts:
+        return False
+    return True if True in verdicts else None
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
@@ -315,15 +319,16 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     read = np.isfinite(values).any(axis=1)
     factors = dict.fromkeys(np.flatnonzero(~read).tolist(), np.nan)
     levels = np.nanmedian(values[read], axis=1)
-    for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
-        # ln level less the median of the remaining ones, against 5 robust standard deviations of
-        # these and MIN_AWAY
+    if len(levels) < MIN_COMPARED_MODULES:
+        return factors
+    for place, number in enumerate(np.flatnonzero(read).tolist()):
+        # ln level less the median of the remaining ones, against their robust standard deviation
+        # and MIN_AWAY
         remaining = np.delete(levels, place)
-        deviation = levels[place] - np.median(remaining)
-        if abs(deviation) > max(
-            MIN_AWAY,
-            SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(remaining - np.median(remaining)))),
-        ):
+        middle = np.median(remaining)
+        deviation = levels[place] - middle
+        scatter = float(np.median(np.abs(remaining - middle)))
+        if abs(deviation) > max(MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * scatter):
             factors[number] = float(np.exp(deviation))
     return factors
 

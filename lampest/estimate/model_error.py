@@ -102,10 +102,12 @@ def _excess(fit: CellsFit | None) -> float:
 
     It is in σ², and 0 without a fit.
     """
-    counted = np.zeros(0) if fit is None else np.abs(fit.residual)[fit.readings.seen.ravel() > 0]
-    return (
-        max((float(np.quantile(counted, LEVEL)) / TWO_SIDED) ** 2 - 1, 0.0) if counted.size else 0.0
-    )
+    if fit is None:
+        return 0.0
+    residuals = np.abs(fit.residual)[fit.readings.seen.ravel() > 0]
+    if not residuals.size:
+        return 0.0
+    return max((float(np.quantile(residuals, LEVEL)) / TWO_SIDED) ** 2 - 1, 0.0)
 
 
 def heavy_tails(readings: Readings, recording: Recording) -> float:
@@ -150,9 +152,9 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
     if not len(frames):
         return
 
-    def posed(penalty: Term, behind: Background) -> tuple[list[Data], Cost]:
+    def posed(penalty: Term, background: Background) -> tuple[list[Data], Cost]:
         objective = Estimator((Misfit(weighting="noise"), penalty), "reduced")
-        solves = [objective.data(readings[number].alone(), behind) for number in frames]
+        solves = [objective.data(readings[number].alone(), background) for number in frames]
         similar = [data for data in solves if data.partial == solves[0].partial]
         return similar, objective.cost(scene, 1, partial=solves[0].partial)
 
@@ -164,8 +166,9 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
         )
 
 
-def _in_words(factor: float, used: float, scene: Scene) -> str:
+def _in_words(factor: float, sigma_factor: float, scene: Scene) -> str:
+    """Return the sentence on an error of the model, given the factor on σ before it."""
     size = ""
     if scene.readout is not None:
-        size = f"by {factor * used * float(np.mean(scene.readout.sigma_code())):.2g} LSB, "
+        size = f"by {factor * sigma_factor * float(np.mean(scene.readout.sigma_code())):.2g} LSB, "
     return f"readings are missed {size}{factor:.2g} times their noise: an error of the model"

@@ -19,9 +19,9 @@ def noise_of_modules(
 
     None stands for a dead one.
     """
-    given = recording.readings()
+    recorded = recording.readings()
     readings = [
-        given.of_module(layout, n) if noise is None else noise.readings
+        recorded.of_module(layout, n) if noise is None else noise.readings
         for n, noise in enumerate(every)
     ]
     no_outliers = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
@@ -31,16 +31,15 @@ def noise_of_modules(
     messages = [
         f"module {list(layout.place(n))}: {noise.sentence}"
         for n, noise in enumerate(every)
-        if noise and noise.warnings
+        if noise is not None and noise.warnings
     ]
     more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     joined = Readings.of_parts(layout, readings)
-    estimated = {
-        f"{key} of module {list(layout.place(n))}": size
-        for n, noise in enumerate(every)
-        if noise
-        for key, size in noise.estimated.items()
-    }
+    estimated = dict[str, tuple[float, float]]()
+    for n, noise in enumerate(every):
+        if noise is not None:
+            place = list(layout.place(n))
+            estimated |= {f"{key} of module {place}": size for key, size in noise.estimated.items()}
     image = NoiseEstimate(
         layout.joined(outliers), (), joined, of_modules=tuple(every), estimated=estimated
     )

@@ -78,10 +78,13 @@ def begin_networks(
             return Stream.begin(estimator, own, period, resting, noise)
         return CoupledStream.begin(replace(estimator, error_bars=False), own, period, resting)
     noises = (None,) * layout.count if noise is None else noise.of_modules
-    streams = [
-        network and Stream.unrested(*network[:2], period, network[2], own)
-        for network, own in zip(networks, noises, strict=True)
-    ]
+    streams = list[Stream | None]()
+    for network, own_noise in zip(networks, noises, strict=True):
+        if network is None:
+            streams.append(None)
+            continue
+        estimator, own, resting = network
+        streams.append(Stream.unrested(estimator, own, period, resting, own_noise))
     modules = solve_baselines(streams)
     first = next(stream for stream in modules if stream is not None)
     blank = replace(
@@ -148,14 +151,21 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
         places = tuple(
             (j, k, float(x[j, k]), float(y[j, k])) for j, k in np.ndindex(scene.panel.shape)
         )
-    known = scene.open_cells, scene.shorted_cells & ~scene.open_cells  # a dead module is both
-    broken = [tuple((int(j), int(k)) for j, k in np.argwhere(cells)) for cells in known]
-    faults = Faults(open=broken[0], shorted=broken[1]) if any(broken) else None
+    open_cells = _places(scene.open_cells)
+    shorted_cells = _places(scene.shorted_cells & ~scene.open_cells)  # a dead module is both
+    faults = None
+    if open_cells or shorted_cells:
+        faults = Faults(open=open_cells, shorted=shorted_cells)
     return Scene(
         Panel(*scene.panel.shape, scene.panel.pitch_mm, places),
         ModulesReadout(layout=layout),
         faults=faults,
     )
+
+
+def _places(cells: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+    """Return row and column of the marked cells, (rows, columns)."""
+    return tuple((int(row), int(column)) for row, column in np.argwhere(cells))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,12 +190,12 @@ class CoupledStream(Stream):
         solution = step.solution
         if not (unread.any() and solution.solved):
             return stream, step
-        cells, reading = (
-            np.where(unread, np.nan, part) for part in (solution.cell_resistance, solution.reading)
+        masked = replace(
+            solution,
+            cell_resistance=np.where(unread, np.nan, solution.cell_resistance),
+            reading=np.where(unread, np.nan, solution.reading),
         )
-        return stream, replace(
-            step, solution=replace(solution, cell_resistance=cells, reading=reading)
-        )
+        return stream, replace(step, solution=masked)
 
     def _unread(self, readings: Readings) -> NDArray[np.bool_]:
         """Return the cells of modules without any value, (rows, columns)."""
@@ -206,16 +216,15 @@ class ModulesStream(Stream):
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
         """Return the stream of every module tared, as `Stream.tared`."""
-        numbered = enumerate(self.modules)
-        modules = solve_baselines(
-            [
-                module and module.without_baseline(resting.of_module(self._layout, number))
-                for number, module in numbered
-            ]
-        )
-        return replace(
-            self, resting=resting, modules=tuple(modules), track=None, baseline=None
-        ).rested_whole()
+        unrested = [
+            None
+            if module is None
+            else module.without_baseline(resting.of_module(self._layout, number))
+            for number, module in enumerate(self.modules)
+        ]
+        modules = tuple(solve_baselines(unrested))
+        image = replace(self, resting=resting, modules=modules, track=None, baseline=None)
+        return image.rested_whole()
 
     @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
@@ -242,12 +251,13 @@ class ModulesStream(Stream):
         modules = list[Stream | None]()
         columns = list[Sequence[Step | None]]()
         for number, module in enumerate(self.modules):
-            inside = resting.of_module(layout, number), readings.of_module(layout, number)
-            after, solved = (
-                (None, [None] * frames)
-                if module is None
-                else module.sequence(*inside, lambda: None)
-            )
+            if module is None:
+                modules.append(None)
+                columns.append([None] * frames)
+                continue
+            own_resting = resting.of_module(layout, number)
+            own_readings = readings.of_module(layout, number)
+            after, solved = module.sequence(own_resting, own_readings, lambda: None)
             modules.append(after)
             columns.append(solved)
         for _ in range(frames):
@@ -304,10 +314,10 @@ def _joined(
         Slice of the first axis of each map.
     """
     maps = [getattr(part, name, None) for part in parts]
-    known = [values[last] for values in maps if values is not None]
-    if not known:
+    present = [values[last] for values in maps if values is not None]
+    if not present:
         return None
-    blank = np.full(known[0].shape, missing, dtype=known[0].dtype)
+    blank = np.full(present[0].shape, missing, dtype=present[0].dtype)
     return np.asarray(
         layout.joined(np.stack([blank if part is None else part[last] for part in maps], axis=-3))
     )

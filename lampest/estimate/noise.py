@@ -37,6 +37,7 @@ from lampest.recording.recording import UNLOADED, Recording
 
 # Unloaded frames from which noise is estimated if the scene does not specify it.
 MIN_UNLOADED_FRAMES = 5
+MIN_REQUESTED_FRAMES = 2  # where the scene calls it `estimated`: two frames show a scatter
 # LSB: with less, most codes repeat, and the median of their differences shows no noise
 MIN_MEDIAN_NOISE = 0.5
 
@@ -103,9 +104,9 @@ class NoiseEstimate:
 
         0 where none is observed.
         """
-        return (
-            0.0 if self.possible_errors is None else READING_ERROR.size(self.possible_errors.sizes)
-        )
+        if self.possible_errors is None:
+            return 0.0
+        return READING_ERROR.size(self.possible_errors.sizes)
 
     @property
     def error_in_sigma(self) -> float:
@@ -136,12 +137,14 @@ class NoiseEstimate:
         """Noise of the frames in one line; '' where it is unknown."""
         if np.isnan(self.factor):
             return ""
-        taken = "not rescaled" if self.sigma_factor == 1 else f"rescaled by {self.sigma_factor:.3g}"
+        rescaling = "not rescaled"
+        if self.sigma_factor != 1:
+            rescaling = f"rescaled by {self.sigma_factor:.3g}"
         shared = ", ".join(
             text.format(size) for text, size in zip(SHARED, self.shared_sizes, strict=True) if size
         )
         messages = (
-            f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
+            f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {rescaling}",
             f"frames share {shared or 'nothing'}",
             f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
             "" if self.possible_errors is None else _sizes_in_words(self.possible_errors),
@@ -242,30 +245,28 @@ def estimate_noise(
         outliers, _outlier_messages(outliers, cleaned, recording.role == UNLOADED), cleaned
     )
     unscaled = _with_specified_frame_noise(unscaled, scene, unloaded)
-    asked = None if readout is None else readout.noise_lsb == ESTIMATED
-    if cleaned.sigma is None or (parts := _scatter_of(recording, cleaned)) is None:
+    requested = readout is not None and readout.noise_lsb == ESTIMATED
+    parts = None if cleaned.sigma is None else _scatter_of(recording, cleaned)
+    if cleaned.sigma is None or parts is None:
         reason = "record five or more unloaded frames"
-        return unscaled.undetermined("readout.noise_lsb", reason) if asked else unscaled
+        return unscaled.undetermined("readout.noise_lsb", reason) if requested else unscaled
     ratio = parts.own
     precision = np.sqrt(2 * parts.own_freedom)  # of a standard deviation, over its error
     factor = 1.0
     message = ""
     specified = readout is None or recording.sigma is not None or readout.noise_specified
+    enough_frames = MIN_REQUESTED_FRAMES if requested else MIN_UNLOADED_FRAMES
     if specified and not excludes_model_error(scene):
         factor = _contradicting_factor(recording, parts)
         message = "" if factor == 1 else _contradiction_in_words(readout, ratio, unloaded)
-    elif (
-        readout is not None
-        and not specified
-        and unloaded >= (MIN_UNLOADED_FRAMES if not asked else 2)
-    ):
+    elif readout is not None and not specified and unloaded >= enough_frames:
         factor = shown_noise(readout, ratio)[1]
     scaled = replace(cleaned, sigma=factor * cleaned.sigma)
     noise = replace(
         unscaled, readings=scaled, factor=ratio, factor_error=ratio / precision, sigma_factor=factor
     )
     noise = noise.with_warnings(message)
-    if readout is not None and asked:
+    if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
         noise = noise.determined("readout.noise_lsb", (size, size / precision))
     return _with_estimated_frame_noise(noise, recording, parts)
@@ -298,11 +299,9 @@ def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int
         return f"noise {ratio:.2g} times the recording's sigma, measured in {where}"
     measured = f"{shown_noise(readout, ratio)[0]:.2g} LSB"
     specified = f"{float(np.mean(readout.assumed_noise)):.2g} LSB"
-    return (
-        ""
-        if measured == specified
-        else f"noise {measured}, measured in {where}; the scene specifies {specified}"
-    )
+    if measured == specified:
+        return ""
+    return f"noise {measured}, measured in {where}; the scene specifies {specified}"
 
 
 def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: int) -> NoiseEstimate:
@@ -327,35 +326,32 @@ def _with_estimated_frame_noise(
     """
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())
-    asked = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
-    if not asked or scene.readout is None:
+    requested = [key for key in ("gain", "ripple") if getattr(scene, key) == ESTIMATED]
+    if not requested or scene.readout is None:
         return noise
-    if unloaded < 2:
-        for key in asked:
+    if unloaded < MIN_REQUESTED_FRAMES:
+        for key in requested:
             noise = noise.undetermined(key, "record two or more unloaded frames")
         return noise
     volt = float(np.mean(scene.readout.sigma_volt()))
-    known = noise.frame or FrameNoise(
+    frame = noise.frame or FrameNoise(
         scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]
     )
-    # Of a standard deviation with as many degrees of freedom.
-    relative = 1 / np.sqrt(2 * (unloaded - 1))
-    if "gain" in asked:
-        known = replace(known, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
+    if "gain" in requested:
+        frame = replace(frame, gain=float(np.hypot(parts.gain, parts.gain_sd)))  # √E[s²]
         noise = noise.determined("gain", (parts.gain, parts.gain_sd))
-    if "ripple" in asked:
-        known = replace(
-            known, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt
+    if "ripple" in requested:
+        frame = replace(
+            frame, common_ripple=parts.common_ripple * volt, line_ripple=parts.line_ripple * volt
         )
-        noise = replace(noise, frame=known)
-        size = float(np.hypot(*noise.shared_sizes[1:]))
-        deviation = float(
-            np.hypot(
-                parts.ripple_sd * volt / scene.circuit.lsb_volt, noise.shared_sizes[2] * relative
-            )
-        )
-        noise = noise.determined("ripple", (size, deviation))
-    return replace(noise, frame=known)
+        noise = replace(noise, frame=frame)
+        _, common_lsb, line_lsb = noise.shared_sizes
+        common_sd = parts.ripple_sd * volt / scene.circuit.lsb_volt
+        # relative deviation of a standard deviation with as many degrees of freedom
+        line_sd = line_lsb * (1 / np.sqrt(2 * (unloaded - 1)))
+        size = float(np.hypot(common_lsb, line_lsb))
+        noise = noise.determined("ripple", (size, float(np.hypot(common_sd, line_sd))))
+    return replace(noise, frame=frame)
 
 
 def excludes_model_error(scene: Scene) -> bool:
@@ -372,28 +368,27 @@ def _outlier_messages(
     """
     messages = list[str]()
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    if count := int(impossible.sum()):
-        many = "reading is" if count == 1 else "readings are"
+    left_out = int(impossible.sum())
+    if left_out:
+        subject = "reading is" if left_out == 1 else "readings are"
         messages.append(
-            f"{count} {many} larger than any cells allow beside the others, and left out"
+            f"{left_out} {subject} larger than any cells allow beside the others, and left out"
         )
-    if count := int((outliers & ~impossible).sum()):
-        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
-        counted = (
-            outliers[resting]
-            if resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
-            else outliers
-        )
-        rate = float(counted.mean())
-        unseen = (
-            f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
-            "cover them"
-        )
+    replaced = int((outliers & ~impossible).sum())
+    if replaced:
         message = (
-            f"{count} of {outliers.size} readings are outliers of one frame, replaced by "
+            f"{replaced} of {outliers.size} readings are outliers of one frame, replaced by "
             "their neighbours in time"
         )
-        messages.append(message + unseen * (rate > MAX_SHARE))
+        rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
+        rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
+        # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
+        if rate > MAX_SHARE:
+            message += (
+                f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
+                "cover them"
+            )
+        messages.append(message)
     return tuple(messages)
 
 
@@ -408,8 +403,9 @@ def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     parts = unloaded_scatter(recording, cleaned[resting]) if resting.sum() > 1 else None
     if parts is None:
         parts = repeated_scatter(cleaned[~resting])
-        coarse = parts and readout and shown_noise(readout, parts.own)[0] < MIN_MEDIAN_NOISE
-        parts = None if coarse else parts
+        if parts is not None and readout is not None:
+            coarse = shown_noise(readout, parts.own)[0] < MIN_MEDIAN_NOISE
+            parts = None if coarse else parts
     return parts
 
 

@@ -107,11 +107,9 @@ class CircuitEffects(BetterExplanation):
     @property
     def corrections(self) -> str:
         """Effects that are taken off the readings, in words."""
-        names = (
-            []
-            if self.pair is None
-            else [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
-        )
+        names = list[str]()
+        if self.pair is not None:
+            names = [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
@@ -129,20 +127,20 @@ def find_effects(
     """
     besides = CircuitEffects()
     common = ""
-    most = 0.0
+    largest_gain = 0.0
     for name, pair in pairs:
-        common = _together(pair) or common
-        grown, certain = _grown(pair, kinds)
+        common = _common_change_in_words(pair) or common
+        grown, certain = _with_added_effects(pair, kinds)
         gain = pair.evidence.score - grown.evidence.score
         # An effect counts if most cells stand still with it, and neither a load's edge nor one
         # wrong reading explains as much: an outlier in the frame in which a load arrives is hard to
         # detect in time.
-        if not (gain > most and mostly_still(grown.moved)):
+        if not (gain > largest_gain and mostly_still(grown.moved)):
             continue
         off_by_one = pair.scores_with((), LooseContact.prior * pair.frames[1].gain).min()
         if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
             continue
-        most = gain
+        largest_gain = gain
         fits_noise = min(fit.tail for fit in grown.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
         counts = (int(grown.moved.sum()), int(pair.moved.sum()))
@@ -153,7 +151,9 @@ def find_effects(
     return besides if besides.name else replace(besides, common_change=common)
 
 
-def _grown(pair: FittedPair, kinds: Sequence[type[Effect]]) -> tuple[FittedPair, FittedPair]:
+def _with_added_effects(
+    pair: FittedPair, kinds: Sequence[type[Effect]]
+) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
     Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
@@ -169,21 +169,25 @@ def _grown(pair: FittedPair, kinds: Sequence[type[Effect]]) -> tuple[FittedPair,
     certain = pair
     doubtful = False
     for _ in range(MAX_CANDIDATES):
-        tried = sorted(_tried(pair, kinds), key=lambda candidate: candidate.evidence.score)
-        if not tried or pair.evidence.score - tried[0].evidence.score <= MIN_EVIDENCE_GAIN:
-            break
-        if tried[0].moved.sum() > pair.moved.sum() - MIN_SPARED_CELLS:
-            break
-        doubtful |= (
-            len(tried) > 1
-            and tried[1].evidence.score - tried[0].evidence.score < MIN_EVIDENCE_GAIN / 2
+        tried = sorted(
+            _with_one_more_effect(pair, kinds), key=lambda candidate: candidate.evidence.score
         )
-        pair = tried[0]
+        if not tried:
+            break
+        best = tried[0]
+        if pair.evidence.score - best.evidence.score <= MIN_EVIDENCE_GAIN:
+            break
+        if best.moved.sum() > pair.moved.sum() - MIN_SPARED_CELLS:
+            break
+        if len(tried) > 1:
+            lead = tried[1].evidence.score - best.evidence.score
+            doubtful |= lead < MIN_EVIDENCE_GAIN / 2
+        pair = best
         certain = certain if doubtful else pair
     return pair, certain
 
 
-def _tried(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
+def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
     """Generate the pairs with one more effect.
 
     They are those of the MAX_CANDIDATES best effects of linear theory.
@@ -198,10 +202,10 @@ def _tried(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPa
             yield settled
 
 
-def _together(pair: FittedPair) -> str:
-    """Describe how all cells that no load touches changed.
+def _common_change_in_words(pair: FittedPair) -> str:
+    """Return the common change of all cells that no load touches, in words.
 
-    '' where that may be chance, or a load's rim.
+    It is '' where that may be chance, or a load's rim.
     """
     change, sd = (
         float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
@@ -240,12 +244,12 @@ def without_effects_of(
     sigma = readings.known_sigma.copy()
     resting = pair.frames[0]
     fit = replace(resting, effects=without_late(pair.effects))
-    frames = np.flatnonzero(~unloaded)
-    for numbers in (unloaded, *frames):
-        if numbers is not unloaded:
-            fit = pair.frame_like(readings[numbers], fit) or fit
-        value[numbers] -= fit.offset
-        sigma[numbers] *= fit.amplification
+    value[unloaded] -= fit.offset
+    sigma[unloaded] *= fit.amplification
+    for frame in np.flatnonzero(~unloaded):
+        fit = pair.frame_like(readings[frame], fit) or fit
+        value[frame] -= fit.offset
+        sigma[frame] *= fit.amplification
     return replace(readings, value=np.maximum(value, MIN_REMAINING * readings.value), sigma=sigma)
 
 
@@ -260,11 +264,11 @@ def remaining_errors(pair: FittedPair) -> Array:
         Of the unloaded panel, then of the frame.
     """
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
-    left = np.zeros((2, len(sd), *pair.shape))
+    errors = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
-        more = replace(effect, size=float(deviation) * effect.prior)
-        for number in (1,) if effect.since else (0, 1):
-            left[number, place] = (
-                pair.frames[number].more(more) / pair.frames[number].measured.value
-            )
-    return left
+        addition = replace(effect, size=float(deviation) * effect.prior)
+        affected_frames = (1,) if effect.since else (0, 1)
+        for number in affected_frames:
+            frame = pair.frames[number]
+            errors[number, place] = frame.more(addition) / frame.measured.value
+    return errors

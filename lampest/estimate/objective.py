@@ -188,8 +188,8 @@ class Objective:
         """
 
         def of_terms(values: tuple[float, ...]) -> tuple[float, ...]:
-            known = dict(zip(self.terms, values, strict=False))
-            return tuple(known.get(term, np.nan) for term in terms) if known else ()
+            of_term = dict(zip(self.terms, values, strict=False))
+            return tuple(of_term.get(term, np.nan) for term in terms) if of_term else ()
 
         return replace(
             self,
@@ -257,16 +257,8 @@ class Objective:
         measured = readings.value
         sigma = readings.sigma
         scene = background.scene
-        if sigma is None and any(
-            getattr(term, "weighting", "plain") == "noise" for term in self.terms
-        ):
-            raise InputError(
-                "misfit.weighting: noise needs a readout in the scene or sigma in the recording"
-            )
-        if sigma is None and self.weighs_previous:
-            raise InputError(
-                "arrival needs the noise: a readout in the scene or sigma in the recording"
-            )
+        if sigma is None:
+            self._check_without_noise()
         # Missing readings have substitutes where no penalty determines their cells.
         stood_in = np.full(len(measured), not self.penalised)
         stood_in[:-1] = all(term.reads_measurement for term in self.absolute_terms)
@@ -282,16 +274,24 @@ class Objective:
             # cells that the scene states to be open or shorted are fixed near 10⁹ or 10⁻⁶ of the
             # panel's geometric mean
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
-            for known, factor in (
-                (scene.open_cells, OPEN_FACTOR),
-                (scene.shorted_cells, SHORT_FACTOR),
-            ):
-                lower, upper = (
-                    np.where(known, typical * factor, bound) for bound in (lower, upper)
-                )
+            fixed = (scene.open_cells, OPEN_FACTOR), (scene.shorted_cells, SHORT_FACTOR)
+            for cells, factor in fixed:
+                lower = np.where(cells, typical * factor, lower)
+                upper = np.where(cells, typical * factor, upper)
         given = Given.of(readings, background)
         noisy = sigma is not None
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
+
+    def _check_without_noise(self) -> None:
+        """Raise InputError where a term needs the noise of the readings."""
+        if any(getattr(term, "weighting", "plain") == "noise" for term in self.terms):
+            raise InputError(
+                "misfit.weighting: noise needs a readout in the scene or sigma in the recording"
+            )
+        if self.weighs_previous:
+            raise InputError(
+                "arrival needs the noise: a readout in the scene or sigma in the recording"
+            )
 
     def cost(self, scene: Scene, frames: int, *, partial: bool = False) -> Cost:
         """Return the terms over one frame, or jointly over two, without absent and broken cells.
@@ -304,9 +304,9 @@ class Objective:
         partial : bool
             Whether readings may be bounds or missing.
         """
-        known = () if scene.whole else tuple(np.flatnonzero(scene.broken).tolist())
+        broken = () if scene.whole else tuple(np.flatnonzero(scene.broken).tolist())
         panel = Panel(*scene.panel.shape) if scene.panel.cells is None else scene.panel
-        return Cost(panel, self.terms, frames, known, partial)
+        return Cost(panel, self.terms, frames, broken, partial)
 
 
 def with_weights_of_missing(

@@ -111,33 +111,29 @@ def frozen_readings(recording: Recording) -> NDArray[np.bool_]:
     boolean array, shape (rows, columns)
     """
     value = recording.readings().plain_values
-    known = np.isfinite(value)
-    least = np.where(known, value, np.inf).min(axis=0)
-    most = np.where(known, value, -np.inf).max(axis=0)
-    constant = least == most
-    both = known[1:] & known[:-1]
-    compared = both & ~constant
+    finite = np.isfinite(value)
+    smallest = np.where(finite, value, np.inf).min(axis=0)
+    largest = np.where(finite, value, -np.inf).max(axis=0)
+    constant = smallest == largest
+    pairs = finite[1:] & finite[:-1]
+    compared = pairs & ~constant
     count = compared.sum(axis=(1, 2))
     repeated = ((value[1:] == value[:-1]) & compared).sum(axis=(1, 2))
-    if (
-        not constant.any()
-        or not count.any()
-        or constant.sum() > max(1.0, MAX_SHARE * constant.size)
-    ):
+    many_constant = constant.sum() > max(1.0, MAX_SHARE * constant.size)
+    if not constant.any() or not count.any() or many_constant:
         return np.zeros(constant.shape, dtype=bool)
     shares = np.sort(np.maximum(repeated, 1)[count > 0] / count[count > 0])
-    share = float(shares[-max(1, round(QUIET_SHARE * len(shares))) :].mean())
-    chance = constant.size * share ** both.sum(axis=0)
+    quiet_frames = max(1, round(QUIET_SHARE * len(shares)))
+    share = float(shares[-quiet_frames:].mean())
+    chance = constant.size * share ** pairs.sum(axis=0)
     return np.asarray(constant & (share <= MAX_REPEATED) & (chance < FALSE_ALARM_RATE))
 
 
 def without_readings(recording: Recording, unread: NDArray[np.bool_]) -> Recording:
     """Return a recording in which some readings, (rows, columns), are missing."""
-    return (
-        replace(recording, recorded=np.where(unread, np.nan, recording.recorded))
-        if unread.any()
-        else recording
-    )
+    if not unread.any():
+        return recording
+    return replace(recording, recorded=np.where(unread, np.nan, recording.recorded))
 
 
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
@@ -170,9 +166,8 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
             if test.single is None:
                 continue
             # the largest excess of all frames decides on the significance
-            broken |= (
-                significant := largest_of(test.excess, test.count * len(value)) < FALSE_ALARM_RATE
-            )
+            significant = largest_of(test.excess, test.count * len(value)) < FALSE_ALARM_RATE
+            broken |= significant
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
             outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
         frames = frames[broken]
@@ -213,23 +208,26 @@ def without_outliers(
     spread = np.zeros(value.shape)
     # The specified σ may be wrong, so it is rescaled by the median change from frame to frame,
     # which is noise.
-    seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
-    scale = sigma * np.fmax(
-        seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None)
-    )
-    most = 1.0
+    quiet = unloaded if unloaded.sum() >= MIN_FRAMES else ~unloaded
+    least_ratio = float(readings.sigma is not None)  # a specified σ is not reduced
+    scale = sigma * np.fmax(_pair_scale(value[quiet], sigma[quiet]), least_ratio)
+    max_share = 1.0
     for chosen in (unloaded, ~unloaded):
-        if chosen.sum() >= MIN_FRAMES:
-            detected = detect_outliers(value[chosen], scale[chosen], most)
-            outlying[chosen], instead[chosen], spread[chosen] = detected
-            most = max(MAX_SHARE, 2 * float(detected[0].mean()))
-        else:
-            most = MAX_SHARE
+        if chosen.sum() < MIN_FRAMES:
+            max_share = MAX_SHARE
+            continue
+        flagged, predicted, predicted_sigma = detect_outliers(
+            value[chosen], scale[chosen], max_share
+        )
+        outlying[chosen] = flagged
+        instead[chosen] = predicted
+        spread[chosen] = predicted_sigma
+        max_share = max(MAX_SHARE, 2 * float(flagged.mean()))
     resting = median(value[unloaded])[0] if unloaded.any() else np.full(value.shape[1:], np.nan)
-    lies = unloaded[:, None, None]
-    outlying &= lies | _alone_in_time(value, scale, resting, ~unloaded)
-    left = replace(readings, seen=np.where(outlying & lies, 0.0, readings.seen))
-    return outlying | impossible, _replaced(left, outlying & ~lies, instead, spread)
+    at_rest = unloaded[:, None, None]
+    outlying &= at_rest | _alone_in_time(value, scale, resting, ~unloaded)
+    omitted = replace(readings, seen=np.where(outlying & at_rest, 0.0, readings.seen))
+    return outlying | impossible, _replaced(omitted, outlying & ~at_rest, instead, spread)
 
 
 def _alone_in_time(
@@ -420,9 +418,11 @@ def _by_line(neighbours: Array, offset: NDArray[np.intp]) -> Expected:
     slope = np.sum(centred * neighbours, axis=0) / size
     # residual variance s² with n − 2 degrees of freedom; var(y − line at offset 0) = σ² (1 + 1/n +
     # x̄²/Σ(x − x̄)²)
-    left = np.sum((neighbours - height - slope * centred) ** 2, axis=0) / (len(neighbours) - 2)
+    squares = np.sum((neighbours - height - slope * centred) ** 2, axis=0)
+    variance = squares / (len(neighbours) - 2)
     noise = np.sqrt(1 + 1 / len(neighbours) + centre**2 / size)
-    return height - slope * centre, 2 * np.sqrt(left) * noise, np.broadcast_to(noise, height.shape)
+    scatter = 2 * np.sqrt(variance) * noise
+    return height - slope * centre, scatter, np.broadcast_to(noise, height.shape)
 
 
 def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:

@@ -24,6 +24,7 @@ import casadi
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
+from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
@@ -229,6 +230,7 @@ class OwnSolution(CasadiOwner):
     @cached_property
     @guarded
     def _equations(self) -> Array:
+        """Values of all constraints, (constraints,)."""
         nlp = self.instance.program.nlp
         values = casadi.Function("g", [nlp["x"], nlp["p"]], [nlp["g"]])(
             self.result.unknown, self.instance.parameter
@@ -268,26 +270,33 @@ class OwnSolution(CasadiOwner):
         x = self.result.unknown
         instance = self.instance
         inside = np.minimum(x - instance.lower, instance.upper - x) > AT_BOUND
-        # Constraints that are active: equations, and inequalities at a limit.
-        low, high = instance.equations
-        values = self._equations
-        active = (high - values < AT_BOUND * np.maximum(1.0, np.abs(high))) | (
-            values - low < AT_BOUND * np.maximum(1.0, np.abs(low))
-        )
         free = np.flatnonzero(inside)
-        rows = jacobian[np.flatnonzero(active)][:, free]
+        active_rows = jacobian[np.flatnonzero(self._active_constraints)][:, free]
         # f = φ/cost_scale, and φ = χ²: the posterior is exp(−φ/2)
-        half = hessian[free][:, free] * (instance.cost_scale / 2)
-        system = scipy.sparse.block_array([[half, rows.T], [rows, None]], format="csc")
-        place = np.full(len(x), -1)
-        place[free] = np.arange(len(free))
-        columns = place[chosen[inside[chosen]]]
+        half_hessian = hessian[free][:, free] * (instance.cost_scale / 2)
+        system = scipy.sparse.block_array(
+            [[half_hessian, active_rows.T], [active_rows, None]], format="csc"
+        )
+        # Columns of the system that belong to the block's free unknowns.
+        place_among_free = np.full(len(x), -1)
+        place_among_free[free] = np.arange(len(free))
+        columns = place_among_free[chosen[inside[chosen]]]
+        numbers = np.arange(len(columns))
         unit = np.zeros((system.shape[0], len(columns)))
-        unit[columns, np.arange(len(columns))] = 1.0
+        unit[columns, numbers] = 1.0
         solved = scipy.sparse.linalg.splu(system).solve(unit)
         variance = np.zeros(len(chosen))
-        variance[inside[chosen]] = solved[columns, np.arange(len(columns))]
+        variance[inside[chosen]] = solved[columns, numbers]
         return np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def _active_constraints(self) -> NDArray[np.bool_]:
+        """Equations, and inequalities at a limit, (constraints,)."""
+        low, high = self.instance.equations
+        values = self._equations
+        at_high = high - values < AT_BOUND * np.maximum(1.0, np.abs(high))
+        at_low = values - low < AT_BOUND * np.maximum(1.0, np.abs(low))
+        return np.asarray(at_high | at_low)
 
 
 def program(
@@ -325,19 +334,7 @@ def program(
     >>> program.subject_to("equal", program.cells()[0, 0] - program.cells()[1, 2]).solve().solved
     True
     """
-    if formulation not in EXCITATIONS:
-        raise InputError(
-            f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not "
-            f"{formulation}"
-        )
-    if isinstance(terms, str) or not isinstance(terms, Sequence):
-        raise InputError(f"terms must be a sequence of terms, not {terms!r}")
-    method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
-    estimator = Estimator(
-        tuple(terms), method, solver or Settings(), bounds or Bounds(), error_bars=False
-    )
-    if estimator.automatic:
-        raise InputError("an own program needs terms with weights, not weight: auto")
+    estimator = _checked_estimator(terms, formulation, bounds or Bounds(), solver or Settings())
     prepared = Prepared.of(recording)
     scene = prepared.recording.scene
     readings = prepared.noise.readings
@@ -357,6 +354,27 @@ def program(
         cost, scene.circuit, circuits, EXCITATIONS[formulation], blocks=len(chosen)
     )
     return OwnProgram(symbols, tuple(evaluations), circuits, estimator.solver, formulation)
+
+
+def _checked_estimator(
+    terms: Sequence[Term], formulation: str, bounds: Bounds, solver: Settings
+) -> Estimator:
+    """Return the estimator of an own program.
+
+    Raises InputError for another formulation, for terms that are no sequence, and for open weights.
+    """
+    if formulation not in EXCITATIONS:
+        raise InputError(
+            f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not "
+            f"{formulation}"
+        )
+    if isinstance(terms, str) or not isinstance(terms, Sequence):
+        raise InputError(f"terms must be a sequence of terms, not {terms!r}")
+    method = OptimalMethod("per_pixel" if formulation == "per_pixel" else "nodal")
+    estimator = Estimator(tuple(terms), method, solver, bounds, error_bars=False)
+    if estimator.automatic:
+        raise InputError("an own program needs terms with weights, not weight: auto")
+    return estimator
 
 
 def _chosen_frames(recording: Recording, frames: Sequence[int] | None) -> list[int]:

@@ -52,7 +52,7 @@ class Cleaned:
         frames.
     memory : (float, float), str or None
         Estimate of `converter_memory` with its standard deviation, or why there is none; None where
-        it was not asked.
+        the scene calls for none.
     """
 
     recording: Recording
@@ -104,36 +104,26 @@ class Prepared:
             return ()
         dead = self.recording.scene.dead_modules
         parts = enumerate(self.recording.modules)
-        known = (
-            self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
-        )
+        wholes: tuple[NoiseEstimate | None, ...] = (None,) * self.layout.count
+        if self.whole_recording is not None:
+            wholes = self.whole_recording.of_modules
         return tuple(
-            None if number in dead else Prepared(part, known[number]) for number, part in parts
+            None if number in dead else Prepared(part, wholes[number]) for number, part in parts
         )
 
     @cached_property
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
-        kept = self.recording.scene.outliers == "keep"
         recording = with_saturated_stage(self.recording)
         recording, memory = with_estimated_memory(recording)
-        frozen = (
-            np.zeros(recording.scene.panel.shape, dtype=bool)
-            if kept
-            else frozen_readings(recording)
-        )
-        garbled = () if kept else garbled_lines(recording)
+        if self.recording.scene.outliers == "keep":
+            frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
+            outliers = np.zeros(recording.recorded.shape, dtype=bool)
+            return Cleaned(recording, frozen, (), outliers, recording.readings(), memory)
+        frozen = frozen_readings(recording)
+        garbled = garbled_lines(recording)
         recording = without_readings(recording, frozen | readings_of(garbled, recording))
         readings = recording.readings()
-        if kept:
-            return Cleaned(
-                recording,
-                frozen,
-                garbled,
-                np.zeros(readings.value.shape, dtype=bool),
-                readings,
-                memory,
-            )
         impossible = impossible_readings(recording.scene.circuit, readings)
         outliers, readings = without_outliers(impossible, readings, recording.role == UNLOADED)
         return Cleaned(recording, frozen, garbled, outliers, readings, memory)
@@ -149,12 +139,12 @@ class Prepared:
             noise, self.recording, self.cleaned.recording, self.cleaned.memory
         )
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
-        warning = (
-            f"one value in all frames at {' and at '.join(places)}, while noise changes the "
-            "other readings: left out"
-        )
-        lost = garbled_sentence(self.cleaned.garbled)
-        return noise.with_warnings(*filter(None, (warning if places else "", lost)))
+        if places:
+            noise = noise.with_warnings(
+                f"one value in all frames at {' and at '.join(places)}, while noise changes the "
+                "other readings: left out"
+            )
+        return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -185,10 +175,12 @@ class Prepared:
         Its sentence names the numbers of the circuit that no frame can determine.
         """
         check = self._check
-        unshown = (
-            unobservable_numbers(self.recording.scene, self._scale_error) if check.explains else ""
-        )
-        return replace(check, sentence=f"{check.sentence}; {unshown}") if unshown else check
+        if not check.explains:
+            return check
+        unobservable = unobservable_numbers(self.recording.scene, self._scale_error)
+        if not unobservable:
+            return check
+        return replace(check, sentence=f"{check.sentence}; {unobservable}")
 
     @property
     def _scale_error(self) -> float | None:
@@ -196,11 +188,8 @@ class Prepared:
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.layout is None and self.cleaned.readings.sigma is not None:
                 explanation = self.question.explanation
-                return (
-                    None
-                    if explanation is None or explanation.pair is None
-                    else explanation.pair.scale_error
-                )
+                if explanation is not None and explanation.pair is not None:
+                    return explanation.pair.scale_error
         return None
 
     @cached_property
@@ -221,12 +210,11 @@ class Prepared:
         with suppress(*BROKEN), np.errstate(all="ignore"):
             check = self.question.check(self.effects)
             count = int(self.cleaned.outliers.sum())
-            left_out = (
-                f"; {count} outlier{'s' if count > 1 else ''} of one frame left out"
-                if count
-                else ""
-            )
-            return replace(check, sentence=check.sentence + left_out)
+            if not count:
+                return check
+            outliers = "outliers" if count > 1 else "outlier"
+            sentence = f"{check.sentence}; {count} {outliers} of one frame left out"
+            return replace(check, sentence=sentence)
         return ModelCheck(
             None, "the circuit was not checked: arithmetic broke down over its readings"
         )

@@ -8,6 +8,7 @@ stays.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -74,31 +75,26 @@ def specified(scene: Scene, key: str) -> Any:
 
 def _besides(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Take leaks and bad contacts off the readings."""
-    asked = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
-    if not asked:
+    requested = [key for key in BESIDES if specified(recording.scene, key) == ESTIMATED]
+    if not requested:
         return noise
-    found = effects(tuple(BESIDES[key] for key in asked))
-    if found.pair is None:
-        seen = (
-            f"{found.name}, but others explain the readings as well"
-            if found.name
-            else "untouched cells show none"
-        )
+    besides = effects(tuple(BESIDES[key] for key in requested))
+    pair = besides.pair
+    if pair is None:
+        reason = "untouched cells show none"
+        if besides.name:
+            reason = f"{besides.name}, but others explain the readings as well"
         return noise.with_warnings(
-            f"{' and '.join(asked)}: estimated, and not taken off the readings: {seen}"
+            f"{' and '.join(requested)}: estimated, and not taken off the readings: {reason}"
         )
-    noise = without_effects(noise, recording, found).with_warnings(found.corrections)
-    deviations = found.pair.explained(found.pair.columns(found.pair.effects)).sd[1:]
-    sizes = {
-        f"{key} of {effect.where(recording.scene.panel.rows)}": (
-            effect.size,
-            float(deviation) * effect.prior,
-        )
-        for key, kind in BESIDES.items()
-        for effect, deviation in zip(found.pair.effects, deviations, strict=True)
-        if isinstance(effect, kind)
-    }
-    return replace(noise, estimated={**noise.estimated, **sizes})
+    noise = without_effects(noise, recording, besides).with_warnings(besides.corrections)
+    deviations = pair.explained(pair.columns(pair.effects)).sd[1:]
+    for key, kind in BESIDES.items():
+        for effect, deviation in zip(pair.effects, deviations, strict=True):
+            if isinstance(effect, kind):
+                name = f"{key} of {effect.where(recording.scene.panel.rows)}"
+                noise = noise.determined(name, (effect.size, float(deviation) * effect.prior))
+    return noise
 
 
 def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
@@ -132,32 +128,31 @@ def _shared(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     """Determine the errors that all frames share."""
     scene = recording.scene
     readings = noise.readings
-    asked = estimated_errors(scene)
-    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    asked = tuple(name for name in asked if name != "model_error")
-    if not asked:
-        size = READING_ERROR.size(sizes) if (sizes := systematic_of(scene)) else 0.0
-        possible = Possible(sizes or Systematic(), in_sigma=size)
-        return (
-            _with_reading_error(replace(noise, possible_errors=possible), recording)
-            if size
-            else noise
-        )
+    requested = tuple(name for name in estimated_errors(scene) if name != "model_error")
+    if not requested:
+        sizes = systematic_of(scene)
+        size = 0.0 if sizes is None else READING_ERROR.size(sizes)
+        if sizes is None or not size:
+            return noise
+        possible = Possible(sizes, in_sigma=size)
+        return _with_reading_error(replace(noise, possible_errors=possible), recording)
+    unloaded = np.flatnonzero(recording.role == UNLOADED)
+    measured = np.flatnonzero(recording.role == MEASURED)
     if not len(unloaded):
-        for name in asked:
+        for name in requested:
             noise = noise.undetermined(f"systematic.{name}", "record five or more unloaded frames")
         return noise
     resting = readings[unloaded].mean()
     loaded = None
     if len(measured):
         loaded = readings[strongest_frame(readings.plain_values, resting.value, measured)]
-    found = shared_errors(scene, resting, loaded, noise.frame)
-    noise = _with_reading_error(replace(noise, possible_errors=found.possible), recording)
-    for name in asked:
-        if name in found.sizes:
-            noise = noise.determined(f"systematic.{name}", found.sizes[name])
+    errors = shared_errors(scene, resting, loaded, noise.frame)
+    noise = _with_reading_error(replace(noise, possible_errors=errors.possible), recording)
+    for name in requested:
+        if name in errors.sizes:
+            noise = noise.determined(f"systematic.{name}", errors.sizes[name])
         else:
-            reason = found.undetermined or "no frame shows it; `lampest calibrate` measures it"
+            reason = errors.undetermined or "no frame shows it; `lampest calibrate` measures it"
             noise = noise.undetermined(f"systematic.{name}", reason)
     return noise
 
@@ -236,7 +231,7 @@ FRAME_KEYS = ("readout.noise_lsb", PASSES, "converter_memory", "gain", "ripple")
 
 def with_resolved_electronics(
     noise: NoiseEstimate,
-    given: Recording,
+    recording: Recording,
     cleaned: Recording,
     memory: tuple[float, float] | str | None,
 ) -> NoiseEstimate:
@@ -247,12 +242,12 @@ def with_resolved_electronics(
     Parameters
     ----------
     noise : NoiseEstimate
-    given, cleaned : Recording
+    recording, cleaned : Recording
         With the scene as specified, and with numbers.
     memory : (float, float), str or None
-        Estimate of `converter_memory`, or why there is none; None where it was not asked.
+        Estimate of `converter_memory`, or why there is none; None where the scene calls for none.
     """
-    if specified(given.scene, PASSES) == ESTIMATED:
+    if specified(recording.scene, PASSES) == ESTIMATED:
         passes = specified(cleaned.scene, PASSES)
         if passes is None:
             noise = noise.undetermined(
@@ -320,9 +315,9 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     It has them as far as the recording determines them. An error that it cannot determine has its
     prior, any other effect is absent.
     """
-    asked = [key for entry in ENTRIES for key in entry.keys if specified(scene, key) == ESTIMATED]
-    asked += [key for key in FRAME_KEYS if specified(scene, key) == ESTIMATED]
-    if not asked:
+    keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS]
+    requested = [key for key in keys if specified(scene, key) == ESTIMATED]
+    if not requested:
         return scene
     numbers = {key: size[0] for key, size in noise.estimated.items()}
     systematic: Any = scene.systematic
@@ -339,7 +334,7 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     if specified(scene, PASSES) == ESTIMATED:
         low, high = noise.estimated.get(PASSES, (0.0, np.inf))
         readout = replace(readout, passes_volt=(low, high) if np.isfinite(high) else None)
-    own: dict[str, Any] = {key: numbers.get(key) for key in asked if "." not in key}
+    own: dict[str, Any] = {key: numbers.get(key) for key in requested if "." not in key}
     return replace(
         scene, readout=readout, systematic=systematic, estimated=dict(noise.estimated), **own
     )

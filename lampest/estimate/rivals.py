@@ -154,47 +154,52 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
         return
     volt = readout.volt_from_recorded(specified.recorded)
     apparent = _logarithm(readout, scene, specified.recorded)
-    for kind in (None, *members_of(AnyReadout)):
-        for circuit in _in_parallel(readout, scene) if kind is None else _variants(kind, readout):
-            values = circuit.recorded_from_volt(volt)
-            sense = _sense(apparent, _logarithm(circuit, scene, values))
-            if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
-                continue
-            sigma = specified.sigma if circuit.unit == readout.unit else None
-            with suppress(ValueError):  # the kind may have no model of another entry of the scene
-                alike = type(circuit) is type(readout) and circuit.in_series
-                series = scene.series_resistance_ohm if alike else 0.0
-                rival = replace(
-                    scene, readout=circuit, series_resistance_ohm=series, systematic=None
-                )
-                yield Rival(rival, values, sigma, _kind(circuit, readout))
-    if (order := _by_columns(scene)) is not None:
-        ordered = replace(specified, order=order)
-        sigma = None if specified.sigma is None else ordered.ordered(specified.sigma)
-        ordered = replace(
-            ordered, recorded=ordered.ordered(specified.recorded), sigma=sigma, kind=BY_COLUMNS
-        )
-        yield ordered
-        side = getattr(readout, "driven", None)
-        if side is not None:  # the scene's rows may be those of the file, too
-            with suppress(ValueError):
-                exchanged = replace(
-                    scene, readout=_changed(readout, driven=opposite(side)), systematic=None
-                )
-                yield replace(
-                    ordered, scene=exchanged, kind=f"{BY_COLUMNS}, readout.driven: {opposite(side)}"
-                )
+    for circuit in _circuits_beside(readout, scene):
+        values = circuit.recorded_from_volt(volt)
+        sense = _sense(apparent, _logarithm(circuit, scene, values))
+        if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
+            continue
+        sigma = specified.sigma if circuit.unit == readout.unit else None
+        with suppress(ValueError):  # the kind may have no model of another entry of the scene
+            alike = type(circuit) is type(readout) and circuit.in_series
+            series = scene.series_resistance_ohm if alike else 0.0
+            rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
+            yield Rival(rival, values, sigma, _kind(circuit, readout))
+    yield from _listed_by_columns(specified, readout)
 
 
-def _by_columns(scene: Scene) -> NDArray[np.intp] | None:
-    """Return the order of readings that a file lists column by column.
+def _circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:
+    """Generate the readout with lines read in parallel, then all variants of every kind."""
+    yield from _in_parallel(readout, scene)
+    for kind in members_of(AnyReadout):
+        yield from _variants(kind, readout)
 
-    None where a crossing has no reading.
+
+def _listed_by_columns(specified: Rival, readout: Readout) -> Iterator[Rival]:
+    """Generate the specified circuit with readings that a file lists column by column.
+
+    The scene's rows may be those of the file, too: the other side of its lines is driven then. None
+    are generated where a crossing has no reading, or where the order is the same.
     """
+    scene = specified.scene
     rows, columns = scene.panel.shape
     if not scene.whole or scene.panel.modules is not None or min(rows, columns) == 1:
-        return None
-    return np.arange(rows * columns).reshape(columns, rows).T.ravel()
+        return
+    order = np.arange(rows * columns).reshape(columns, rows).T.ravel()
+    reordered = replace(specified, order=order)
+    sigma = None if specified.sigma is None else reordered.ordered(specified.sigma)
+    recorded = reordered.ordered(specified.recorded)
+    reordered = replace(reordered, recorded=recorded, sigma=sigma, kind=BY_COLUMNS)
+    yield reordered
+    side = getattr(readout, "driven", None)
+    if side is None:
+        return
+    kind = f"{BY_COLUMNS}, readout.driven: {opposite(side)}"
+    with suppress(ValueError):
+        exchanged = _changed(readout, driven=opposite(side))
+        yield replace(
+            reordered, scene=replace(scene, readout=exchanged, systematic=None), kind=kind
+        )
 
 
 def _changed(circuit: Any, **settings: Any) -> Any:
@@ -238,7 +243,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
     """
     # Its presets are rivals of their own; what remains has lines that switches hold.
     if kind is DrivenReadout:
-        yield from _held(specified)
+        yield from _held_at_ground(specified)
         return
     words = choices(kind)
     types = get_type_hints(kind)
@@ -246,23 +251,28 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
         shared["supply_volt"] = specified.full_scale_volt
-    known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
-    for name in names.intersection(RESISTORS) if known else ():
-        # the specified resistor takes the role of the kind's own; a list for lines becomes its mean
-        # where one is needed
-        shared[name] = float(np.mean(known[0])) if types[name] is float else known[0]
+    resistor = _resistor_of(specified)
+    if resistor is not None:
+        for name in names.intersection(RESISTORS):
+            # the specified resistor takes the role of the kind's own; a list for lines becomes its
+            # mean where one is needed
+            shared[name] = float(np.mean(resistor)) if types[name] is float else resistor
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
-def _held(specified: Any) -> Iterator[DrivenReadout]:
+def _resistor_of(specified: Any) -> Any:
+    """Return the resistor that the converter reads across; None without one."""
+    resistors = (getattr(specified, name) for name in RESISTORS if hasattr(specified, name))
+    return next(resistors, None)
+
+
+def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
     """Generate circuits whose idle driven lines switches hold at ground.
 
-    They have any idle sensed lines.
+    Their idle sensed lines keep their load, are held at ground, or float.
     """
-    resistor = next(
-        (getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None
-    )
+    resistor = _resistor_of(specified)
     if resistor is None:
         return
     names = (
@@ -326,11 +336,11 @@ def _sense(first: Array, second: Array) -> float:
     It is positive if a load moves both in one direction. Values that are not finite are ignored;
     without any other the result is 0.
     """
-    known = np.isfinite(first) & np.isfinite(second)
-    first, second = (
-        values[known] - values[known].sum() / max(known.sum(), 1) for values in (first, second)
-    )
-    return float(np.sum(first * second))
+    finite = np.isfinite(first) & np.isfinite(second)
+    count = max(finite.sum(), 1)
+    first_deviation = first[finite] - first[finite].sum() / count
+    second_deviation = second[finite] - second[finite].sum() / count
+    return float(np.sum(first_deviation * second_deviation))
 
 
 @np.errstate(all="ignore")

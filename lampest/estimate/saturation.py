@@ -19,6 +19,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 # In widths within which voltages count as equal: least range of the channels; within a smaller one
 # all are alike.
 MIN_EXTENT = 10.0
+COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
 
 
 @dataclass(frozen=True)
@@ -86,24 +87,41 @@ def saturated(recording: Recording) -> Saturated | None:
         most = np.fmax.reduce(volt[measured], axis=0) if measured.any() else resting
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
         for channels, counted in ((most, moved), (resting, np.isfinite(resting))):
-            end = float(np.nanmax(channels, initial=-np.inf))
-            below = np.where(counted, end - channels, np.inf)
-            piled = below <= width  # at the end
-            extended = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(
-                np.mean(width)
-            )
-            lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
-            several = int(piled.sum())
-            around = int((below <= MIN_EXTENT * width).sum())
-            # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would
-            # lie within the first width with probability 1/MIN_EXTENT.
-            rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
-            if extended and lines > 1 and rare:
-                level = float(
-                    np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)])
-                )
-                resting_too = int((np.abs(resting - level) <= width).sum())
-                return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)
+            at_end = _channels_at_end(channels, counted, width)
+            if at_end is not None:
+                end = float(np.nanmax(channels, initial=-np.inf))
+                near_end = np.broadcast_to(at_end, volt.shape) & (end - volt <= 2 * width)
+                level = float(np.median(volt[near_end]))
+                at_rest = int((np.abs(resting - level) <= width).sum())
+                return Saturated(sign * level, int((at_end & moved).sum()), at_rest, sign > 0)
+    return None
+
+
+def _channels_at_end(
+    volt: Array, counted: NDArray[np.bool_], width: Array
+) -> NDArray[np.bool_] | None:
+    """Return the channels at the largest voltage; None unless significantly more are than near it.
+
+    Parameters
+    ----------
+    volt : array, shape (rows, columns)
+        Voltages of the channels; NaN where there is none.
+    counted : boolean array, shape (rows, columns)
+        Channels that are tested.
+    width : array
+        Width within which voltages count as equal, V.
+    """
+    end = float(np.nanmax(volt, initial=-np.inf))
+    extent = end - float(np.nanmin(volt, initial=end))
+    below = np.where(counted, end - volt, np.inf)
+    at_end = below <= width
+    lines = min(int(at_end.any(axis=axis).sum()) for axis in (0, 1))
+    near_end = int((below <= MIN_EXTENT * width).sum())
+    # Binomial test: if the other channels within MIN_EXTENT were evenly spread, each would lie
+    # within the first width with probability 1/MIN_EXTENT.
+    chance = binomial_tail(int(at_end.sum()) - 1, near_end - 1, 1 / MIN_EXTENT)
+    if extent > MIN_EXTENT * float(np.mean(width)) and lines > 1 and chance < SIGNIFICANCE:
+        return at_end
     return None
 
 
@@ -139,13 +157,13 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
         Width within which voltages count as equal, V.
     """
     differing = []
-    volt = volt[:: max(len(volt) // 8, 1)]
+    volt = volt[:: max(len(volt) // COMPARED_FRAMES, 1)]
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
         with np.errstate(invalid="ignore"):
             differs = [
-                np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all()
-                for at, line in enumerate(lines)
+                np.any(np.abs(lines[:number] - line) > 2 * width, axis=1).all()
+                for number, line in enumerate(lines)
             ]
         differing.append(np.array(differs))
     return np.asarray(differing[0][:, None] & differing[1])

@@ -111,14 +111,14 @@ def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -
         doubt[measured[[0, -1]]] = np.sqrt(2) * doubt[measured[[1, -2]]]
     plain = readings.plain[measured]
     around = np.concatenate([plain[:1], plain, plain[-1:]])
-    values = np.zeros(displaced.shape, dtype=bool)
-    values[measured] = around[:-2] & plain & around[2:]
-    larger = np.maximum(np.abs(previous), np.abs(following))
-    known = values & (len(measured) > 2)
+    interpolated = np.zeros(displaced.shape, dtype=bool)
+    if len(measured) > 2:
+        interpolated[measured] = around[:-2] & plain & around[2:]
+    larger_step = np.maximum(np.abs(previous), np.abs(following))
     return Displacement(
-        np.where(known, displaced, 0.0),
-        np.where(known, doubt, larger),
-        np.where(known, np.abs(delay), 0.0),
+        np.where(interpolated, displaced, 0.0),
+        np.where(interpolated, doubt, larger_step),
+        np.where(interpolated, np.abs(delay), 0.0),
     )
 
 
@@ -189,8 +189,9 @@ def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Ar
     costs = []
     exact = []
     for share in SHARES:
-        kept = (1 - share * weight) ** 2 + (share * weight) ** 2
-        averaged = frame.gain * (noise * np.sqrt(1 - kept))
+        # variance of the mean with the neighbouring frame, over that of the reading
+        remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
+        averaged = frame.gain * (noise * np.sqrt(1 - remaining))
         doubt = share * frame.gain * smooth
         exact.append(replace(changes, change=changes.change - share * moved))
         doubted = replace(exact[-1], noise=changes.noise - averaged @ averaged.T + doubt @ doubt.T)

@@ -13,7 +13,7 @@ from lampest.estimate.batch import push_block
 from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.modules import begin_networks, network_readings, network_scenes
+from lampest.estimate.modules import Network, begin_networks, network_readings, network_scenes
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.outliers import WINDOW
 from lampest.estimate.prepared import Prepared
@@ -45,8 +45,8 @@ def default_terms(recording: Recording) -> tuple[Term, ...]:
     The misfit is weighted by the noise where it is known. Both are free of units and of scale.
     Raises InputError if `recording` is no Recording.
     """
-    known = Prepared.of(recording).recording.readings().sigma is not None
-    return Misfit(weighting="noise" if known else "plain"), LogGradient()
+    noise_known = Prepared.of(recording).recording.readings().sigma is not None
+    return Misfit(weighting="noise" if noise_known else "plain"), LogGradient()
 
 
 @ONE_BLAS_THREAD
@@ -117,45 +117,49 @@ class MeasuredPart:
         """Return the stream after these frames, and their estimates; see `reconstruct`."""
         readings = self.readings[self.frames]
         count = len(self.frames)
-        steps = list[Step]()
-
-        def so_far() -> Estimates:
-            solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps)))
-            return Estimates(
-                self.recording,
-                stream.estimator,
-                self.frames,
-                readings,
-                stream.resting,
-                np.where(self.recording.scene.panel.present, stream.baseline_resistance, np.nan),
-                stream.baseline or solved[0],
-                None if stream.track is None else stream.track.baseline,
-                solved,
-                stream.estimator.joint_start,
-                self.prepared,
-                stream.scene.contact_prior,
-                automatic=stream.estimator.automatic or bool(stream.estimator.weight_sigma),
-            )
-
-        if stream.estimator.method.needs_all_frames:
+        method = stream.estimator.method
+        if method.needs_all_frames:
             numbers = iter(range(1, count + 1))
             resting = self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(
                 resting, readings, lambda: on_frame(next(numbers, count), count, None)
             )
-        verifies = (
-            stream.estimator.verify.chosen(readings, stream.resting)
-            & stream.estimator.method.optimum
-        )
+            return stream, self._estimates(stream, steps)
+        steps = list[Step]()
+
+        def so_far() -> Estimates:
+            return self._estimates(stream, steps)
+
+        verifies = stream.estimator.verify.chosen(readings, stream.resting) & method.optimum
         while len(steps) < count:
             for after, step in push_block(stream, readings[len(steps) :]):
-                frame = readings[len(steps)]
-                if verifies[len(steps)] and not stream.modules and step.solution.solved:
-                    after, step = stream.estimator.method.verified(stream, frame, after, step)
+                number = len(steps)
+                if verifies[number] and not stream.modules and step.solution.solved:
+                    after, step = method.verified(stream, readings[number], after, step)
                 stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)
         return stream, so_far()
+
+    def _estimates(self, stream: Stream, steps: Sequence[Step]) -> Estimates:
+        """Return the estimates of these frames, of which the first ones are solved."""
+        remaining = len(self.frames) - len(steps)
+        solved = (*steps, *[stream.unsolved(Status.BROKEN_OFF)] * remaining)
+        return Estimates(
+            self.recording,
+            stream.estimator,
+            self.frames,
+            self.readings[self.frames],
+            stream.resting,
+            np.where(self.recording.scene.panel.present, stream.baseline_resistance, np.nan),
+            stream.baseline or solved[0],
+            None if stream.track is None else stream.track.baseline,
+            solved,
+            stream.estimator.joint_start,
+            self.prepared,
+            stream.scene.contact_prior,
+            automatic=stream.estimator.automatic or bool(stream.estimator.weight_sigma),
+        )
 
 
 def first_stream(
@@ -197,7 +201,13 @@ def first_stream(
             similar.setdefault(converter_and_faults(own), []).append(network)
         networks.append(network)
     chosen = {kind: _weighted(estimator, several) for kind, several in similar.items()}
-    begun = [n and (chosen[converter_and_faults(n[0].scene)], n[0].scene, n[2]) for n in networks]
+    begun = list[Network | None]()
+    for network in networks:
+        if network is None:
+            begun.append(None)
+            continue
+        part, _, resting = network
+        begun.append((chosen[converter_and_faults(part.scene)], part.scene, resting))
     return begin_networks(
         scene, begun, frame_period(recording) if period is None else period, noise
     )
@@ -217,11 +227,10 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None
-    deciding = [
-        (part.scene, resting, read[frame])
-        for part, read, resting in networks
-        for frame in deciding_frames(part, read, resting)[:count]
-    ]
+    deciding = list[tuple[Scene, Readings, Readings]]()
+    for part, read, resting in networks:
+        frames = deciding_frames(part, read, resting)[:count]
+        deciding += [(part.scene, resting, read[frame]) for frame in frames]
     if not deciding:
         return estimator
     numbers = strongest(
@@ -238,7 +247,7 @@ def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: 
     """
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
-    return Stream.begin(estimator, scene, float("inf"), resting).given(frame)[0]
+    return Stream.begin(estimator, scene, float("inf"), resting).data_and_start(frame)[0]
 
 
 def frame_period(recording: Recording) -> float:
@@ -279,7 +288,10 @@ class Parts:
 
     @classmethod
     def of(
-        cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]
+        cls,
+        stored: StoredRecording,
+        estimator: Estimator,
+        representative: tuple[Recording, Prepared],
     ) -> "Parts":
         """Return the parts of a stored recording.
 
@@ -287,16 +299,17 @@ class Parts:
         ----------
         stored : StoredRecording
         estimator : Estimator
-        asked : (Recording, Prepared)
+        representative : (Recording, Prepared)
             Lead and sample, see `asked_frames`.
 
         Raises InputError where the estimator needs all frames at once, or as `Stream.begin`.
         """
         check_by_parts(estimator, stored)
-        noise = asked[1].noise
+        lead, sample = representative
+        noise = sample.noise
         period = frame_period(stored.part(stored.blocks[0]))
-        stream = first_stream(asked[1].resolved, noise.readings, estimator, noise, period)
-        return cls(stored, *asked, stream)
+        stream = first_stream(sample.resolved, noise.readings, estimator, noise, period)
+        return cls(stored, lead, sample, stream)
 
     @property
     def independent(self) -> bool:
@@ -312,7 +325,8 @@ class Parts:
             Returns the memory after a part's last frame, given the part's number; None where it is
             not done.
         """
-        stream = start = self.stream
+        start = self.stream
+        stream = start
         for number, frames in enumerate(self.stored.blocks):
             carried = done(number)
             part = self._part(frames) if carried is None or not start.rested else None
@@ -324,7 +338,8 @@ class Parts:
             elif part is not None:
                 stream, estimates = part.solve(stream)
                 yield number, estimates, CarriedOver.of(stream)
-                stream = start = self.stream if self.independent else stream.restarted(self.stream)
+                start = self.stream if self.independent else stream.restarted(self.stream)
+                stream = start
 
     def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured frames of a range, together with the lead.
@@ -363,9 +378,12 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
         "film: what it remembers is followed through all frames": stored.scene.film is not None,
         "tare: zero is followed through all frames": estimator.tare is not None,
     }
-    if reason := next((reason for reason, holds in reasons.items() if holds), ""):
-        size = f"{stored.frames} frames of {stored.scene.panel.crossings} cells"
-        raise InputError(f"{reason}, and {size} are more than is held at once; split the recording")
+    size = f"{stored.frames} frames of {stored.scene.panel.crossings} cells"
+    for reason, holds in reasons.items():
+        if holds:
+            raise InputError(
+                f"{reason}, and {size} are more than is held at once; split the recording"
+            )
 
 
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
@@ -377,10 +395,8 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     """
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
-        lead = joined(
-            (opening := stored.part(range(min(OPENING_FRAMES, stored.frames))),),
-            opening.role == MEASURED,
-        )
+        opening = stored.part(range(min(OPENING_FRAMES, stored.frames)))
+        lead = joined((opening,), opening.role == MEASURED)
     resting = baseline_readings(lead, lead.readings())
     candidates = list[tuple[float, int]]()
     for frames in stored.blocks:
@@ -388,17 +404,15 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         if part is None:
             continue
         recording = joined((lead, part))
-        taken = Prepared(recording).frame_noise.readings
+        cleaned = Prepared(recording).frame_noise.readings
         places = _own_frames(recording, frames)
         # the strongest frame of the part, by the change of its cleaned readings
-        size: Array = np.where(
-            taken.enough(stored.scene)[places],
-            mean_change(taken.plain_values[places], resting.value),
-            -1.0,
-        )
-        at = int(np.argmax(size))
+        change = mean_change(cleaned.plain_values[places], resting.value)
+        size: Array = np.where(cleaned.enough(stored.scene)[places], change, -1.0)
+        strongest_place = int(np.argmax(size))
         assert recording.number is not None
-        candidates.append((float(size[at]), int(recording.number[places[at]])))
+        number = int(recording.number[places[strongest_place]])
+        candidates.append((float(size[strongest_place]), number))
     if not candidates:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     number = max(candidates)[1]

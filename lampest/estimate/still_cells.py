@@ -13,6 +13,7 @@ Given e, the still cells determine the posterior of z. Of errors that are too la
 theory only e is estimated.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,66 +103,81 @@ def shared_errors(
         Errors that the readings of a frame share.
     """
     prior = systematic_of(scene) or Systematic()
-    asked = estimated_errors(scene)
-    others_asked = bool(set(asked) - {READING_ERROR.setting})
     possible = Possible(prior, in_sigma=READING_ERROR.size(prior))
     if resting.sigma is None:
-        return SharedErrors(
-            possible, {}, "the noise of the readings is unknown: name the readout's noise_lsb"
-        )
+        reason = "the noise of the readings is unknown: name the readout's noise_lsb"
+        return SharedErrors(possible, {}, reason)
     if resting.value.size > MAX_CELLS:
-        return SharedErrors(
-            possible,
-            {},
-            f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it",
-        )
+        reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
+        return SharedErrors(possible, {}, reason)
     fit = fitted(scene, resting, patient=True)
-    explained = fit is not None and fit.tail >= SIGNIFICANCE
-    learns = READING_ERROR.setting in asked
-    sizes = dict[str, tuple[float, float]]()
-    unloaded = (
-        _unloaded_costs(scene, resting, 0.0 if fit is None else fit.chi_square)
-        if learns
-        else np.zeros(len(READING_ERRORS))
-    )
-    moves = (
-        None
-        if fit is None or loaded is None or not explained
-        else shared_changes(scene, fit, loaded, prior, noise)
-    )
-    size = READING_ERROR.size(prior)
-    none = 1.0
-    if learns:
+    moves = None
+    if fit is not None and loaded is not None and fit.tail >= SIGNIFICANCE:
+        moves = shared_changes(scene, fit, loaded, prior, noise)
+    own = SharedErrors(possible, {})
+    if READING_ERROR.setting in estimated_errors(scene):
+        unloaded = _unloaded_costs(scene, resting, 0.0 if fit is None else fit.chi_square)
         # Skirts of loads are no errors of the readings.
-        moved = 0.0 if moves is None else _error_costs(moves, _smooth_loads(resting.value.shape))
-        odds = _odds(unloaded + moved)
-        none = float(odds[0])
-        size = _root_mean_square(odds)
-        sizes[READING_ERROR.setting] = _moments(odds)
-        possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
-    if moves is None:
-        reason = (
-            "no frame is loaded"
-            if loaded is None
-            else "no cells explain the unloaded frames or the loaded ones"
-        )
-        return SharedErrors(possible, sizes, reason if others_asked else "", none)
+        moved = 0.0 if moves is None else _error_costs(moves, _smooth_loads(scene.panel.shape))
+        own = _own_errors(_odds(unloaded + moved), prior)
+    if moves is not None:
+        return _with_common_errors(own, moves, prior, scene)
+    if loaded is None:
+        return _undetermined(own, "no frame is loaded", scene)
+    return _undetermined(own, "no cells explain the unloaded frames or the loaded ones", scene)
+
+
+def _own_errors(odds: Array, prior: Systematic) -> SharedErrors:
+    """Return each reading's own error, given the probabilities of READING_ERRORS."""
+    size = _root_mean_square(odds)
+    possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
+    return SharedErrors(
+        possible, {READING_ERROR.setting: _moments(odds)}, no_reading_error=float(odds[0])
+    )
+
+
+def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
+    """Return the errors with the reason why the common ones keep their prior.
+
+    It is '' where the scene calls no common error `estimated`.
+    """
+    common_requested = bool(set(estimated_errors(scene)) - {READING_ERROR.setting})
+    return replace(errors, undetermined=reason if common_requested else "")
+
+
+def _with_common_errors(
+    errors: SharedErrors, moves: "SharedChanges", prior: Systematic, scene: Scene
+) -> SharedErrors:
+    """Return the errors with the joint posterior of those common to the readings.
+
+    Parameters
+    ----------
+    errors : SharedErrors
+        With the size of each reading's own error.
+    moves : SharedChanges
+    prior : Systematic
+        Standard deviations of the errors.
+    scene : Scene
+    """
+    size = READING_ERROR.size(errors.possible.sizes)
     changes = moves.changes(size)
-    still = away_from_changed(_still(changes)[1], resting.value.shape)
-    covered = still.mean() < MIN_STILL_SHARE
-    if covered or size * moves.reach > LINEAR_LIMIT:
-        reason = "a load covers the panel" if covered else "errors of the readings are too large"
-        return SharedErrors(possible, sizes, reason if others_asked else "", none)
     # Neighbours of moved cells are left out, because a load has a skirt.
+    still = away_from_changed(_still(changes)[1], scene.panel.shape)
+    if still.mean() < MIN_STILL_SHARE:
+        return _undetermined(errors, "a load covers the panel", scene)
+    if size * moves.reach > LINEAR_LIMIT:
+        return _undetermined(errors, "errors of the readings are too large", scene)
     mean, covariance = changes.posterior(still)
     second = covariance + np.outer(mean, mean)
-    sizes |= _posterior_sizes(moves, second, covariance, prior)
+    settings = [error.setting for error in moves.errors]
     # The columns of the root behind those of common errors are the readings' own errors.
-    settings = tuple(error.setting for error in moves.errors) + (READING_ERROR.setting,) * bool(
-        size
+    if size:
+        settings.append(READING_ERROR.setting)
+    possible = Possible(
+        errors.possible.sizes, tuple(settings), _lower_root(second), errors.possible.in_sigma
     )
-    possible = Possible(possible.sizes, settings, _lower_root(second), possible.in_sigma)
-    return SharedErrors(possible, sizes, no_reading_error=none)
+    sizes = errors.sizes | _posterior_sizes(moves, second, covariance, prior)
+    return replace(errors, possible=possible, sizes=sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,49 +237,62 @@ def shared_changes(
     noise : FrameNoise or None
         Errors that the readings of a frame share.
     """
-    unit = replace(sizes, reading_error=1.0)
-    asked = estimated_errors(scene)
-    further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
-    estimated = tuple(
-        error for error in further if error.setting in asked and error is not REFERENCE
-    )
-    known = tuple(error for error in further if error not in estimated)
-
-    def linearised(fit: CellsFit, error: Array, *, baseline: bool) -> list[Array]:
-        """Return the covariance of the log cells, and their responses K U to errors.
-
-        The responses are those to own, known and each estimated error.
-        """
-        if noise is not None:
-            drawn = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
-            error = error + drawn @ drawn.T
-        groups = ((READING_ERROR,), known, *((error,) for error in estimated))
-        columns = (
-            error_columns(errors, fit.network, fit.readings.value, scene, unit) for errors in groups
-        )
-        return [error, *map(fit.response, columns)]
-
     fit = fitted(scene, loaded, resting.cells) or fitted(scene, loaded, patient=True)
     if fit is None:
         return None
-    base = linearised(resting, resting.covariance, baseline=True)
-    frame = linearised(_steadied(scene, fit, resting.cells), fit.covariance, baseline=False)
-    own, of_known, *of_estimated = (
-        of_frame - at_rest for of_frame, at_rest in zip(frame[1:], base[1:], strict=True)
+    requested = estimated_errors(scene)
+    further = [error for error in SHARED_ERRORS if error is not READING_ERROR and error.size(sizes)]
+    estimated = tuple(
+        error for error in further if error.setting in requested and error is not REFERENCE
+    )
+    fixed = tuple(error for error in further if error not in estimated)
+    groups = ((READING_ERROR,), fixed, *((error,) for error in estimated))
+    steadied = _steadied(scene, fit, resting.cells)
+    unit = replace(sizes, reading_error=1.0)
+    at_rest = _responses(resting, groups, unit)
+    under_load = _responses(steadied, groups, unit)
+    own, of_fixed, *of_estimated = (
+        of_frame - of_rest for of_frame, of_rest in zip(under_load, at_rest, strict=True)
     )
     size = resting.cells.size
     # The unloaded panel and the frame have errors of their own; creep, and a common change of all
     # cells.
-    covariance = base[0] + frame[0] + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
-    reach = float(np.median(np.linalg.norm(base[1], axis=1)))
+    covariance = (
+        _with_frame_noise(resting.covariance, resting, noise, baseline=True)
+        + _with_frame_noise(fit.covariance, steadied, noise, baseline=False)
+        + ASSUMED.creep**2 * np.eye(size)
+        + ASSUMED.common_change**2
+    )
+    reach = float(np.median(np.linalg.norm(at_rest[0], axis=1)))
     counts = {
         error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)
     }
     hidden = np.hstack([np.zeros((size, 0)), *of_estimated])
     change = np.log(fit.cells / resting.cells).ravel()
     return SharedChanges(
-        change, covariance + of_known @ of_known.T, hidden, own, reach, estimated, counts
+        change, covariance + of_fixed @ of_fixed.T, hidden, own, reach, estimated, counts
     )
+
+
+def _responses(
+    fit: CellsFit, groups: Sequence[tuple[SharedError, ...]], sizes: Systematic
+) -> list[Array]:
+    """Return the responses K U of the log cells to each group of errors, (cells, columns)."""
+    readings = fit.readings.value
+    return [
+        fit.response(error_columns(errors, fit.network, readings, fit.scene, sizes))
+        for errors in groups
+    ]
+
+
+def _with_frame_noise(
+    covariance: Array, fit: CellsFit, noise: FrameNoise | None, *, baseline: bool
+) -> Array:
+    """Return the covariance of the log cells with the errors that the readings of a frame share."""
+    if noise is None:
+        return covariance
+    responses = fit.gain @ noise.columns(fit.readings.value[None], baseline=baseline)
+    return np.asarray(covariance + responses @ responses.T)
 
 
 def _posterior_sizes(
@@ -285,9 +314,10 @@ def _posterior_sizes(
     first = 0
     for error in moves.errors:
         last = first + moves.counts[error.setting]
-        left = np.sqrt(np.trace(second[first:last, first:last]) / (last - first))
-        spread = np.sqrt(np.trace(covariance[first:last, first:last]) / (last - first))
-        sizes[error.setting] = error.size(prior) * float(left), error.size(prior) * float(spread)
+        root_mean_square = np.sqrt(np.trace(second[first:last, first:last]) / (last - first))
+        deviation = np.sqrt(np.trace(covariance[first:last, first:last]) / (last - first))
+        unit = error.size(prior)
+        sizes[error.setting] = unit * float(root_mean_square), unit * float(deviation)
         first = last
     return sizes
 
@@ -441,16 +471,16 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
     data = cells_alone().data(resting.alone(), Background(scene))
     plain = resting.plain.ravel()
     share = np.abs(recorded_share(resting.value, scene))
-    scatters = np.square(SCATTERS)[:, None]
     cells = np.log(data.uniform_start[0])
     costs = np.zeros((1, len(SCATTERS)))
-    for errors, before in (
-        (READING_ERRORS[1::4], READING_ERRORS[-1:]),
-        (READING_ERRORS, READING_ERRORS[1::4]),
+    few_errors = READING_ERRORS[1::4]
+    for errors, previous_errors in (
+        (few_errors, READING_ERRORS[-1:]),
+        (READING_ERRORS, few_errors),
     ):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(
-            resting.plain, np.hypot(resting.known_sigma, before[row] * share), np.inf
+            resting.plain, np.hypot(resting.known_sigma, previous_errors[row] * share), np.inf
         )
         cells, jacobian = _most_probable(
             data, resting.value, deviation, float(SCATTERS[column]), cells
@@ -460,24 +490,37 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
         costs = np.empty((len(errors), len(SCATTERS)))
         for number, error in enumerate(errors):
             tau = np.hypot(resting.known_sigma, error * share).ravel()[plain]
-            scaled = jacobian[plain] / tau[:, None]
-            values, turned = np.linalg.eigh(scaled @ scaled.T)
-            projected = turned.T @ (target[plain] / tau)
-            ones = turned.T @ scaled.sum(axis=1)
-            # v = 1 + s²λ, (scatters, readings); `mean` is Σ b²/v, the precision of μ, which is
-            # integrated out
-            grown = 1 + scatters * np.maximum(values, 0.0)
-            mean = (ones**2 / grown).sum(axis=1)
-            squares = (projected**2 / grown).sum(axis=1) - (projected * ones / grown).sum(
-                axis=1
-            ) ** 2 / mean
+            linear = _linear_costs(jacobian[plain], target[plain], tau)
+            widening = np.max(tau / resting.known_sigma.ravel()[plain])
             logarithms = 2 * np.log(tau).sum()
-            bound = least / np.max(tau / resting.known_sigma.ravel()[plain]) ** 2 + logarithms
-            linear = squares + np.log(grown).sum(axis=1) + np.log(mean) + logarithms
-            costs[number] = np.maximum(linear, bound)
+            costs[number] = np.maximum(linear + logarithms, least / widening**2 + logarithms)
     # −2 ln Σ_s p(y | e, s) p(s)
     marginal = -2 * np.logaddexp.reduce(LOG_PRIOR - costs / 2, axis=1)
     return np.asarray(marginal - marginal.min())
+
+
+def _linear_costs(jacobian: Array, target: Array, tau: Array) -> Array:
+    """Return −2 ln likelihood of linearised readings for SCATTERS, less Σ ln τ², (scatters,).
+
+    The formula is that of `_unloaded_costs`.
+
+    Parameters
+    ----------
+    jacobian : array, shape (readings, cells)
+        J.
+    target, tau : array, shape (readings,)
+        t and τ.
+    """
+    scaled = jacobian / tau[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    # a = Qᵀ t/τ, b = Qᵀ A 1, and v = 1 + s²λ, (scatters, readings)
+    a = vectors.T @ (target / tau)
+    b = vectors.T @ scaled.sum(axis=1)
+    v = 1 + np.square(SCATTERS)[:, None] * np.maximum(values, 0.0)
+    # Σ b²/v is the precision of μ, which is integrated out.
+    precision = (b**2 / v).sum(axis=1)
+    squares = (a**2 / v).sum(axis=1) - (a * b / v).sum(axis=1) ** 2 / precision
+    return np.asarray(squares + np.log(v).sum(axis=1) + np.log(precision))
 
 
 def _most_probable(

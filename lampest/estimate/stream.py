@@ -167,8 +167,10 @@ class Stream(SequenceState):
 
         Results thus do not depend on earlier frames.
         """
-        pairs = zip(self.modules, first.modules, strict=True)
-        modules = tuple(module and start and module.restarted(start) for module, start in pairs)
+        modules = tuple(
+            None if module is None or start is None else module.restarted(start)
+            for module, start in zip(self.modules, first.modules, strict=True)
+        )
         return replace(self, prepared=first.prepared, modules=modules)
 
     @ONE_BLAS_THREAD
@@ -248,9 +250,9 @@ class Stream(SequenceState):
         """
         return self.estimator.method.sequence(self, resting, readings, on_frame)
 
-    def given(self, readings: Readings) -> tuple[Data, Array | None]:
-        """Return the data of a frame's solve and its start, see `Method.given`."""
-        return self.estimator.method.given(self, readings)
+    def data_and_start(self, readings: Readings) -> tuple[Data, Array | None]:
+        """Return the data of a frame's solve and its start, see `Method.data_and_start`."""
+        return self.estimator.method.data_and_start(self, readings)
 
 
 def _check_frame(readings: Readings, scene: Scene) -> None:
@@ -284,42 +286,51 @@ class CarriedOver:
         arrays: dict[str, Any] = {"previous": stream.previous}
         if stream.track is not None:
             arrays |= {"deviation": stream.track.deviation, "answers": stream.track.answers}
-            arrays |= vars(stream.track.memory) if stream.track.memory is not None else {}
+            if stream.track.memory is not None:
+                arrays |= vars(stream.track.memory)
         if stream.modules:
-            parts = {
-                MODULE.format(number): cls.of(part)
-                for number, part in enumerate(stream.modules)
-                if part
-            }
-            arrays = {
-                prefix + name: value
-                for prefix, part in parts.items()
-                for name, value in part.arrays.items()
-            }
-        known = {name: value for name, value in arrays.items() if value is not None}
-        return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
+            arrays = {}
+            for number, module in enumerate(stream.modules):
+                if module is not None:
+                    prefix = MODULE.format(number)
+                    of_module = cls.of(module).arrays
+                    arrays |= {prefix + name: value for name, value in of_module.items()}
+        present = {name: value for name, value in arrays.items() if value is not None}
+        return cls(
+            {name: np.atleast_1d(np.asarray(value, float)) for name, value in present.items()}
+        )
 
     def onto(self, begun: Stream) -> Stream:
         """Return the stream after those frames, given the stream with its baseline before them."""
         if begun.modules:
-            parts = [
-                {
-                    name.removeprefix(prefix): array
-                    for name, array in self.arrays.items()
-                    if name.startswith(prefix)
-                }
-                for prefix in map(MODULE.format, range(len(begun.modules)))
-            ]
-            pairs = zip(begun.modules, parts, strict=True)
-            modules = tuple(module and CarriedOver(arrays).onto(module) for module, arrays in pairs)
+            modules = tuple(
+                None if module is None else self._of_module(number).onto(module)
+                for number, module in enumerate(begun.modules)
+            )
             return replace(begun, modules=modules, first=False)
-        known = dict(self.arrays)
-        memory: Memory | None = DenseMemory(known["blocks"]) if "blocks" in known else None
-        if "samples" in known:
-            memory = SampledMemory(known["samples"], int(known["frames"][0]))
-        answers = known.get("answers")
-        deviation = known.get("deviation")
-        track = begun.track and replace(
-            begun.track, deviation=deviation, memory=memory, answers=answers
+        arrays = self.arrays
+        track = begun.track
+        if track is not None:
+            memory: Memory | None = None
+            if "blocks" in arrays:
+                memory = DenseMemory(arrays["blocks"])
+            elif "samples" in arrays:
+                memory = SampledMemory(arrays["samples"], int(arrays["frames"][0]))
+            track = replace(
+                track,
+                deviation=arrays.get("deviation"),
+                memory=memory,
+                answers=arrays.get("answers"),
+            )
+        return replace(begun, previous=arrays.get("previous"), track=track, first=False)
+
+    def _of_module(self, number: int) -> "CarriedOver":
+        """Return the memory of one module of a panel."""
+        prefix = MODULE.format(number)
+        return CarriedOver(
+            {
+                name.removeprefix(prefix): array
+                for name, array in self.arrays.items()
+                if name.startswith(prefix)
+            }
         )
-        return replace(begun, previous=known.get("previous"), track=track, first=False)

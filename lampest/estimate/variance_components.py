@@ -32,6 +32,7 @@ MIN_EXCESS = 1.25
 MAX_SIZES = 100.0
 # Of an effect's size: less noise beside it, and sizes below this share of noise, change nothing.
 MIN_NOISE_SHARE = 1e-3
+TINY = 1e-300  # least divisor of a square: nothing is divided by zero
 SIZES = 3000  # of a posterior: their steps are smaller than its width up to ten thousand samples
 # Widths of the Tracy-Widom law beyond the edge: noise alone exceeds it once in thousands.
 EDGE_WIDTHS = 3.0
@@ -40,6 +41,7 @@ EDGE_WIDTHS = 3.0
 MIN_SAMPLES_PER_CHANNEL = 1.5
 # Of the median size as an estimate of σ, as a share of the readings (Hampel, 1974).
 MEDIAN_EFFICIENCY = 0.37
+MIN_SHRUNK_FREEDOM = 3.0  # degrees of a shrunk covariance: Student's t has no variance with two
 # Of the root mean square of two differences that share a frame, over √2 σ (by simulation).
 PAIR_MEDIAN = 0.7960
 NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
@@ -83,11 +85,8 @@ def noted_excess(chi_square: float, degrees: float) -> float:
     1 where it is insignificant or small.
     """
     factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
-    return (
-        factor
-        if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE
-        else 1.0
-    )
+    noted = factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE
+    return factor if noted else 1.0
 
 
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
@@ -136,7 +135,9 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     if len(value) < 3:
         return None
     second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)
-    first = np.sqrt(((value[2:] - value[1:-1]) ** 2 + (value[1:-1] - value[:-2]) ** 2) / 4) / sigma
+    to_next = value[2:] - value[1:-1]
+    from_previous = value[1:-1] - value[:-2]
+    first = np.sqrt((to_next**2 + from_previous**2) / 4) / sigma
     usable = np.isfinite(second).sum(axis=(1, 2)) > 1
     if not usable.any():
         return None
@@ -166,59 +167,107 @@ def scatter(
     repeats : int
         Degrees of freedom of each channel, frames − 1.
     """
-    known = ~np.isnan(deviation)
+    read = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]
     # Of a single line, gain and common ripple are not distinguished from its own ripple, and count
     # as that.
-    several = lines > 1
-    free = max(lines - 1, 1)
-    loud = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
+    has_gain = gain and lines > 1
+    has_common_ripple = ripple and lines > 1
+    squared_loudness = np.maximum((read * loudness**2).sum(axis=(1, 2)), TINY)
     # Gain of each frame by least squares, Σ deviation · loudness / Σ loudness², (frames,); then the
     # mean over lines, (frames, channels).
-    slope = gain * several * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / loud
-    remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
-    common = ripple * several * remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    gains = has_gain * (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / squared_loudness
+    remaining = np.where(read, deviation - gains[:, None, None] * loudness, 0.0)
+    common = has_common_ripple * remaining.sum(axis=1) / np.maximum(read.sum(axis=1), 1)
     # Missing readings reduce the degrees of freedom in proportion to their share.
-    share = float(known.mean())
-    inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
+    share = float(read.mean())
+    inner = np.where(read, remaining - common[:, None, :], 0.0).reshape(-1, channels)
     # Without gain and ripple the mean over frames alone is taken off.
-    samples = repeats * (free if gain or ripple else lines) * share
+    free_lines = max(lines - 1, 1) if gain or ripple else lines
+    samples = repeats * free_lines * share
     noise, line_ripple = _patterns(inner, max(samples, 1.0), separated=ripple)
-    # Variance of one reading by own noise and line ripple, and of the mean over lines if no common
-    # ripple existed.
-    line = noise + float((line_ripple**2).sum()) / channels
-    shared = np.zeros((channels, 0))
-    variance = line / (lines * share)
+    # Variance of one reading by own noise and line ripple.
+    line_variance = noise + float((line_ripple**2).sum()) / channels
+    common_ripple: Array = np.zeros((channels, 0))
     ripple_sd = 0.0
     ripple_tail = 1.0
-    if ripple and several:
-        squares = float((common**2).sum())
-        ripple_tail = float(chi_square_tail(squares / max(variance, 1e-300), repeats * channels))
-        size, ripple_sd = posterior_size(squares, repeats * channels, variance)
-        # E[s²] is the variance by an uncertain size
-        shared = np.hypot(size, ripple_sd) * np.eye(channels)
-    if ripple_tail < SIGNIFICANCE:
-        sizes, direction = np.linalg.eigh(common.T @ common / repeats)
-        sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
-        strong = sizes > variance
-        shared = np.asarray(
-            direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2))
+    if has_common_ripple:
+        common_ripple, ripple_sd, ripple_tail = _common_ripple(
+            common, repeats, line_variance / (lines * share)
         )
-    swing = gain_sd = 0.0
+    gain_size = 0.0
+    gain_sd = 0.0
     gain_tail = 1.0
-    if gain and several:
+    if has_gain:
         # variance of the estimated gain without a true one: (noise + ripples)/Σ loudness²
-        variances = (line + float((shared**2).sum()) / channels * lines) / loud
-        gain_tail = float(
-            chi_square_tail((slope**2 / np.maximum(variances, 1e-300)).sum(), repeats)
-        )
-        swing, gain_sd = posterior_size(float((slope**2).sum()), repeats, float(variances.mean()))
+        ripple_variance = float((common_ripple**2).sum()) / channels * lines
+        variances = (line_variance + ripple_variance) / squared_loudness
+        gain_size, gain_sd, gain_tail = _gain(gains, repeats, variances)
     degrees = samples * (channels - line_ripple.shape[1])
-    own = float(np.sqrt(max(noise, 0.0)))
-    tails = gain_tail, ripple_tail
     return Scatter(
-        own, max(int(degrees), 1), swing, shared, line_ripple, gain_sd, ripple_sd, *tails
+        own=float(np.sqrt(max(noise, 0.0))),
+        own_freedom=max(int(degrees), 1),
+        gain=gain_size,
+        common_ripple=common_ripple,
+        line_ripple=line_ripple,
+        gain_sd=gain_sd,
+        ripple_sd=ripple_sd,
+        gain_tail=gain_tail,
+        ripple_tail=ripple_tail,
     )
+
+
+def _gain(gains: Array, repeats: int, variances: Array) -> tuple[float, float, float]:
+    """Return the size of a frame's gain, its deviation, and the probability of it in noise alone.
+
+    Parameters
+    ----------
+    gains : array, shape (frames,)
+        Estimated gain of each frame.
+    repeats : int
+        Degrees of freedom, frames − 1.
+    variances : array, shape (frames,)
+        Variance of each estimate if no gain existed.
+    """
+    chi_square = (gains**2 / np.maximum(variances, TINY)).sum()
+    tail = float(chi_square_tail(chi_square, repeats))
+    size, deviation = posterior_size(float((gains**2).sum()), repeats, float(variances.mean()))
+    return size, deviation, tail
+
+
+def _common_ripple(common: Array, repeats: int, variance: float) -> tuple[Array, float, float]:
+    """Return the ripple that all lines share.
+
+    Parameters
+    ----------
+    common : array, shape (frames, channels)
+        Mean over the lines of each frame's deviations, in units of σ.
+    repeats : int
+        Degrees of freedom of each channel, frames − 1.
+    variance : float
+        Variance of that mean if no common ripple existed.
+
+    Returns
+    -------
+    array, shape (channels, n)
+        Root of its covariance.
+    float
+        Standard deviation of its size.
+    float
+        Probability of a ripple as large in noise alone.
+    """
+    channels = common.shape[1]
+    squares = float((common**2).sum())
+    tail = float(chi_square_tail(squares / max(variance, TINY), repeats * channels))
+    size, deviation = posterior_size(squares, repeats * channels, variance)
+    if not tail < SIGNIFICANCE:
+        # E[s²] is the variance by an uncertain size
+        return np.hypot(size, deviation) * np.eye(channels), deviation, tail
+    sizes, direction = np.linalg.eigh(common.T @ common / repeats)
+    sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
+    strong = sizes > variance
+    covariance = (sizes[strong] - variance) * freedom / (freedom - 2)
+    return np.asarray(direction[:, strong] * np.sqrt(covariance)), deviation, tail
 
 
 def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
@@ -230,7 +279,7 @@ def posterior_size(squares: float, freedom: float, variance: float) -> tuple[flo
 
         E[s | x] = √(Σ x²/2) Γ(n/2)/Γ((n + 1)/2),   E[√(Σ x²)] = √2 s Γ((n + 1)/2)/Γ(n/2).
     """
-    rms = np.sqrt(max(squares / freedom, variance, 1e-300))
+    rms = np.sqrt(max(squares / freedom, variance, TINY))
     noise = max(variance, (rms * MIN_NOISE_SHARE) ** 2)
     sizes = np.geomspace(MIN_NOISE_SHARE * np.sqrt(noise), MAX_SIZES * rms, SIZES)
     total = sizes**2 + noise
@@ -256,10 +305,9 @@ def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
     squares = float((sizes**2).sum())
     # ρ = ((1 − 2/p) tr S² + tr² S) / ((n + 1 − 2/p) (tr S² − tr² S/p)), at most 1
     within = (repeats + 1 - 2 / channels) * (squares - total**2 / channels)
-    share = min(((1 - 2 / channels) * squares + total**2) / max(within, 1e-300), 1.0)
-    return (1 - share) * sizes + share * total / channels, max(
-        repeats * (1 - share + share * channels), 3.0
-    )
+    share = min(((1 - 2 / channels) * squares + total**2) / max(within, TINY), 1.0)
+    freedom = max(repeats * (1 - share + share * channels), MIN_SHRUNK_FREEDOM)
+    return (1 - share) * sizes + share * total / channels, freedom
 
 
 def _patterns(rows: Array, freedom: float, *, separated: bool) -> tuple[float, Array]:

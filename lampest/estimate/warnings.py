@@ -49,16 +49,16 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
         _scatter(recording, noise),
     )
     of_readings = (*frames, *_modules(recording, readings), lesser_load)
-    circuit = "" if check.explains else check.sentence
+    # An effect beside the circuit is advice, or is taken off the readings.
+    circuit = "" if check.explains or check.by_effect else check.sentence
     effects = noise.corrected_effects
-    taken = "" if effects is None else effects.corrections
-    # The circuit's sentence names these effects.
-    learned = tuple(line for line in noise.warnings if line != taken)
-    circuit = "" if check.by_effect else circuit  # advice, or taken off the readings
-    loaded = UNEVENLY * (check.loaded_at_rest and not lesser_load)
+    corrections = "" if effects is None else effects.corrections
+    # The noise's warnings have the corrections, too.
+    of_noise = tuple(line for line in noise.warnings if line != corrections)
+    loaded = UNEVENLY if check.loaded_at_rest and not lesser_load else ""
     if touched(recording):
         loaded = f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
-    return tuple(filter(None, (*of_readings, loaded, circuit, taken, *learned)))
+    return tuple(filter(None, (*of_readings, loaded, circuit, corrections, *of_noise)))
 
 
 @ONE_BLAS_THREAD
@@ -98,14 +98,13 @@ def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
 
 
 def _roles(role: NDArray[np.uint8]) -> str:
+    """Return a warning of too few unloaded frames; ''."""
     unloaded = int((role == UNLOADED).sum())
     if unloaded == 0:
         return UNREFERENCED
-    return (
-        "only one frame is unloaded, so that nothing shows the noise: record five or more"
-        if unloaded == 1
-        else ""
-    )
+    if unloaded == 1:
+        return "only one frame is unloaded, so that nothing shows the noise: record five or more"
+    return ""
 
 
 def _times(recording: Recording) -> str:
@@ -125,6 +124,7 @@ def _times(recording: Recording) -> str:
 
 
 def _unit(recording: Recording, readings: Readings) -> str:
+    """Return a warning of readings that are all near a rail, as in a wrong unit; ''."""
     circuit = recording.scene.circuit
     readout = recording.scene.readout
     recorded = recording.recorded
@@ -156,18 +156,17 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
     sides = layout.split(readings.side)
     texts = dict[int, str]()
     for number, factor in factors.items():
-        stuck = "every reading is at a rail of the converter, or beyond: is it connected?"
-        unread = stuck if sides[:, number].any() else "no reading is a value: is it connected?"
-        differs = (
-            f"readings at rest are {factor:.3g} times those of the other modules: {MODULE_HINT}"
-        )
-        texts[number] = (
-            "dead, as the scene says"
-            if number in dead
-            else differs
-            if np.isfinite(factor)
-            else unread
-        )
+        if number in dead:
+            text = "dead, as the scene says"
+        elif np.isfinite(factor):
+            text = (
+                f"readings at rest are {factor:.3g} times those of the other modules: {MODULE_HINT}"
+            )
+        elif sides[:, number].any():
+            text = "every reading is at a rail of the converter, or beyond: is it connected?"
+        else:
+            text = "no reading is a value: is it connected?"
+        texts[number] = text
     return named_modules(layout, texts)
 
 
@@ -193,14 +192,13 @@ def _less_load(recording: Recording, readings: Readings) -> str:
     change = changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
-    reverse = [
-        f", or is it readout.{name}: {word}"
-        for name, words in choices(type(circuit)).items()
-        for word in words
-        if name in ("polarity", "measured_across") and word != getattr(circuit, name)
-    ]
     message = (
         "readings only ever show less load than the unloaded frames: did something lie on "
         "the panel then"
     )
-    return f"{message}{''.join(reverse)}?"
+    for name, words in choices(type(circuit)).items():
+        if name in ("polarity", "measured_across"):
+            for word in words:
+                if word != getattr(circuit, name):
+                    message += f", or is it readout.{name}: {word}"
+    return f"{message}?"

@@ -94,10 +94,9 @@ def with_chosen_weights(
             "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
             "recording"
         )
+    choose = search.by_evidence if rule == "evidence" else search.by_risk
     with np.errstate(all="ignore"):
-        return estimator.with_weights(
-            *(search.by_evidence(first) if rule == "evidence" else search.by_risk(first))
-        )
+        return estimator.with_weights(*choose(first))
 
 
 def strongest(changes: Sequence[float]) -> list[int]:
@@ -256,9 +255,8 @@ class WeightSearch:
             Cells in ohm to start from.
         """
         data = self.solves[0]
-        weights = (
-            self.suggested(first) if data.measured.size > MAX_CELLS else self.by_risk(first)[0]
-        )
+        large = data.measured.size > MAX_CELLS
+        weights = self.suggested(first) if large else self.by_risk(first)[0]
         sigma = [np.nan] * len(weights)
         with suppress(*BROKEN):
             begun = self._solved(weights, first, 1.0)
@@ -354,11 +352,8 @@ class EvidencePoint:
         # γ: the unknowns that no penalty restricts, and those that the data determine against each
         # penalty
         bound = min(rank(model.at.cost.unweighted), len(model.free))
-        determined = (
-            len(model.free)
-            - bound
-            + sum(self.errors.determined(int(number)) for number in penalties)
-        )
+        by_penalties = sum(self.errors.determined(int(number)) for number in penalties)
+        determined = len(model.free) - bound + by_penalties
         size = MAD_TO_SIGMA * float(
             np.median(np.abs(model.residual[counted]) / model.noise[counted])
         )
@@ -372,12 +367,10 @@ class EvidencePoint:
     def slope(self) -> float:
         """Derivative of −2 ln posterior by ln s², n − γ − Σ x²/τ² + ν (1 − 1/s²)."""
         count, freedom, squares = self.residuals
-        known = (
-            NOISE_BELIEF * count * (1 - self.scale**-2)
-            if self.errors.model.at.data.noise_known
-            else 0.0
-        )
-        return freedom - squares + known
+        prior = 0.0
+        if self.errors.model.at.data.noise_known:
+            prior = NOISE_BELIEF * count * (1 - self.scale**-2)
+        return freedom - squares + prior
 
     @property
     def residual_scale(self) -> float:

@@ -73,13 +73,20 @@ class Circuit:
     def of(cls, shape: tuple[int, int], wiring: Wiring | None) -> "Circuit":
         """Return the circuit of a panel of rows × columns cells, without lines at ground."""
         rows, columns = shape
-        state = np.zeros(rows + columns, dtype=bool), np.ones(shape, dtype=bool)
+        held = np.zeros(rows + columns, dtype=bool)
+        read = np.ones(shape, dtype=bool)
         lines = np.arange(rows + columns)
         row, column = (numbers.ravel() for numbers in np.indices(shape))
         if wiring is None:
-            none = np.zeros((2, 0), dtype=np.intp)
             return cls(
-                shape, len(lines), lines, np.stack([row, rows + column]), none, np.zeros(0), *state
+                shape,
+                count=len(lines),
+                terminals=lines,
+                cell_ends=np.stack([row, rows + column]),
+                wire_ends=np.zeros((2, 0), dtype=np.intp),
+                wire_siemens=np.zeros(0),
+                held=held,
+                read=read,
             )
         # Before nodes are joined: terminals, then the row's and the column's node of every
         # crossing.
@@ -87,10 +94,11 @@ class Circuit:
         on_row = len(lines) + crossings
         on_column = on_row + crossings.size
         ends, ohm = _wire(wiring, on_row, on_column)
-        joined = np.array(
-            [[group[0], line] for group in wiring.joined for line in group[1:]], dtype=np.intp
-        )
-        touching = np.concatenate([ends[:, ohm == 0], joined.reshape(-1, 2).T], axis=1)
+        joined = list[tuple[int, int]]()
+        for group in wiring.joined:
+            joined += [(group[0], line) for line in group[1:]]
+        pairs = np.array(joined, dtype=np.intp).reshape(-1, 2)
+        touching = np.concatenate([ends[:, ohm == 0], pairs.T], axis=1)
         total = len(lines) + 2 * crossings.size
         links = scipy.sparse.coo_array((np.ones(touching.shape[1]), touching), shape=(total, total))
         count, node = scipy.sparse.csgraph.connected_components(links, directed=False)
@@ -98,20 +106,20 @@ class Circuit:
         cell_ends = node[np.stack([on_row.ravel(), on_column.ravel()])]
         return cls(
             shape,
-            int(count),
-            node[lines],
-            cell_ends,
-            node[ends[:, resisting]],
-            1 / ohm[resisting],
-            *state,
+            count=int(count),
+            terminals=node[lines],
+            cell_ends=cell_ends,
+            wire_ends=node[ends[:, resisting]],
+            wire_siemens=1 / ohm[resisting],
+            held=held,
+            read=read,
         )
 
     @property
     def lines_only(self) -> bool:
         """Whether every line is one node of its own, without wire, and none is held at ground."""
-        return (
-            self.count == len(self.terminals) and not len(self.wire_siemens) and not self.held.any()
-        )
+        own_nodes = self.count == len(self.terminals)
+        return own_nodes and not len(self.wire_siemens) and not self.held.any()
 
     @cached_property
     def free(self) -> Nodes:

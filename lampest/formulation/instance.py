@@ -59,11 +59,12 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class ProgramResult:
-    """ProgramResult of IPOPT.
+    """Result of IPOPT.
 
     Attributes
     ----------
     unknown : array, shape (unknowns,)
+        x, in the program's units.
     of_bounds : array, shape (unknowns,)
         Multipliers of the bounds; positive at an upper one.
     of_equations : array, shape (constraints,)
@@ -127,22 +128,22 @@ class Instance:
 
         There is one evaluation for each block of frames.
         """
-        known = _Known(circuits, excitation, blocks)
-        scale = known.scale
-        cost_scale = known.cost_scale
-        voltages = known.voltages(known.cells, scale)
-        size = {name: _voltage_unit(part) for name, part in voltages.items()}
-        values: dict[str, Any] = {
-            **known.given,
-            "tie": known.tie * scale,
+        values = _FrameValues(circuits, excitation, blocks)
+        scale = values.scale
+        cost_scale = values.cost_scale
+        voltages = values.voltages(values.cells, scale)
+        units = {name: _voltage_unit(part) for name, part in voltages.items()}
+        parameters: dict[str, Any] = {
+            **values.given,
+            "tie": values.tie * scale,
             "weights": blocks[0].weights,
             "scale": scale,
             "cost_scale": cost_scale,
-            **{unit_of(name): part for name, part in size.items()},
+            **{unit_of(name): unit for name, unit in units.items()},
         }
 
-        def stacked(cells: Array, voltages: dict[str, Array], split: Array | float) -> Array:
-            scaled = {name: part / size[name] for name, part in voltages.items()}
+        def unknowns(cells: Array, voltages: dict[str, Array], split: Array | float) -> Array:
+            scaled = {name: part / units[name] for name, part in voltages.items()}
             own = {name: unknown.start for name, unknown in program.own.items()}
             return program.unknown.stacked(
                 {"conductance": scale / cells, **scaled, "split": split, **own}
@@ -150,30 +151,26 @@ class Instance:
 
         # Unit of split residuals: the largest one of the start and of the apparent resistances,
         # because a start at the baseline may leave none.
-        parameter = program.parameter.stacked({**values, "split_scale": 1.0})
-        residuals = program.split_residuals(stacked(known.cells, voltages, 0.0), parameter)
+        unscaled = program.parameter.stacked({**parameters, "split_scale": 1.0})
+        residuals = program.split_residuals(unknowns(values.cells, voltages, 0.0), unscaled)
         split_scale = MIN_SPLIT_UNIT
         if residuals:
-            apparent = stacked(known.apparent, known.voltages(known.apparent, scale), 0.0)
-            groups = [*residuals, *program.split_residuals(apparent, parameter)]
-            split_scale = max(
-                split_scale, *(float(np.abs(group).max(initial=0)) for group in groups)
-            )
-        lower = {name: unknown.lower for name, unknown in program.own.items()}
-        upper = {name: unknown.upper for name, unknown in program.own.items()}
+            apparent = unknowns(values.apparent, values.voltages(values.apparent, scale), 0.0)
+            groups = [*residuals, *program.split_residuals(apparent, unscaled)]
+            largest = [float(np.abs(group).max(initial=0)) for group in groups]
+            split_scale = max(split_scale, *largest)
+        lower, upper = _bounds(program, scale / values.upper, scale / values.lower)
         return cls(
             program,
-            stacked(known.cells, voltages, _split_start(residuals, split_scale)),
-            program.unknown.stacked(
-                {"conductance": scale / known.upper, "split": 0.0, **lower}, default=-np.inf
-            ),
-            program.unknown.stacked({"conductance": scale / known.lower, **upper}, default=np.inf),
-            program.parameter.stacked({**values, "split_scale": split_scale}),
-            (_equation_limits(program, "lower"), _equation_limits(program, "upper")),
-            known.cells.shape,
-            scale,
-            cost_scale,
-            split_scale,
+            start=unknowns(values.cells, voltages, _split_start(residuals, split_scale)),
+            lower=lower,
+            upper=upper,
+            parameter=program.parameter.stacked({**parameters, "split_scale": split_scale}),
+            equations=(_equation_limits(program, "lower"), _equation_limits(program, "upper")),
+            shape=values.cells.shape,
+            scale=scale,
+            cost_scale=cost_scale,
+            split_scale=split_scale,
         )
 
     def cells_of(self, result: ProgramResult) -> Array:
@@ -210,11 +207,25 @@ def _voltage_unit(voltages: Array) -> Array:
     return np.asarray(np.maximum(size, MIN_VOLTAGE * size.max(initial=0.0)))
 
 
+def _bounds(program: Program, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the bounds of all unknowns, (unknowns,), for those of the conductances.
+
+    Voltages have none, and split parts are not negative.
+    """
+    lower = {name: unknown.lower for name, unknown in program.own.items()}
+    upper = {name: unknown.upper for name, unknown in program.own.items()}
+    return (
+        program.unknown.stacked({"conductance": low, "split": 0.0, **lower}, default=-np.inf),
+        program.unknown.stacked({"conductance": high, **upper}, default=np.inf),
+    )
+
+
 def _split_start(residuals: Sequence[Array], unit: float) -> Array:
     """Return p and q of split residuals ±(p − q), SPLIT_START from their bound, in their unit."""
-    sides = [side for group in residuals for side in (group, -group)]
-    split = [np.maximum(side / unit, 0) + SPLIT_START for side in sides]
-    return np.concatenate([np.zeros(0), *split])
+    split = [np.zeros(0)]
+    for group in residuals:
+        split += [np.maximum(side / unit, 0) + SPLIT_START for side in (group, -group)]
+    return np.concatenate(split)
 
 
 def _equation_limits(program: Program, side: str) -> Array:
@@ -233,16 +244,12 @@ def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) ->
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
-    """Data of all blocks, frame by frame."""
+class _FrameValues:
+    """Values of a program's symbols, those of all blocks one after the other, by frame."""
 
     circuits: Sequence[Circuit]
     excitation: Excitation
     blocks: Sequence[Evaluation]
-
-    def _frames(self, of: "list[Array]") -> Array:
-        """Return values of the blocks one after the other, (frames, …)."""
-        return np.concatenate(of)
 
     @property
     def data(self) -> list[Data]:
@@ -257,24 +264,23 @@ class _Known:
     @property
     def cost_scale(self) -> float:
         """Mean cost of a cell at readings of zero."""
-        return float(
-            np.mean([float(block.cell_costs) or block.cost_scale for block in self.blocks])
-        )
+        costs = [float(block.cell_costs) or block.cost_scale for block in self.blocks]
+        return float(np.mean(costs))
 
     @property
     def cells(self) -> Array:
         """Cells of the start, (frames, rows, columns) ohm."""
-        return self._frames([block.cell_resistance for block in self.blocks])
+        return np.concatenate([block.cell_resistance for block in self.blocks])
 
     @property
     def uniform(self) -> Array:
         """Equal cells with the readings, (frames, rows, columns) ohm."""
-        return self._frames([data.uniform_start for data in self.data])
+        return np.concatenate([data.uniform_start for data in self.data])
 
     @property
     def apparent(self) -> Array:
         """Apparent resistances, (frames, rows, columns) ohm."""
-        return self._frames([data.apparent_resistance for data in self.data])
+        return np.concatenate([data.apparent_resistance for data in self.data])
 
     @property
     def tie(self) -> Array:
@@ -282,14 +288,14 @@ class _Known:
 
         0 for lines at ground, which the circuit knows.
         """
-        ties = self._frames([data.ties for data in self.data])
+        ties = np.concatenate([data.ties for data in self.data])
         ties = ties.reshape(len(ties), len(self.circuits), -1)
         return np.where(np.isinf(ties), 0.0, ties)
 
     @property
     def upper(self) -> Array:
         """Upper bounds of the cells, (frames, rows, columns) ohm."""
-        return self._frames([data.upper for data in self.data])
+        return np.concatenate([data.upper for data in self.data])
 
     @property
     def lower(self) -> Array:
@@ -297,26 +303,21 @@ class _Known:
 
         Smaller cells than `Readout.nearly_shorted` do not change any reading.
         """
-        return self._frames(
-            [
-                np.minimum(
-                    np.maximum(data.lower, data.readout.nearly_shorted(data.measured)), data.upper
-                )
-                for data in self.data
-            ]
-        )
+        limits = []
+        for data in self.data:
+            lower = np.maximum(data.lower, data.readout.nearly_shorted(data.measured))
+            limits.append(np.minimum(lower, data.upper))
+        return np.concatenate(limits)
 
     @property
     def given(self) -> dict[str, Array]:
         """Inputs of the terms by name; those of no single frame are the same in all blocks."""
         first = self.data[0]
-        sources = self.data[0].given.sources()
-        return {
-            name: np.concatenate([data.flat[name] for data in self.data])
-            if sources[name].per_frame
-            else values
-            for name, values in first.flat.items()
-        }
+        inputs = dict(first.flat)
+        for name, source in first.given.sources().items():
+            if source.per_frame:
+                inputs[name] = np.concatenate([data.flat[name] for data in self.data])
+        return inputs
 
     def voltages(self, cells: Array, scale: float) -> dict[str, Array]:
         """Return the voltages of cells (frames, rows, columns) by name.
@@ -324,9 +325,9 @@ class _Known:
         They are given frame after frame, in `scale`.
         """
         readout = self.data[0].readout
-        solved = [
-            self.excitation.voltages(circuit, readout, circuit.voltages(one, tie))
-            for one, ties in zip(cells, self.tie, strict=True)
-            for circuit, tie in zip(self.circuits, ties, strict=True)
-        ]
+        solved = []
+        for frame, ties in zip(cells, self.tie, strict=True):
+            for circuit, tie in zip(self.circuits, ties, strict=True):
+                response = circuit.voltages(frame, tie)
+                solved.append(self.excitation.voltages(circuit, readout, response))
         return {name: np.concatenate([part[name] for part in solved]) / scale for name in solved[0]}

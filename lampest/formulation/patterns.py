@@ -175,17 +175,14 @@ class Nodal(Excitation):
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
         if not circuit.lines_only:
-            return {
-                "node_voltage": response[
-                    np.ix_(circuit.free, _patterns(circuit, readout)[0])
-                ].T.ravel()
-            }
+            lines, _ = _patterns(circuit, readout)
+            return {"node_voltage": response[np.ix_(circuit.free, lines)].T.ravel()}
         driven, far = _sides(circuit.shape)
         half = response[np.ix_(driven, driven)][np.tril_indices(len(driven))]
         voltages = {"driven_voltage": half, "far_voltage": response[np.ix_(far, driven)].T.ravel()}
-        return voltages | (
-            {"own_voltage": np.diag(response)[far]} if _reads_far(circuit, readout) else {}
-        )
+        if _reads_far(circuit, readout):
+            voltages["own_voltage"] = np.diag(response)[far]
+        return voltages
 
 
 def _network_of_lines(
@@ -196,18 +193,19 @@ def _network_of_lines(
     See `Nodal`.
     """
     driven, far = (numbers.tolist() for numbers in _sides(circuit.shape))
-    size = len(driven)
-    others = len(far)
+    driven_count = len(driven)
+    far_count = len(far)
     count = circuit.count
     reads_far = _reads_far(circuit, readout)
     unknowns = _Unknowns()
-    half = unknowns.new("driven_voltage", size * (size + 1) // 2)
-    far_voltage = unknowns.new("far_voltage", others, size)
-    own = unknowns.new("own_voltage", others) if reads_far else casadi.SX.zeros(others)
+    half = unknowns.new("driven_voltage", driven_count * (driven_count + 1) // 2)
+    far_voltage = unknowns.new("far_voltage", far_count, driven_count)
+    own = unknowns.new("own_voltage", far_count) if reads_far else casadi.SX.zeros(far_count)
     # Columns of Z: the driven lines' own patterns; of each far line's pattern only its voltage and,
     # by reciprocity, those of the driven lines, which are all neighbours of its node.
     impedance = casadi.SX(count, count)
-    impedance[driven, driven] = casadi.triu2symm(casadi.SX(casadi.Sparsity.upper(size), half))
+    upper = casadi.SX(casadi.Sparsity.upper(driven_count), half)
+    impedance[driven, driven] = casadi.triu2symm(upper)
     impedance[far, driven] = far_voltage
     impedance[driven, far] = far_voltage.T
     impedance[far, far] = casadi.diag(own)
@@ -381,12 +379,11 @@ def _reading(
         return casadi.vec(casadi.SX(scale * readout.reading(*entries)).T)
     row, column = _lines_of_cells(circuit)
     pairs = ((row, row), (column, column), (row, column))
-    units = [_grid(circuit, _unit(circuit, *pair, scale)) for pair in pairs]
-    return casadi.vec(
-        casadi.SX(
-            readout.reading(*(unit * entry for unit, entry in zip(units, entries, strict=True)))
-        ).T
-    )
+    scaled = [
+        _grid(circuit, _unit(circuit, first, second, scale)) * entry
+        for (first, second), entry in zip(pairs, entries, strict=True)
+    ]
+    return casadi.vec(casadi.SX(readout.reading(*scaled)).T)
 
 
 def _grid(circuit: Circuit, values: casadi.SX) -> casadi.SX:

@@ -70,8 +70,8 @@ class Blocks(CasadiOwner):
         """
         parts = []
         for name, size in self.sizes.items():
-            given = values[name] if default is None or name in values else default
-            parts.append(np.broadcast_to(np.asarray(given, dtype=float).reshape(-1), (size,)))
+            value = values[name] if default is None or name in values else default
+            parts.append(np.broadcast_to(np.asarray(value, dtype=float).reshape(-1), (size,)))
         return np.concatenate([np.zeros(0), *parts])
 
     def named(self, column: Array) -> dict[str, Array]:
@@ -184,27 +184,24 @@ class Program(CasadiOwner):
             casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale")
         )
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
-        networks = tuple(
-            joined_addresses(
-                circuits,
-                [
-                    patterns.network(
-                        circuit,
-                        readout,
-                        conductance[:, frame],
-                        tie[:, frame * len(circuits) + at],
-                        scale,
-                    )
-                    for at, circuit in enumerate(circuits)
-                ],
-            )
-            for frame in range(frames)
-        )
+        networks = []
+        for frame in range(frames):
+            addresses = [
+                patterns.network(
+                    circuit,
+                    readout,
+                    conductance[:, frame],
+                    tie[:, frame * len(circuits) + number],
+                    scale,
+                )
+                for number, circuit in enumerate(circuits)
+            ]
+            networks.append(joined_addresses(circuits, addresses))
         return cls(
             cost,
             (rows, columns),
             conductance,
-            networks,
+            tuple(networks),
             casadi.horzcat(*(network.reading for network in networks)),
             Given.symbols(rows * columns, frames, partial=cost.partial),
             tie,
@@ -409,9 +406,8 @@ class Program(CasadiOwner):
     @cached_property
     def objective(self) -> casadi.SX:
         """φ/cost_scale."""
-        return (
-            sum((part.objective for part in self.lowered), casadi.SX(0)) + self.added
-        ) / self.cost_scale
+        cost = sum((part.objective for part in self.lowered), casadi.SX(0)) + self.added
+        return cost / self.cost_scale
 
     @property
     def nlp(self) -> dict[str, casadi.SX]:
@@ -460,8 +456,8 @@ class Program(CasadiOwner):
         voltages = casadi.vertcat(
             *(self.unknown.symbols[name] for name in self.networks[0].voltages)
         )
-        others = self.equation.column[count:]
-        lagrangian = weight * self.objective + casadi.dot(multiplier[count:], others)
+        beside_balance = self.equation.column[count:]
+        lagrangian = weight * self.objective + casadi.dot(multiplier[count:], beside_balance)
         full = casadi.jacobian(casadi.gradient(lagrangian, unknown), unknown, {"symmetric": True})
         slope = casadi.gradient(
             casadi.dot(multiplier[:count], self.equation.symbols["balance"]), voltages
@@ -485,5 +481,5 @@ def unit_of(name: str) -> str:
 def _check_shape(name: str, value: casadi.SX, shape: tuple[int, int]) -> None:
     """Raise InputError unless a value has the shape."""
     if value.shape != shape:
-        found, needed = (" × ".join(map(str, size)) for size in (value.shape, shape))
-        raise InputError(f"{name} is {found}; it must be {needed}")
+        actual, required = (" × ".join(map(str, size)) for size in (value.shape, shape))
+        raise InputError(f"{name} is {actual}; it must be {required}")

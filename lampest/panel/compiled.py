@@ -40,12 +40,13 @@ def _unlock_child() -> None:
     """
     _LOCK.release()
     modules = [module for name, module in sys.modules.items() if name.startswith("lampest.")]
-    classes = {
-        member for module in modules for member in vars(module).values() if isinstance(member, type)
-    }
-    for member in (member for owner in classes for member in vars(owner).values()):
-        if isinstance(member, cached_property) and hasattr(member, "lock"):
-            member.lock = RLock()
+    classes = set[type]()
+    for module in modules:
+        classes.update(member for member in vars(module).values() if isinstance(member, type))
+    for owner in classes:
+        for member in vars(owner).values():
+            if isinstance(member, cached_property) and hasattr(member, "lock"):
+                member.lock = RLock()
 
 
 # A process that forks waits for the lock, so that the child inherits no half-built node.

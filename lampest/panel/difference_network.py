@@ -121,12 +121,10 @@ class DifferenceSecondOrder(SecondOrder):
         change = self.network.changes(step)
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
-        twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(
-            step.shape
-        )
-        return network.read_change(change), network.conductance * (
-            twice + network.drawn(loading_of(*self.change_of_slopes(change)))
-        )
+        loaded = bipartite(*self.loading, differences)
+        by_potentials = 2 * np.sum(moved * loaded, axis=0).reshape(step.shape)
+        by_slopes = network.drawn(loading_of(*self.change_of_slopes(change)))
+        return network.read_change(change), network.conductance * (by_potentials + by_slopes)
 
     @property
     def _between(self) -> Array:
@@ -171,17 +169,18 @@ def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
     infinite where a line is held. Raises numpy.linalg.LinAlgError if a line is not connected.
     """
     held = np.isinf(ties)
-    other = ~held
-    within = np.linalg.inv(admittance[np.ix_(other, other)] + np.diag(ties[other]))
+    free = ~held
+    within = np.linalg.inv(admittance[np.ix_(free, free)] + np.diag(ties[free]))
+    # Current into held lines from the free ones: −G = admittance between them
+    between = -admittance[np.ix_(held, free)] @ within
+    of_held = admittance[np.ix_(held, held)] + between @ admittance[np.ix_(free, held)]
     entries = np.zeros_like(admittance)
+    entries[np.ix_(free, free)] = within
+    entries[np.ix_(held, free)] = between
+    entries[np.ix_(free, held)] = between.T
+    entries[np.ix_(held, held)] = -of_held
     potentials = np.zeros_like(admittance)
-    # Current into held lines from the others: −G = admittance between them
-    between = -admittance[np.ix_(held, other)] @ within
-    entries[np.ix_(other, other)] = potentials[np.ix_(other, other)] = within
-    entries[np.ix_(held, other)] = potentials[np.ix_(held, other)] = between
-    entries[np.ix_(other, held)] = between.T
-    entries[np.ix_(held, held)] = -(
-        admittance[np.ix_(held, held)] + between @ admittance[np.ix_(other, held)]
-    )
+    potentials[np.ix_(free, free)] = within
+    potentials[np.ix_(held, free)] = between
     potentials[np.ix_(held, held)] = np.eye(int(held.sum()))
     return entries, potentials

@@ -28,23 +28,23 @@ def estimated_lines(estimated: Mapping[str, tuple[float, float]] | None) -> tupl
     """
     lines = [_line(key, *pair) for key, pair in (estimated or {}).items()]
     more = len(lines) - MAX_LINES
-    return (
-        (*lines[:MAX_LINES], f"{more} more numbers, which the scene of the results holds")
-        if more > 0
-        else (*lines,)
-    )
+    if more > 0:
+        lines[MAX_LINES:] = [f"{more} more numbers, which the scene of the results holds"]
+    return tuple(lines)
 
 
 def about_recordings(
     scenes: Iterable[tuple[str, Mapping[str, tuple[float, float]] | None]],
 ) -> tuple[str, ...]:
     """Return the lines of several recordings, each behind the recording's name, and each once."""
-    return tuple(
-        dict.fromkeys(f"{name}: {line}" for name, held in scenes for line in estimated_lines(held))
-    )
+    lines = list[str]()
+    for name, estimated in scenes:
+        lines += [f"{name}: {line}" for line in estimated_lines(estimated)]
+    return tuple(dict.fromkeys(lines))
 
 
 def _line(key: str, number: float, deviation: float) -> str:
+    """Return a number with its standard deviation and unit, or a range, in words."""
     if key in RANGES:
         return f"{key}: {number:.3g} to {deviation:.3g} V"
     name = key.partition(" of ")[0]  # without the place: leaks of row 3

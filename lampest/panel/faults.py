@@ -4,6 +4,7 @@ They are cells and lines that are broken, lines that touch, and modules that are
 """
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ class Faults(Configuration):
             (self.dead_columns, self.joined_columns, panel.columns, "column"),
         )
         for dead, joined, count, name in sides:
-            touching = [line for group in joined for line in group]
+            touching = list(chain.from_iterable(joined))
             if any(len(group) < 2 for group in joined) or len(set(touching)) < len(touching):
                 raise ValueError(
                     f"faults: joined_{name}s lists groups of two or more, each {name} once"
@@ -103,9 +104,8 @@ class Faults(Configuration):
                     raise ValueError(f"faults: there is no {name} {line}")
         if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
             raise ValueError("faults: a cell cannot be open and shorted")
-        read, conducting = (
-            panel.present & ~gone for gone in (self.blind(panel), self.open_cells(panel))
-        )
+        read = panel.present & ~self.blind(panel)
+        conducting = panel.present & ~self.open_cells(panel)
         all_dead = layout is not None and len(set(self.dead_modules)) == layout.count
         if not (read.any() and conducting.any()) or all_dead:
             raise ValueError("faults: nothing is left of the panel")
@@ -113,7 +113,7 @@ class Faults(Configuration):
     def of_module(
         self, layout: Modules, number: int, module_faults: "Faults | None"
     ) -> "Faults | None":
-        """Return the faults of one module by its own rows and columns, including those in `own`.
+        """Return the faults of one module by its own rows and columns, with its `module_faults`.
 
         None without any.
         """

@@ -11,8 +11,13 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
+
+LEAST_DAMPING = 1e-6  # μ that good steps reach; smaller ones change nothing
+FIRST_DAMPING = 1e-3  # least μ after a failed step
+MIN_LENGTH = 1e-300  # of a step, so that nothing is divided by zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +138,7 @@ class LevenbergMarquardt:
             free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
             if not free.any():
                 break
-            # Damped step −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`
-            damped = point.normal[free][:, free]
-            step = np.zeros(len(free))
-            scale = damped.diagonal()
-            step[free] = -np.linalg.solve(
-                damped + damping * np.diag(np.where(scale > 0, scale, 1.0)), gradient[free]
-            )
-            step *= min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300))))
+            step = self._damped_step(point, free, damping)
             moved = np.clip(position + step, low, high)
             step = moved - position
             trial = model(moved)
@@ -151,10 +149,21 @@ class LevenbergMarquardt:
             if gain > 0:
                 position = moved
                 point = trial
-                damping = max(damping / 10, min(damping, 1e-6)) if gain > predicted / 2 else damping
+                if gain > predicted / 2:
+                    damping = max(damping / 10, min(damping, LEAST_DAMPING))
             else:
-                damping = max(10 * damping, 1e-3)
+                damping = max(10 * damping, FIRST_DAMPING)
             least = self.settled + self.share * point.cost
             if (predicted < least and not gain >= least) or damping > self.most_damping:
                 break
         return position, point
+
+    def _damped_step(self, point: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
+        """Return −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`."""
+        normal = point.normal[free][:, free]
+        scale = normal.diagonal()
+        damped = normal + damping * np.diag(np.where(scale > 0, scale, 1.0))
+        step = np.zeros(len(free))
+        step[free] = -np.linalg.solve(damped, point.gradient[free])
+        share = float(np.min(self.longest / np.maximum(np.abs(step), MIN_LENGTH)))
+        return step * min(1.0, share)

@@ -47,22 +47,23 @@ class LineBlocks:
         """
         count = len(self.diagonal)
         rows, columns = self.between.shape[-2:]
-        short, long = (
-            (slice(rows), slice(rows, None))
-            if rows <= columns
-            else (slice(rows, None), slice(rows))
-        )
-        between = self.between if rows <= columns else self.between.swapaxes(-1, -2)
+        short = slice(rows)
+        long = slice(rows, None)
+        between = self.between
+        if rows > columns:
+            short = slice(rows, None)
+            long = slice(rows)
+            between = between.swapaxes(-1, -2)
         # E = A P⁻¹ with the pivots P of the eliminated lines, and the Schur complement S = D − E Aᵀ
         # of the others
         pivots = np.linalg.inv(np.asarray_chkfinite(self.diagonal[..., long].transpose(2, 0, 1)))
         eliminated = max(rows, columns)
-        kept = count * min(rows, columns)
-        ties = between.transpose(0, 2, 3, 1).reshape(kept, eliminated, count)
-        shares = np.einsum("tlb,lbc->tlc", ties, pivots).reshape(kept, eliminated * count)
-        flat = ties.reshape(kept, eliminated * count)
+        remaining = count * min(rows, columns)
+        ties = between.transpose(0, 2, 3, 1).reshape(remaining, eliminated, count)
+        shares = np.einsum("tlb,lbc->tlc", ties, pivots).reshape(remaining, eliminated * count)
+        flat = ties.reshape(remaining, eliminated * count)
         schur = -shares @ flat.T
-        blocks = schur.reshape(count, kept // count, count, kept // count)
+        blocks = schur.reshape(count, remaining // count, count, remaining // count)
         np.einsum("ajbj->abj", blocks)[...] += self.diagonal[..., short]
         within = np.linalg.inv(np.asarray_chkfinite(schur))
 

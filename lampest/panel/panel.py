@@ -18,6 +18,7 @@ Array = NDArray[np.floating[Any]]
 MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
 # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
 MAX_UNCHECKED_LINES = 2000
+PLACE_TOLERANCE = 1.01  # factor on squared distances: positions are written with three digits
 CellPlace = tuple[int, int, float, float]
 
 
@@ -161,6 +162,7 @@ class Panel(Configuration):
             self._check_cells(self.cells)
 
     def _check_cells(self, cells: tuple[CellPlace, ...]) -> None:
+        """Raise ValueError unless the list has cells of the panel, each crossing and place once."""
         for row, column, x, y in cells:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(f"cells: there is no crossing [{row}, {column}]")
@@ -256,10 +258,10 @@ class Panel(Configuration):
         # Gabriel graph of the listed cells, with distances in pitches.
         cells = np.flatnonzero(self.present)
         places = self.places_mm.reshape(2, -1)[:, cells].T
-        pairs = np.array(
-            [(cell, near) for cell in range(len(cells)) for near in circle_neighbours(places, cell)]
-        )
-        first, second = pairs.reshape(-1, 2).astype(np.intp).T
+        pairs = list[tuple[int, int]]()
+        for cell in range(len(cells)):
+            pairs += [(cell, near) for near in circle_neighbours(places, cell).tolist()]
+        first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         distance = np.hypot(*(places[first] - places[second]).T) / self.pitch_mm
         return cells[first], cells[second], distance
 
@@ -277,8 +279,7 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
         if not np.any(candidates & (square > square[nearest])):
             break
         # From the nearest cell c outwards: every b with c in its circle is no neighbour.
-        # 1 %: positions are written with three digits
-        within = square[nearest] <= 1.01 * (way @ way[nearest])
+        within = square[nearest] <= PLACE_TOLERANCE * (way @ way[nearest])
         within[nearest] = False
         candidates &= ~within
     after = np.flatnonzero(candidates)
@@ -297,10 +298,12 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     # Every line takes the least number of its part, which passes from rows to columns and back.
     changed = True
     while changed:
-        before = row, column
+        previous_row = row
+        previous_column = column
         column = np.minimum(column, np.where(conducting, row[:, None], rows + columns).min(axis=0))
         row = np.minimum(row, np.where(conducting, column, rows + columns).min(axis=1))
-        changed = not (np.array_equal(row, before[0]) and np.array_equal(column, before[1]))
+        rows_stay = np.array_equal(row, previous_row)
+        changed = not (rows_stay and np.array_equal(column, previous_column))
     first, parts = np.unique(np.concatenate([row, column]), return_inverse=True)
     return None if len(first) == 1 else np.asarray(parts, dtype=np.intp)
 
@@ -308,7 +311,7 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
     """Return whether numbers are outside the range of physical quantities.
 
-    It does so for numbers that are finite and not zero.
+    Zero, infinity and NaN are not.
     """
     size = np.abs(values)
     return np.asarray(
@@ -321,11 +324,11 @@ def as_panels_have(values: Array) -> Array:
 
     Those below the range are returned as zero, and those above as ±infinity.
     """
-    if not np.any(beyond := beyond_any_panel(values)):
+    beyond = beyond_any_panel(values)
+    if not np.any(beyond):
         return values
-    return np.where(
-        beyond, np.where(np.abs(values) < MIN_NUMBER, 0.0, np.copysign(np.inf, values)), values
-    )
+    limit = np.where(np.abs(values) < MIN_NUMBER, 0.0, np.copysign(np.inf, values))
+    return np.where(beyond, limit, values)
 
 
 def difference_matrix(length: int) -> Array:

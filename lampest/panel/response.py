@@ -8,7 +8,7 @@ gain κ of each cell. The operators of hysteresis and creep, with their sources,
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot, isfinite
+from math import hypot
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -50,22 +50,18 @@ class Response(Configuration):
         for name, table in self._tables().items():
             if not table or len({len(row) for row in table}) > 1:
                 raise ValueError(f"{name} needs one number for each column in each row")
-            open_end = name == "gain"
-            if not all(
-                isfinite(number) and number >= 0 and (number or not open_end)
-                for row in table
-                for number in row
-            ):
+            numbers = np.array(table)
+            positive = name == "gain"
+            within = np.all(numbers > 0) if positive else np.all(numbers >= 0)
+            if not (within and np.all(np.isfinite(numbers))):
                 raise ValueError(
-                    f"{name} must be {'positive' if open_end else 'zero or positive'}, and finite"
+                    f"{name} must be {'positive' if positive else 'zero or positive'}, and finite"
                 )
 
     def _tables(self) -> dict[str, Table]:
-        return {
-            name: table
-            for name in ("gain", "gain_sd")
-            if (table := getattr(self, name)) is not None
-        }
+        """Return the tables of cells that are specified, by name."""
+        tables = {"gain": self.gain, "gain_sd": self.gain_sd}
+        return {name: table for name, table in tables.items() if table is not None}
 
     def check(self, shape: tuple[int, int]) -> None:
         """Raise ValueError unless tables of cells have the panel's shape (rows, columns)."""

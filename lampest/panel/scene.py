@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lampest.files.typed import Configuration, check_range
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
-from lampest.panel.panel import Array, Panel, connected_parts
+from lampest.panel.panel import Array, Modules, Panel, connected_parts
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import (
     SeriesPerLine,
@@ -160,11 +160,14 @@ class Scene(Configuration):
         if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
         check_sizes(self, 1.0, "gain", "motion")
-        if (creep := plain_size(self.creep)) is not None:
+        creep = plain_size(self.creep)
+        if creep is not None:
             check_range("creep", creep, -1, 1)
         check_sizes(self, 2.0**32, "ripple")
-        if (prior := self.contact_prior) is not None:
-            prior.mean(self.panel.shape), prior.deviation(self.panel.shape)
+        if self.contact_prior is not None:
+            # Lists of the wrong length raise.
+            self.contact_prior.mean(self.panel.shape)
+            self.contact_prior.deviation(self.panel.shape)
         (self.readout or self.circuit).check(self)
 
     def _check_modules(self) -> None:
@@ -193,28 +196,35 @@ class Scene(Configuration):
         The scene itself without modules.
         """
         layout = self.panel.modules
-        known = dict[Scene, Scene]()
         if layout is None:
             return (self,)
         owns = {module.at: module for module in self.modules or ()}
+        distinct = dict[Scene, Scene]()
         scenes = []
         for number in range(layout.count):
-            module = owns.get(layout.place(number)) or OwnOfModule((0, 0))
-            series = module.series_resistance_ohm
-            cells = layout.cells(number)
-            scene = replace(
-                self,
-                panel=self.panel.network,
-                modules=None,
-                readout=module.readout or self.readout,
-                series_resistance_ohm=self.series_resistance_ohm if series is None else series,
-                faults=(self.faults or Faults()).of_module(layout, number, module.faults),
-                water=self.water
-                and Water(self.water.top_row_depth_mm + self.panel.centres_mm()[1][cells[0].start]),
-                response=self.response and self.response.of_cells(cells),
-            )
-            scenes.append(known.setdefault(scene, scene))
+            own = owns.get(layout.place(number)) or OwnOfModule((0, 0))
+            scene = self._of_module(layout, number, own)
+            scenes.append(distinct.setdefault(scene, scene))
         return tuple(scenes)
+
+    def _of_module(self, layout: Modules, number: int, own: OwnOfModule) -> "Scene":
+        """Return the scene of one module, with its own deviations."""
+        cells = layout.cells(number)
+        series = own.series_resistance_ohm
+        water = self.water
+        if water is not None:
+            _, row_centres = self.panel.centres_mm()
+            water = Water(water.top_row_depth_mm + row_centres[cells[0].start])
+        return replace(
+            self,
+            panel=self.panel.network,
+            modules=None,
+            readout=own.readout or self.readout,
+            series_resistance_ohm=self.series_resistance_ohm if series is None else series,
+            faults=(self.faults or Faults()).of_module(layout, number, own.faults),
+            water=water,
+            response=None if self.response is None else self.response.of_cells(cells),
+        )
 
     @cached_property
     def alike(self) -> tuple[tuple["Scene", tuple[int, ...]], ...]:
@@ -228,12 +238,10 @@ class Scene(Configuration):
     def dead_modules(self) -> tuple[int, ...]:
         """Numbers of the modules that are not read."""
         layout = self.panel.modules
-        faults = self.faults or Faults()
-        return (
-            ()
-            if layout is None
-            else tuple(sorted({row * layout.columns + k for row, k in faults.dead_modules}))
-        )
+        if layout is None or self.faults is None:
+            return ()
+        places = self.faults.dead_modules
+        return tuple(sorted({row * layout.columns + column for row, column in places}))
 
     @cached_property
     def blind(self) -> NDArray[np.bool_]:
@@ -275,11 +283,9 @@ class Scene(Configuration):
         """Return a mask of the faults, (rows, columns); true for all cells of dead modules."""
         layout = self.panel.modules
         if layout is None:
-            return (
-                np.zeros(self.panel.shape, dtype=bool)
-                if self.faults is None
-                else mask(self.faults, self.panel)
-            )
+            if self.faults is None:
+                return np.zeros(self.panel.shape, dtype=bool)
+            return mask(self.faults, self.panel)
         parts = np.stack([scene._of_faults(mask) for scene in self.of_modules])
         parts[list(self.dead_modules)] = True
         return layout.joined(parts)
@@ -290,12 +296,14 @@ class Scene(Configuration):
 
         The text is such as 'readings: 20, adc_bits: 10'.
         """
-        places = (path.partition(".") for path in self.assumed)
-        named = ((name, getattr(getattr(self, room, None), name, None)) for room, _, name in places)
-        texts = (
-            (name, f"{value:g}" if isinstance(value, float) else value) for name, value in named
-        )
-        return ", ".join(f"{name}: {text}" for name, text in texts if text is not None)
+        texts = []
+        for path in self.assumed:
+            part, _, name = path.partition(".")
+            value = getattr(getattr(self, part, None), name, None)
+            if value is not None:
+                text = f"{value:g}" if isinstance(value, float) else value
+                texts.append(f"{name}: {text}")
+        return ", ".join(texts)
 
     @cached_property
     def circuit(self) -> Readout:
@@ -363,7 +371,9 @@ class Scene(Configuration):
         """
         warmth = self.temperature
         creep, creep_sd = (self.estimated or {}).get("creep", (0.0, 0.0))
-        creep = creep if (known := plain_size(self.creep)) is None else known
+        specified = plain_size(self.creep)
+        if specified is not None:
+            creep = specified
         if warmth is None:
             return creep, creep_sd
         warming_sd = warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin

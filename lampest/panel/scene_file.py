@@ -31,19 +31,19 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
             document, content=document.content["scene"], marks=document.marks["scene"]
         )
     scene: Scene = validated(document, Scene)
-    parts: dict[str, Any] = {"panel": scene.panel} | (
-        {} if scene.readout is None else {"readout": scene.readout}
-    )
+    parts: dict[str, Any] = {"panel": scene.panel}
+    if scene.readout is not None:
+        parts["readout"] = scene.readout
     specified = {name: {"kind", *document.content[name]} for name in parts}
     if scene.panel.modules is not None:  # rows, columns and pitch follow from the modules
         specified["panel"] |= {"rows", "columns", *document.content["panel"]["modules"]["each"]}
-    left_open = tuple(
-        f"{name}.{entry.name}"
-        for name, part in parts.items()
-        for entry in fields(part)
-        if entry.name not in specified[name] | CHECKED_DEFAULTS and getattr(part, entry.name)
-    )
-    return replace(scene, assumed=scene.assumed or left_open)
+    left_open = list[str]()
+    for name, part in parts.items():
+        for entry in fields(part):
+            stated = entry.name in specified[name] | CHECKED_DEFAULTS
+            if not stated and getattr(part, entry.name):
+                left_open.append(f"{name}.{entry.name}")
+    return replace(scene, assumed=scene.assumed or tuple(left_open))
 
 
 def scene_text(scene: Scene) -> str:

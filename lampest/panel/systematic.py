@@ -21,6 +21,7 @@ from lampest.panel.sizes import ESTIMATED, Systematic
 TYPICAL_CHANNEL_OHM = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
 # Sines of which a converter's curve consists; the mean square of their sum is the specified one.
 SINES = 4
+LOG_STEP = 1e-6  # of the logarithm of a recorded value, for central differences
 USUAL = Systematic(
     # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of the typical
     # value; resistors of the series E24 within 5 %. The sizes are such that 95 % intervals cover
@@ -107,18 +108,18 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
         f"within {100 * reference:.3g} %" if reference else "exact",
         f"within {series:.3g} ohm" if series else "exact",
     )
-    known = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
+    tolerances = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
     further = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
-    known |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
-    if not known:
+    tolerances |= {name: size for name, size in further.items() if hasattr(scene.readout, name)}
+    if not tolerances:
         return ""
-    named = ", ".join(f"{name} ({size})" for name, size in known.items())
-    remaining = (
-        ""
-        if of_changes is None
-        else f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the "
-        "median"
-    )
+    named = ", ".join(f"{name} ({size})" for name, size in tolerances.items())
+    remaining = ""
+    if of_changes is not None:
+        remaining = (
+            f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the "
+            "median"
+        )
     return (
         f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
         "lampest calibrate "
@@ -132,11 +133,9 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
     It is the effect of a factor on a recorded value.
     """
     recorded = scene.circuit.to_recorded(measured, scene)
-    step = 1e-6
-    above, below = (
-        scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1)
-    )
-    return np.asarray((above - below) / (2 * step))
+    above = scene.circuit.from_recorded(recorded * np.exp(LOG_STEP), scene)
+    below = scene.circuit.from_recorded(recorded * np.exp(-LOG_STEP), scene)
+    return np.asarray((above - below) / (2 * LOG_STEP))
 
 
 def own_errors(measured: Array, scene: Scene, size: float) -> Array:
@@ -184,11 +183,9 @@ def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Arra
     waves = height * np.sin(
         np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt)
     )
-    ends = [
-        circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene)
-        for sign in (0.5, -0.5)
-    ]
-    return np.asarray(ends[0] - ends[1])
+    above = circuit.from_recorded(circuit.recorded_from_volt(volt + 0.5 * waves), scene)
+    below = circuit.from_recorded(circuit.recorded_from_volt(volt - 0.5 * waves), scene)
+    return np.asarray(above - below)
 
 
 def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array:
@@ -315,12 +312,12 @@ class Shared:
             return None
         if known is None or known.systematic is None:
             return replace(self, contact_root=None)
-        sd, size = (READING_ERROR.size(errors) for errors in (self.systematic, known.systematic))
-        return (
-            Shared(Systematic(reading_error=float(np.sqrt(sd**2 - size**2))), self.scene)
-            if sd > size
-            else None
-        )
+        total = READING_ERROR.size(self.systematic)
+        modelled = READING_ERROR.size(known.systematic)
+        if not total > modelled:
+            return None
+        remaining = float(np.sqrt(total**2 - modelled**2))
+        return Shared(Systematic(reading_error=remaining), self.scene)
 
     def columns(self, network: Network, measured: Array) -> Array:
         """Return U, (cells, n), in the readings' unit.

@@ -5,7 +5,7 @@ section 7.5.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite
 
 import numpy as np
@@ -84,69 +84,85 @@ def steihaug(
     step = np.zeros_like(gradient)
     residual = gradient
     scaled = precondition(residual)
-    if not (strength := float(residual @ scaled)) > 0:
+    strength = float(residual @ scaled)
+    if not strength > 0:
         precondition = np.copy  # M has lost its digits
         scaled = residual
         strength = float(residual @ residual)
     search = -scaled
     goal = accuracy**2 * strength
-    # ‖s‖², sᵀMp, ‖p‖²
-    inner = 0.0
-    mixed = 0.0
-    outer = strength
+    norms = _Norms(0.0, 0.0, strength)
+    negative = False
     count = 0
     while strength > goal and count < most_products:
         count += 1
         image = product(search)
         curvature = float(search @ image)
         length = strength / curvature if curvature > 0 else inf
-        # ‖s + αp‖²_M = ‖s‖² + 2α sᵀMp + α²‖p‖², without a product with M
-        further = inner + 2 * length * mixed + length * length * outer if isfinite(length) else inf
-        if not further < radius**2:
+        square = norms.square_after(length) if isfinite(length) else inf
+        if not square < radius**2:
+            # The step ends at the radius.
             negative = not curvature > 0
-            length = _length_to_radius(radius, inner, mixed, outer)
+            length = norms.length_to(radius)
             if negative:
                 length = min(length, _length_to_largest_change(step, search))
-            ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step = step + length * search
             residual = residual + length * image
-            # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
-            return SubproblemStep(
-                step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count
-            )
+            norms = replace(norms, step=norms.square_after(length))
+            break
         longer = step + length * search
         if admits is not None and count > 1 and not admits(longer):
             break
         step = longer
-        inner = further
         residual = residual + length * image
         scaled = precondition(residual)
-        before = strength
+        previous_strength = strength
         strength = float(residual @ scaled)
-        ratio = strength / before
+        ratio = strength / previous_strength
         search = ratio * search - scaled
-        # sᵀMp and ‖p‖² of the next search direction p ← βp − z by recursion (Steihaug 1983)
-        mixed = ratio * (mixed + length * outer)
-        outer = strength + ratio**2 * outer
-    return SubproblemStep(
-        step,
-        float(np.sqrt(inner)),
-        -0.5 * float(step @ (gradient + residual)),
-        negative=False,
-        products=count,
-    )
+        norms = norms.after(length, ratio, strength)
+    # −gᵀs − ½ sᵀHs = −½ sᵀ(g + r) with the residual r = g + Hs
+    decrease = -0.5 * float(step @ (gradient + residual))
+    return SubproblemStep(step, float(np.sqrt(norms.step)), decrease, negative, count)
 
 
-def _length_to_radius(radius: float, inner: float, mixed: float, outer: float) -> float:
-    """Return t ≥ 0 with ‖s + t p‖_M = radius; infinite without a radius.
+@dataclass(frozen=True)
+class _Norms:
+    """Products of step and search direction in the norm of M, without a product with M.
 
-    It is computed for ‖s‖², sᵀMp and ‖p‖² in the norm of M.
+    Attributes
+    ----------
+    step, mixed, search : float
+        ‖s‖², sᵀMp and ‖p‖².
     """
-    if radius == inf:
-        return inf
-    # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
-    room = max(radius**2 - inner, 0.0)
-    return room / ((mixed + float(np.sqrt(mixed**2 + outer * room))) or 1.0)
+
+    step: float
+    mixed: float
+    search: float
+
+    def square_after(self, length: float) -> float:
+        """Return ‖s + αp‖²_M = ‖s‖² + 2α sᵀMp + α²‖p‖² for a length α."""
+        return self.step + 2 * length * self.mixed + length * length * self.search
+
+    def length_to(self, radius: float) -> float:
+        """Return t ≥ 0 with ‖s + t p‖_M = radius; infinite without a radius."""
+        if radius == inf:
+            return inf
+        # Positive root of ‖p‖² t² + 2 sᵀMp t − (radius² − ‖s‖²) = 0, without cancellation
+        room = max(radius**2 - self.step, 0.0)
+        root = float(np.sqrt(self.mixed**2 + self.search * room))
+        return room / ((self.mixed + root) or 1.0)
+
+    def after(self, length: float, ratio: float, strength: float) -> "_Norms":
+        """Return the products after a step α p and the next search direction p ← βp − z.
+
+        They follow by recursion (Steihaug 1983) from the length α, the ratio β and rᵀz.
+        """
+        return _Norms(
+            step=self.square_after(length),
+            mixed=ratio * (self.mixed + length * self.search),
+            search=strength + ratio**2 * self.search,
+        )
 
 
 def _length_to_largest_change(step: Array, search: Array) -> float:

@@ -16,7 +16,7 @@ from lampest.posterior.matrices import positive_inverse
 
 
 def active_bounds(
-    errors: DenseErrors, rows: Array, known: Array
+    errors: DenseErrors, rows: Array, previous: Array
 ) -> tuple[Array, NDArray[np.intp], Array, Array]:
     """Return the effect of shared errors z on the free cells, and intervals at a bound.
 
@@ -30,7 +30,7 @@ def active_bounds(
     errors : DenseErrors
     rows : array, shape (data rows, n)
         Effect of z on the data.
-    known : array, shape (2, cells, n)
+    previous : array, shape (2, cells, n)
         Effect of z on log r of the last estimate and of the baseline.
 
     Returns
@@ -49,40 +49,36 @@ def active_bounds(
     cells = np.flatnonzero(model.at_lower | model.at_upper)
     # Unknowns: u of cells inside and at a lower bound; conductance over that of a typical cell at
     # an upper bound.
-    typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
-    stretch = np.where(
-        model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0
-    )
+    resistance = model.at.cell_resistance.ravel()
+    typical = np.exp(np.log(resistance)[free].mean()) if len(free) else 1.0
+    stretch = np.where(model.at_upper, np.maximum(resistance / typical, 1.0), 1.0)
     # Whitened rows: A = Xᵀ X with X = (√Ω J; √Ω Z), and their change Y with z; the effect of z is
     # (Xᵀ X)⁻¹ Xᵀ Y.
     data = np.sqrt(model.data_curvature)[:, None]
     penalties = np.sqrt(model.penalty_curvature)[:, None]
-    stacked = (
-        np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
-        * stretch
-    )
-    moved = np.vstack([rows * data, -model.carried(known) * penalties])
+    slopes = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
+    slopes = slopes * stretch
+    changes = np.vstack([rows * data, -model.carried(previous) * penalties])
     # Each cell at a bound alone: Schur complement, variance v, slope of −log density, and effect a
     # of z.
-    at_bounds = stacked[:, cells]
-    inside = stacked[:, free]
-    across = errors.inverse @ (inside.T @ at_bounds)
-    left = np.maximum(
-        np.sum(at_bounds**2, axis=0) - np.sum((inside.T @ at_bounds) * across, axis=0),
-        IGNORANCE * model.scale,
-    )
-    variance = model.scale / left
+    of_held = slopes[:, cells]
+    of_free = slopes[:, free]
+    across = errors.inverse @ (of_free.T @ of_held)
+    complement = np.sum(of_held**2, axis=0) - np.sum((of_free.T @ of_held) * across, axis=0)
+    precision = np.maximum(complement, IGNORANCE * model.scale)
+    variance = model.scale / precision
     slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
-    answer = ((at_bounds - inside @ across).T @ moved) / left[:, None]
+    answer = ((of_held - of_free @ across).T @ changes) / precision[:, None]
     # Cells whose bound z overcomes: solve again with the free ones.
     released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
-    unbounded = np.concatenate([free, cells[released]])
-    matrix = stacked[:, unbounded].T @ stacked[:, unbounded]
+    unbounded = slopes[:, np.concatenate([free, cells[released]])]
+    matrix = unbounded.T @ unbounded
     matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-    joint = positive_inverse(matrix) @ (stacked[:, unbounded].T @ moved)
+    joint = positive_inverse(matrix) @ (unbounded.T @ changes)
     answer[released] = joint[len(free) :]
     # 95 % quantile of the truncated normal distribution, converted to log r for open cells.
-    wide = variance + np.sum(answer**2, axis=1)
-    reach = one_sided(slope * variance / wide, wide)[1]
+    total = variance + np.sum(answer**2, axis=1)
+    reach = one_sided(slope * variance / total, total)[1]
     below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
-    return joint[: len(free)], cells, below, np.where(model.at_upper[cells], np.inf, reach)
+    above = np.where(model.at_upper[cells], np.inf, reach)
+    return joint[: len(free)], cells, below, above

@@ -110,6 +110,9 @@ class Certainty:
                 return np.asarray(np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0)))
 
         ends = TWO_SIDED**2 * shared
+        of_common: Array = np.zeros(self.common.shape)
+        if common is not None:
+            of_common = joined(self.common, baseline.common, common)
         return replace(
             self,
             deviation=joined(self.deviation, baseline.deviation, shared),
@@ -117,9 +120,7 @@ class Certainty:
             # end.
             below=joined(self.below, baseline.above, ends),
             above=joined(self.above, baseline.below, ends),
-            common=np.zeros(self.common.shape)
-            if common is None
-            else joined(self.common, baseline.common, common),
+            common=of_common,
         )
 
     def reaching_farther(self, below: Array, above: Array) -> "Certainty":
@@ -139,9 +140,8 @@ class Certainty:
         """
         shape = self.deviation.shape
         answers = answer.reshape(*shape[:-2], shape[-2] * shape[-1], -1)
-        variance, common = (
-            part.reshape(shape) for part in ((answers**2).sum(axis=-1), common_variance(answers))
-        )
+        variance = (answers**2).sum(axis=-1).reshape(shape)
+        common = common_variance(answers).reshape(shape)
         wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
         deviation = np.sqrt(self.deviation**2 + variance)
         common = np.sqrt(self.common**2 + common)

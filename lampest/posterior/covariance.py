@@ -157,10 +157,9 @@ class DenseErrors:
         The matrix is the effect of errors of the previous frame (0), the baseline (1).
         """
         size = np.sqrt(self.model.penalty_curvature)[:, None]
-        known = enumerate(self.model.known_jacobians)
         return [
-            (which, np.asarray(-self._pulls @ (rows.toarray() * size)))
-            for which, rows in known
+            (number, np.asarray(-self._pulls @ (rows.toarray() * size)))
+            for number, rows in enumerate(self.model.known_jacobians)
             if rows.nnz
         ]
 
@@ -218,8 +217,8 @@ class DenseErrors:
         blocks[0, 0] = self.covariance
         if self.before is not None:
             blocks[1, 1] = self.before.blocks[1, 1]
-            for which, carried in self._carried:
-                blocks[0, 1, self.model.free] += carried @ self.before.blocks[which, 1]
+            for number, carried in self._carried:
+                blocks[0, 1, self.model.free] += carried @ self.before.blocks[number, 1]
             blocks[1, 0] = blocks[0, 1].T
         return DenseMemory(blocks)
 
@@ -256,9 +255,8 @@ class DenseErrors:
             if (chosen & unread).any() and (chosen & ~unread).any():
                 far = np.quantile(squares[chosen & ~unread], LEVEL, method="higher") / TWO_SIDED**2
                 widened[chosen & unread] = np.maximum(widened[chosen & unread], far)
-        return np.asarray(
-            widened - model.known_share(None if self.before is None else self.before.variance())
-        )
+        previous = None if self.before is None else self.before.variance()
+        return np.asarray(widened - model.known_share(previous))
 
     def reading_deviation(self) -> Array:
         """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂).
@@ -293,7 +291,7 @@ class DenseErrors:
             common[frames == frame] = common_variance(answer[frames == frame])
         return np.asarray(np.minimum(common, self.variance))
 
-    def answer(self, rows: Array, known: Array | None = None) -> Array:
+    def answer(self, rows: Array, previous: Array | None = None) -> Array:
         """Return the effect on log r, (free, n), of errors shared with earlier estimates.
 
         The data share these errors with earlier estimates.
@@ -302,12 +300,12 @@ class DenseErrors:
         ----------
         rows : array, shape (data rows, n)
             Errors of the data.
-        known : array, shape (2, cells, n), or None
+        previous : array, shape (2, cells, n), or None
             Effect a of the same errors on log r of the last estimate and of the baseline; None for
             no effect.
         """
         # K x − A⁻¹ Zᵀ Ω Z₀ a
-        carried = np.zeros(0) if known is None else self.model.carried(known)
+        carried = np.zeros(0) if previous is None else self.model.carried(previous)
         if not carried.any():
             return self.gained(rows)
         back = self.model.penalty_jacobian.T @ (self.model.penalty_curvature[:, None] * carried)
@@ -333,5 +331,5 @@ class DenseErrors:
         penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
         image = self.weighed(self.forward(unit)) + model.penalty_jacobian.T @ penalised
         across = image[model.free]
-        left = image[chosen] - np.sum(across * self.solved(across), axis=0)
-        return np.asarray(model.scale / np.maximum(left, IGNORANCE * model.scale))
+        complement = image[chosen] - np.sum(across * self.solved(across), axis=0)
+        return np.asarray(model.scale / np.maximum(complement, IGNORANCE * model.scale))

@@ -25,13 +25,13 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
     size = np.sqrt(variance)
     deviations = slope * size
     near = np.minimum(deviations, MAX_DEVIATIONS)
-    # With α = slope·√variance: log Φ(−α) is left beyond 0, and h = φ(α)/Φ(−α) is the inverse of
-    # Mills' ratio there.
-    left = log_ndtr(-near)
-    rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - left)
+    # With α = slope·√variance: Φ(−α) is the probability beyond 0, and h = φ(α)/Φ(−α) is the inverse
+    # of Mills' ratio there.
+    log_tail = log_ndtr(-near)
+    rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - log_tail)
     # sd = √(variance·(1 − h(h − α))); quantile t with Φ(−α − t/√variance) = 0.05·Φ(−α)
     deviation = size * np.sqrt(np.maximum(1 - rate * (rate - near), 0))
-    quantile = size * (-near - ndtri_exp(np.log(1 - LEVEL) + left))
+    quantile = size * (-near - ndtri_exp(np.log(1 - LEVEL) + log_tail))
     # Far in the tail the density is exponential: sd = 1/slope, quantile −log(0.05)/slope.
     far = deviations > MAX_DEVIATIONS
     scale = 1 / np.where(far, slope, 1.0)

@@ -163,9 +163,11 @@ class LinearModel:
 
         τ includes the error that is the same in all frames.
         """
-        seen = self.data_curvature > 0
+        curved = self.data_curvature > 0
+        if not curved.any():
+            return 1.0
         noise = self._of_rows(self.own_error)
-        return float(np.mean(self.data_curvature[seen] * noise[seen] ** 2)) if seen.any() else 1.0
+        return float(np.mean(self.data_curvature[curved] * noise[curved] ** 2))
 
     @cached_property
     def penalty(self) -> Array:
@@ -214,8 +216,8 @@ class LinearModel:
         """Independent errors of half the gradient due to penalties, (W, Zᵀ H), sparse (cells, n).
 
         W = σ λ Zᵀ ½ρ'(x̂) has a column for each weight that the data chose, for one standard
-        deviation σ of log λ. Without it, 95 % intervals cover 81 to 83 % of the cells where the
-        noise is as large as the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
+        deviation σ of log λ. Without it, intervals are too narrow where the noise is as large as
+        the prior (docs/studies/calibration.md). H is half the slope ∂φ/∂x of
         each row beyond ω x̂; see `Loss.steady_pull`. Where the data show the variance of a term's
         residuals, its column is Zᵀ (λ z/2 − ω x̂), z the duals: it moves the estimate to the mean
         of the posterior with this variance.
@@ -227,8 +229,8 @@ class LinearModel:
         columns = [sparse.csc_array((len(residual), 0))]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             beyond[rows] = weights[number] * loss.steady_pull(residual[rows])
-        shown = [number for number, _ in self._shown_variances()]
-        for number in shown:
+        with_variance = [number for number, _ in self._shown_variances()]
+        for number in with_variance:
             pull = -self.penalty_curvature * residual
             rows = self.penalty_term == number
             dual = self.dual[self.at.cost.functions.nonsmooth_terms == number]
@@ -236,10 +238,11 @@ class LinearModel:
             columns.append(sparse.csc_array(np.where(rows, pull, 0.0)[:, None]))
         for number, sigma in enumerate(self.weight_sigma):
             rows = self.penalty_term == number
-            if np.isfinite(sigma) and rows.any() and number not in shown:
+            if np.isfinite(sigma) and rows.any() and number not in with_variance:
                 slope = weights[number] * terms[number].loss.stiffness(residual) * residual
                 columns.append(sparse.csc_array(np.where(rows, sigma * slope, 0.0)[:, None]))
-        columns += [sparse.diags_array(beyond)] if beyond.any() else []
+        if beyond.any():
+            columns.append(sparse.diags_array(beyond))
         return sparse.csc_array(
             self.penalty_jacobian.T
             @ sparse.hstack([sparse.csc_array((len(residual), 0)), *columns])
@@ -259,22 +262,22 @@ class LinearModel:
 
         u₀ = log r of the previous frame (0) and of the baseline (1).
         """
-        given = self.at.data.given
+        inputs = self.at.data.given
         jacobians = list[sparse.csc_array]()
-        for name, cells in (("previous", given.previous), ("baseline", given.baseline)):
+        for name, cells in (("previous", inputs.previous), ("baseline", inputs.baseline)):
             jacobian = self._residuals.penalties.jacobian(name, self.at)
             if cells is not None and jacobian.nnz:
                 jacobian = sparse.csc_array(jacobian @ sparse.diags_array(cells.ravel()))
             jacobians.append(jacobian)
         return tuple(jacobians)
 
-    def carried(self, known: Array) -> Array:
+    def carried(self, changes: Array) -> Array:
         """Return Z₀ a, (penalty rows, …), for changes a of the previous frame and baseline.
 
         a are changes of log r, (2, cells, …).
         """
-        previous, baseline = self.known_jacobians
-        return np.asarray(previous @ known[0] + baseline @ known[1])
+        by_previous, by_baseline = self.known_jacobians
+        return np.asarray(by_previous @ changes[0] + by_baseline @ changes[1])
 
     def known_share(self, variance: Array | None) -> Array:
         """Return B, the previous frame's share of every penalty row's variance, (penalty rows,).
@@ -299,7 +302,8 @@ def curved_rows(
     There ω is not the weight alone. `term` contains the number of the term of every row.
     """
     for number, part in enumerate(cost.terms):
-        if not part.loss.squared and (rows := term == number).any():
+        rows = term == number
+        if not part.loss.squared and rows.any():
             yield number, part.loss, rows
 
 

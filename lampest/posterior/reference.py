@@ -36,6 +36,9 @@ from lampest.posterior.interval import LEVEL
 from lampest.posterior.matrices import inverse_and_volume
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
+MIN_FREEDOM_SHARE = 1e-3  # of the readings: degrees of freedom where cells follow all of them
+STEP_SHARES = (1.0, 0.3, 0.1, 0.03)  # of a Gauss–Newton step, the first that lowers the cost
+MIN_WEIGHT = 1e-12  # of a reading: the least one stands for an error of some 10⁶ s
 
 
 @dataclass(frozen=True)
@@ -171,16 +174,40 @@ def references(
 
     Raises numpy.linalg.LinAlgError if a network cannot be solved.
     """
-    fits = [
-        ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))
-    ]
-    known = solves[0].noise_known
-    scale = 1.0 if known else MODEL.min_relative_noise
+    fits = list[ReferenceFit]()
+    for data in solves:
+        fits += [ReferenceFit.of(data, cost, frame) for frame in range(len(data.measured))]
+    noise_known = solves[0].noise_known
+    first = 1.0 if noise_known else MODEL.min_relative_noise
+    tried = _fits_by_scale(fits, first, 1 if noise_known and believed else MODEL.max_scales)
+    scales = list(tried)
+    bounds = np.array([sum(fit.bound for fit in fits) for fits in tried.values()])
+    # Posterior of log s on the grid, p ∝ exp(−bound/2), and its median
+    share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
+    best = scales[int(np.searchsorted(share, share[-1] / 2))]
+    if noise_known and bounds[0] - bounds.min() < MODEL.min_gain:
+        best = 1.0  # the specified noise holds unless the readings clearly contradict it
+    errors = np.concatenate([fit.errors(best) for fit in tried[best]])
+    tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
+    frames = iter([fit.reference(best) for fit in tried[best]])
+    estimates = [_joined([next(frames) for _ in data.measured]) for data in solves]
+    return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
+
+
+def _fits_by_scale(
+    fits: "list[ReferenceFit]", first: float, max_scales: int
+) -> "dict[float, list[ReferenceFit]]":
+    """Return the settled fits of all frames for each s of the grid, ascending from the first.
+
+    The grid ends where −2 log p has risen by MODEL.max_excess and no residuals are larger than s.
+    """
+    scale = first
     lowest = np.inf
     tried = dict[float, list[ReferenceFit]]()
-    for _ in range(1 if known and believed else MODEL.max_scales):
+    for _ in range(max_scales):
         # Each fit begins at the previous one.
-        fits = tried[scale] = [fit.settled(scale**2) for fit in fits]
+        fits = [fit.settled(scale**2) for fit in fits]
+        tried[scale] = fits
         bound = sum(fit.bound for fit in fits)
         lowest = min(lowest, bound)
         excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
@@ -188,32 +215,93 @@ def references(
             break
         # If the residuals are far larger than s, half of the grid points up to their size are
         # skipped.
-        scale *= MODEL.scale_ratio ** (
-            1 + int(np.log(max(excess, 1.0)) / np.log(MODEL.scale_ratio)) // 2
+        points = int(np.log(max(excess, 1.0)) / np.log(MODEL.scale_ratio))
+        scale *= MODEL.scale_ratio ** (1 + points // 2)
+    return tried
+
+
+def _joined(frames: Sequence[Reference]) -> Reference:
+    """Return the reference estimate of one solve from those of its frames."""
+    return Reference(
+        cells=np.stack([frame.cells for frame in frames]),
+        deviation=np.stack([frame.deviation for frame in frames]),
+        covariance=block_diag(*(frame.covariance for frame in frames)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Readings that count and steps of one frame, linearised about u.
+
+    Attributes
+    ----------
+    rows : array of int
+        Numbers of the readings that count.
+    value : boolean array, shape (rows,)
+        Whether such a reading is a value.
+    jacobian : array, shape (rows, cells)
+        J, in units of σ.
+    residual : array, shape (rows,)
+    step : array, shape (steps,)
+    """
+
+    rows: NDArray[np.intp]
+    value: NDArray[np.bool_]
+    jacobian: Array
+    residual: Array
+    step: Array
+
+    @property
+    def count(self) -> int:
+        """Number n of the values."""
+        return int(self.value.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """Expected precisions of the readings in 1/s², of the steps in 1/τ², and τ²."""
+
+    reading: Array
+    step: Array
+    variance: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Expectation:
+    """Normal distribution N(û, S) of log r for given weights, and what follows from it.
+
+    Attributes
+    ----------
+    covariance : array, shape (cells, cells)
+        S.
+    log_volume : float
+        log det S.
+    change : array, shape (cells,)
+        û − u.
+    reading_squares, step_squares : array, shapes (rows,), (steps,)
+        E x² of the readings' residuals and of the steps.
+    variance : float
+        The updated τ².
+    residual_variance : float
+        As in `ReferenceFit`.
+    """
+
+    covariance: Array
+    log_volume: float
+    change: Array
+    reading_squares: Array
+    step_squares: Array
+    variance: float
+    residual_variance: float
+
+    def weights(self, square: float) -> _Weights:
+        """Return the weights that follow, w = (ν + 1)/(ν + E x²/s²), v = (ν + 1)/(ν + E z²/τ²)."""
+        nu = MODEL.degrees_of_freedom
+        return _Weights(
+            reading=(nu + 1) / (nu + self.reading_squares / square),
+            step=(nu + 1) / (nu + self.step_squares / self.variance),
+            variance=self.variance,
         )
-    scales = list(tried)
-    bounds = np.array([sum(fit.bound for fit in fits) for fits in tried.values()])
-    # Posterior of log s on the grid, p ∝ exp(−bound/2), and its median
-    share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
-    best = scales[int(np.searchsorted(share, share[-1] / 2))]
-    if known and bounds[0] - bounds.min() < MODEL.min_gain:
-        best = 1.0  # the specified noise holds unless the readings clearly contradict it
-    errors = np.concatenate([fit.errors(best) for fit in tried[best]])
-    tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
-    frames = iter([fit.reference(best) for fit in tried[best]])
-    estimates = []
-    for data in solves:
-        frames_of_data = [next(frames) for _ in data.measured]
-        cells, deviation = (
-            np.stack([getattr(estimate, name) for estimate in frames_of_data])
-            for name in ("cells", "deviation")
-        )
-        estimates.append(
-            Reference(
-                cells, deviation, block_diag(*(estimate.covariance for estimate in frames_of_data))
-            )
-        )
-    return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,8 +397,8 @@ class ReferenceFit:
 
         They are the readings themselves if the noise is unknown.
         """
-        known = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
-        return np.asarray(known[self.frame]).ravel()
+        sigma = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
+        return np.asarray(sigma[self.frame]).ravel()
 
     @cached_property
     def residual(self) -> Array:
@@ -329,11 +417,9 @@ class ReferenceFit:
         """Whether a reading counts, flat: values, and one-sided readings that are violated."""
         if not self.data.partial:
             return self.values
-        given = self.data.given
-        violated = np.ravel(given.side[self.frame]) * self.residual < 0
-        return np.where(
-            np.ravel(given.side[self.frame]) != 0, violated, np.ravel(given.seen[self.frame]) > 0
-        )
+        side = np.ravel(self.data.given.side[self.frame])
+        seen = np.ravel(self.data.given.seen[self.frame])
+        return np.where(side != 0, side * self.residual < 0, seen > 0)
 
     @property
     def step(self) -> Array:
@@ -367,66 +453,88 @@ class ReferenceFit:
         They are updated by expectation–maximisation.
         """
         rows = np.flatnonzero(self.counted)
-        nu = MODEL.degrees_of_freedom
-        variance = self.variance
-        of_readings = self.reading_weights[rows]
-        of_steps = self.step_weights
-        value = self.values[rows]
-        count = int(value.sum())
-        rank = min(len(self.steps), len(self.cells) - (not self.origin.any()))
         jacobian = (self.network.sensitivity() / self.sigma[:, None])[np.ix_(rows, self.cells)]
-        residual = self.residual[rows]
-        step = self.step
+        linear = _Linearised(rows, self.values[rows], jacobian, self.residual[rows], self.step)
+        weights = _Weights(self.reading_weights[rows], self.step_weights, self.variance)
         # σ₀² = n/tr(JᵀWJ/s²): the harmonic mean of the variances with which the readings alone
         # determine single cells
-        prior_scale = len(self.cells) * square / float(np.sum(of_readings[:, None] * jacobian**2))
+        precision = float(np.sum(weights.reading[:, None] * jacobian**2))
+        prior_scale = len(self.cells) * square / precision
         for number in range(MODEL.max_rounds):
-            # S⁻¹ = Jᵀ diag(w/s²) J + Dᵀ diag(v/τ²) D, upper triangle
-            readings = of_readings / square
-            steps = of_steps / variance
-            previous = variance
-            matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(readings)[:, None]).T)
-            matrix = blas.dsyrk(
-                1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True
-            )
-            matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
-            covariance, log_volume = inverse_and_volume(matrix)
-            slope = jacobian.T @ (readings * residual) + self.steps.T @ (steps * step)
-            change = self._within_bounds(matrix, slope)
-            # Residuals and steps at û, and their variances diag(J S Jᵀ) and diag(D S Dᵀ).
-            missed = residual + jacobian @ change
-            stepped = step + self.steps @ change
-            missed_variance = np.sum((jacobian @ covariance) * jacobian, axis=1)
-            stepped_variance = np.sum((self.steps @ covariance) * self.steps, axis=1)
-            # Σ w x²/(n − tr(S Jᵀ W J)) of the values
-            free = max(count - float(np.sum((readings * missed_variance)[value])), 1e-3 * len(rows))
-            residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
-            # γ = rank − tr(S Dᵀ V D), the number of steps that the readings determine
-            determined = max(rank - float(np.sum(steps * stepped_variance)), 0.0)
-            variance = self._updated_variance(
-                float(np.sum(of_steps * stepped**2)), determined, variance, prior_scale
-            )
-            # Expected precisions w = (ν + 1)/(ν + E x²/s²) and v = (ν + 1)/(ν + E z²/τ²)
-            missed_squares = missed**2 + missed_variance
-            stepped_squares = stepped**2 + stepped_variance
-            of_readings = (nu + 1) / (nu + missed_squares / square)
-            of_steps = (nu + 1) / (nu + stepped_squares / variance)
-            if number and abs(np.log(variance / previous)) < MODEL.settled_variance:
+            previous = weights.variance
+            expectation = self._expectation(linear, weights, square, prior_scale)
+            weights = expectation.weights(square)
+            if number and abs(np.log(weights.variance / previous)) < MODEL.settled_variance:
                 break
         # −2 log p(y | s) ≤ n log s² + rank·log τ² − log det S + the tails, up to a constant
-        bound = count * np.log(square) + rank * np.log(variance) - log_volume
-        bound += _tails(missed_squares[value], square) + _tails(stepped_squares, variance)
-        weights = np.zeros(len(self.position))
-        weights[rows] = of_readings
-        updated = replace(
-            self,
-            reading_weights=weights,
-            step_weights=of_steps,
-            variance=variance,
-            covariance=covariance,
+        bound = linear.count * np.log(square) + self._rank * np.log(weights.variance)
+        bound -= expectation.log_volume
+        bound += _tails(expectation.reading_squares[linear.value], square) + _tails(
+            expectation.step_squares, weights.variance
         )
+        reading_weights = np.zeros(len(self.position))
+        reading_weights[rows] = weights.reading
         return replace(
-            updated, change=change, bound=float(bound), residual_variance=residual_variance
+            self,
+            reading_weights=reading_weights,
+            step_weights=weights.step,
+            variance=weights.variance,
+            covariance=expectation.covariance,
+            change=expectation.change,
+            bound=float(bound),
+            residual_variance=expectation.residual_variance,
+        )
+
+    @property
+    def _rank(self) -> int:
+        """Rank of D."""
+        return min(len(self.steps), len(self.cells) - (not self.origin.any()))
+
+    def _expectation(
+        self, linear: _Linearised, weights: _Weights, square: float, prior_scale: float
+    ) -> _Expectation:
+        """Return the distribution of log r for given weights, with the updated τ².
+
+        Parameters
+        ----------
+        linear : _Linearised
+        weights : _Weights
+        square, prior_scale : float
+            s² and σ₀².
+        """
+        jacobian = linear.jacobian
+        # S⁻¹ = Jᵀ diag(w/s²) J + Dᵀ diag(v/τ²) D, upper triangle
+        readings = weights.reading / square
+        steps = weights.step / weights.variance
+        matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(readings)[:, None]).T)
+        matrix = blas.dsyrk(
+            1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True
+        )
+        matrix[np.diag_indices(len(matrix))] += MODEL.ridge * np.trace(matrix) / len(matrix)
+        covariance, log_volume = inverse_and_volume(matrix)
+        slope = jacobian.T @ (readings * linear.residual) + self.steps.T @ (steps * linear.step)
+        change = self._within_bounds(matrix, slope)
+        # Residuals and steps at û, and their variances diag(J S Jᵀ) and diag(D S Dᵀ).
+        residual = linear.residual + jacobian @ change
+        step = linear.step + self.steps @ change
+        residual_variances = np.sum((jacobian @ covariance) * jacobian, axis=1)
+        step_variances = np.sum((self.steps @ covariance) * self.steps, axis=1)
+        # Σ w x²/(n − tr(S Jᵀ W J)) of the values
+        followed = float(np.sum((readings * residual_variances)[linear.value]))
+        freedom = max(linear.count - followed, MIN_FREEDOM_SHARE * len(linear.rows))
+        squares = float(np.sum((weights.reading * residual**2)[linear.value]))
+        # γ = rank − tr(S Dᵀ V D), the number of steps that the readings determine
+        determined = max(self._rank - float(np.sum(steps * step_variances)), 0.0)
+        step_sum = float(np.sum(weights.step * step**2))
+        variance = self._updated_variance(step_sum, determined, weights.variance, prior_scale)
+        return _Expectation(
+            covariance=covariance,
+            log_volume=log_volume,
+            change=change,
+            reading_squares=residual**2 + residual_variances,
+            step_squares=step**2 + step_variances,
+            variance=variance,
+            residual_variance=squares / freedom,
         )
 
     def _updated_variance(
@@ -464,9 +572,9 @@ class ReferenceFit:
         place = self.position[self.cells]
         # Active set: fixed cells, and cells that the gradient presses against a bound; Newton step
         # of the others.
-        held = (
-            (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
-        )
+        pressed_down = (place <= lower) & (slope > 0)
+        pressed_up = (place >= upper) & (slope < 0)
+        held = (upper <= lower) | pressed_down | pressed_up
         free = np.flatnonzero(~held)
         change = np.zeros(len(slope))
         symmetric = np.triu(matrix) + np.triu(matrix, 1).T
@@ -482,7 +590,7 @@ class ReferenceFit:
         change = np.zeros(len(self.position))
         change[self.cells] = np.clip(self.change, -MODEL.max_step, MODEL.max_step)
         # Backtracking on −2 log of the heavy-tailed densities.
-        for share in (1.0, 0.3, 0.1, 0.03):
+        for share in STEP_SHARES:
             trial = replace(self, position=np.clip(self.position + share * change, lower, upper))
             if trial.cost(square) <= self.cost(square):
                 return trial
@@ -498,7 +606,7 @@ class ReferenceFit:
     def errors(self, scale: float) -> Array:
         """Return s √(E e²) of the values, from their weights w = (ν + 1)/(ν + E e²)."""
         nu = MODEL.degrees_of_freedom
-        weights = np.maximum(self.reading_weights[self.values], 1e-12)
+        weights = np.maximum(self.reading_weights[self.values], MIN_WEIGHT)
         return np.asarray(scale * np.sqrt(np.maximum((nu + 1) / weights - nu, 0.0)))
 
     def reference(self, scale: float) -> Reference:

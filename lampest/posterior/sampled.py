@@ -142,8 +142,8 @@ class SampledErrors(DenseErrors):
             right += model.pulls @ random.standard_normal(model.pulls.shape[1])
             if self.before is not None:
                 # M ε₀ = Zᵀ Ω Z₀ ε₀
-                known = model.carried(self.before.samples[:, number])
-                right -= model.penalty_jacobian.T @ (model.penalty_curvature * known)
+                carried = model.carried(self.before.samples[:, number])
+                right -= model.penalty_jacobian.T @ (model.penalty_curvature * carried)
             samples[number] = self.solved(right[model.free, None])[:, 0]
             # E[ε·(Zᵀ √Ω z₂)/√(s²(C − B))] = diag(A⁻¹ Zᵀ Ω Z) over the samples
             pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / self.samples
@@ -181,11 +181,9 @@ class SampledErrors(DenseErrors):
 
 def _by_columns(function: Callable[[Array], Array], columns: Array, size: int) -> Array:
     """Return the results (size, n) of a function of single columns for n columns."""
-    return (
-        np.stack([function(column) for column in columns.T], axis=1)
-        if columns.size
-        else np.zeros((size, 0))
-    )
+    if not columns.size:
+        return np.zeros((size, 0))
+    return np.stack([function(column) for column in columns.T], axis=1)
 
 
 def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:

@@ -110,12 +110,13 @@ class Spectrum:
         factor, _ = cho_factor(matrix, lower=True)
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
         loss = model.at.cost.terms[number].loss
-        far = model.penalty[of_term]
+        residual = model.penalty[of_term]
         penalties = solve_triangular(factor, rows[of_term].T, lower=True)
         if loss.enters == "dual":
             noisy = solve_triangular(factor, jacobian.T * (size * model.noise), lower=True)
-            far = np.sqrt(far**2 + np.sum((noisy.T @ penalties) ** 2) / len(far))
-        weight = np.sqrt(loss.stiffness(far))
+            variance = np.sum((noisy.T @ penalties) ** 2) / len(residual)
+            residual = np.sqrt(residual**2 + variance)
+        weight = np.sqrt(loss.stiffness(residual))
         penalty = weight * model.penalty[of_term]
         penalties = weight * penalties
         # R⁻¹ Zᵀ Z R⁻ᵀ = Q diag(κ) Qᵀ, T = R⁻ᵀ Q
@@ -125,21 +126,21 @@ class Spectrum:
         gram = basis.T @ basis
         noise = directions * (size * model.noise)[:, None]
         # Covariance of T⁻¹ u = Qᵀ Rᵀ u
-        known = np.zeros_like(gram)
+        doubt = np.zeros_like(gram)
         back = vectors.T @ np.tril(factor).T
         # Absolute losses hold cells where the reference cannot.
         if covariance is not None and loss.enters != "dual":
-            known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
+            doubt = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
-            np.maximum(stiffness, 0),
-            basis.T @ (rows[~of_term].T @ (curvature * model.penalty[~of_term])),
-            vectors.T @ (penalties @ penalty),
-            directions,
-            float(penalty @ penalty),
-            float(np.sum(np.log(np.diag(factor) ** 2 / model.scale))),
-            gram,
-            (noise.T @ noise) * gram,
-            known * gram,
+            stiffness=np.maximum(stiffness, 0),
+            pull=basis.T @ (rows[~of_term].T @ (curvature * model.penalty[~of_term])),
+            penalty_slope=vectors.T @ (penalties @ penalty),
+            directions=directions,
+            penalty=float(penalty @ penalty),
+            volume=float(np.sum(np.log(np.diag(factor) ** 2 / model.scale))),
+            gram=gram,
+            spread=(noise.T @ noise) * gram,
+            doubt=doubt * gram,
         )
 
     def risk(self, weight: float) -> float:
@@ -166,18 +167,18 @@ class Spectrum:
         The sum is over the directions with a penalty.
         """
         penalised = self.stiffness > NEGLIGIBLE * self.stiffness.max()
-        return float(
-            0.5 * np.sum((1 / (1 + weight * self.stiffness[penalised & self.determined])) ** 2)
-        )
+        stiffness = self.stiffness[penalised & self.determined]
+        return float(0.5 * np.sum((1 / (1 + weight * stiffness)) ** 2))
 
     @cached_property
     def determined(self) -> NDArray[np.bool_]:
-        """Directions to which data add more precision than IGNORANCE, boolean (unknowns,).
+        """Directions to which data add most of the precision, boolean (unknowns,).
 
-        All if there are none.
+        The rest is that of the other penalties and of IGNORANCE. All directions if there are none.
         """
-        known = np.sum(self.directions**2, axis=0) > 0.5
-        return np.asarray(known | ~known.any())
+        # Share of the data in the precision of data, other penalties and ignorance.
+        mostly_by_data = np.sum(self.directions**2, axis=0) > 0.5
+        return np.asarray(mostly_by_data | ~mostly_by_data.any())
 
     @property
     def extent(self) -> tuple[float, float]:
@@ -187,18 +188,20 @@ class Spectrum:
         """
         stiffness = self.stiffness[self.determined]
         effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
-        return -float(np.log(EXTENT_FACTOR * effective.max())), float(
-            np.log(EXTENT_FACTOR / effective.min())
-        )
+        smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
+        largest = float(np.log(EXTENT_FACTOR / effective.min()))
+        return smallest, largest
 
 
 def best_weight(spectra: Sequence[Spectrum]) -> float:
     """Return the λ of least risk, summed over spectra, within the range of their extents."""
     extents = [spectrum.extent for spectrum in spectra]
 
-    def value(place: float) -> float:
-        places = (float(np.exp(min(max(place, low), high))) for low, high in extents)
-        return sum(spectrum.risk(weight) for spectrum, weight in zip(spectra, places, strict=True))
+    def value(log_weight: float) -> float:
+        risk = 0.0
+        for spectrum, (low, high) in zip(spectra, extents, strict=True):
+            risk += spectrum.risk(float(np.exp(min(max(log_weight, low), high))))
+        return risk
 
     lowest, highest = zip(*extents, strict=True)
     # Global minimum on a grid of log λ, refined between its neighbours by the golden section
@@ -208,12 +211,15 @@ def best_weight(spectra: Sequence[Spectrum]) -> float:
     least = int(np.argmin([value(place) for place in grid]))
     low = grid[max(least - 1, 0)]
     high = grid[min(least + 1, GRID - 1)]
-    ratio = (np.sqrt(5) - 1) / 2
+    golden_ratio = (np.sqrt(5) - 1) / 2
     while high - low > PRECISION:
-        width = ratio * (high - low)
-        low, high = (
-            (low, low + width) if value(high - width) < value(low + width) else (high - width, high)
-        )
+        width = golden_ratio * (high - low)
+        inner_low = high - width
+        inner_high = low + width
+        if value(inner_low) < value(inner_high):
+            high = inner_high
+        else:
+            low = inner_low
     return float(np.exp((low + high) / 2))
 
 
@@ -285,43 +291,44 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
             prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior))
         )
         residual = model.penalty + rows @ step
-        before = weights
+        previous = weights
         weights = list(weights)
         for number in open_terms:
             of_term = model.penalty_term == number
             # diag(Z A⁻¹ Zᵀ) and diag(Z B⁺ Zᵀ) over the rows of the term
-            posterior, free = (
-                np.einsum("ij,jk,ik->i", rows[of_term], matrix, rows[of_term], optimize=True)
-                for matrix in (inverse, prior_inverse)
-            )
+            posterior = _quadratic_forms(rows[of_term], inverse)
+            free = _quadratic_forms(rows[of_term], prior_inverse)
             inside = curvature[of_term] > 0
             mean = residual[of_term][inside]
             size = np.sqrt(np.maximum(model.scale * posterior[inside], np.finfo(float).tiny))
-            # E|x| of x ~ N(mean, size²): size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2
-            # size))
-            folded = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2) + mean * erf(
-                mean / size / np.sqrt(2)
-            )
             # tr(B⁺ B_t) and tr(A⁻¹ B_t)
-            count, used = (float(np.sum(curvature[of_term] * part)) for part in (free, posterior))
-            evidence = PenaltyEvidence(mean, float(folded.sum()), count, partial(float, used))
+            count = float(np.sum(curvature[of_term] * free))
+            used = float(np.sum(curvature[of_term] * posterior))
+            magnitude = float(_folded_mean(mean, size).sum())
+            evidence = PenaltyEvidence(mean, magnitude, count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
-        if (
-            max(
-                abs(np.log(weight / earlier))
-                for weight, earlier in zip(weights, before, strict=True)
-            )
-            < TOLERANCE
-        ):
+        changes = [
+            abs(np.log(weight / earlier)) for weight, earlier in zip(weights, previous, strict=True)
+        ]
+        if max(changes) < TOLERANCE:
             break
     return weights
+
+
+def _quadratic_forms(rows: Array, matrix: Array) -> Array:
+    """Return diag(Z M Zᵀ) for rows Z, (rows,)."""
+    return np.asarray(np.einsum("ij,jk,ik->i", rows, matrix, rows, optimize=True))
+
+
+def _folded_mean(mean: Array, size: Array) -> Array:
+    """Return E|x| of x ~ N(mean, size²), of any shape."""
+    # size·√(2/π)·exp(−mean²/(2 size²)) + mean·erf(mean/(√2 size))
+    spread = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2)
+    return np.asarray(spread + mean * erf(mean / size / np.sqrt(2)))
 
 
 def _weight(model: LinearModel, term: int, evidence: PenaltyEvidence) -> float:
     """Return s² γ/η of a term (number), with γ at least 1."""
     loss = model.at.cost.terms[term].loss
-    return (
-        model.scale
-        * max(loss.determined(evidence), 1.0)
-        / max(loss.size(evidence), np.finfo(float).tiny)
-    )
+    determined = max(loss.determined(evidence), 1.0)
+    return model.scale * determined / max(loss.size(evidence), np.finfo(float).tiny)

@@ -63,8 +63,10 @@ class Bars:
 
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
         """Return bars with extended intervals; see `Certainty.reaching_farther`."""
-        change = self.change and self.change.reaching_farther(below, above)
-        return replace(self, frame=self.frame.reaching_farther(below, above), change=change)
+        frame = self.frame.reaching_farther(below, above)
+        if self.change is None:
+            return replace(self, frame=frame)
+        return replace(self, frame=frame, change=self.change.reaching_farther(below, above))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +133,9 @@ class Track:
         if joint:
             baseline = certainty.of_frame(0)
             resting = answers[: len(answer)]
-        memory = (
-            errors.memory() if any(term.needs_previous for term in model.at.cost.terms) else None
-        )
+        memory = None
+        if any(term.needs_previous for term in model.at.cost.terms):
+            memory = errors.memory()
         change = None
         if baseline is not None:
             # Common parts: cov(a, b) = (var a + var b − var(a − b))/2. Whole errors: Σ a·b plus
@@ -143,9 +145,9 @@ class Track:
                 + common_variance(resting)
                 - common_variance(answer - resting)
             ) / 2
-            covariance = np.sum(answer * resting, axis=1) + (
-                0.0 if memory is None else memory.shared()
-            )
+            covariance = np.sum(answer * resting, axis=1)
+            if memory is not None:
+                covariance = covariance + memory.shared()
             change = frame.less(baseline, covariance.reshape(shape), common.reshape(shape))
         track = replace(
             self,
@@ -194,16 +196,16 @@ class Track:
         # U of every frame, and its effect on log r; cells at bounds are treated one by one.
         pairs = zip(model.at.networks, measured, strict=True)
         columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
-        known = (
-            np.zeros((2, cells[0].size, columns.shape[1])) if self.answers is None else self.answers
-        )
+        previous = self.answers
+        if previous is None:
+            previous = np.zeros((2, cells[0].size, columns.shape[1]))
         answer = np.zeros((cells.size, columns.shape[1]))
         rows = np.asarray(model.through @ columns)
         if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
-            answer[model.free], held, below, above = active_bounds(errors, rows, known)
+            answer[model.free], held, below, above = active_bounds(errors, rows, previous)
             bars = bars.reaching(held, below, above)
         else:
-            answer[model.free] = errors.answer(rows, known)
+            answer[model.free] = errors.answer(rows, previous)
         # r ≥ R: the bound has its reading's error
         read = model.at_lower & (model.at.data.lower == measured).ravel()
         answer[read] = columns[read] / measured.ravel()[read, None]
@@ -252,10 +254,10 @@ def beyond_tangents(
         # Ends of failed solves are NaN, which fmax ignores.
         below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
         above += np.fmax(np.fmax(low, high), 0.0) ** 2
-    further = (
-        np.maximum(end - straight, 0.0).reshape(readings.value.shape) for end in (below, above)
-    )
-    return next(further), next(further)
+    shape = readings.value.shape
+    further_below = np.maximum(below - straight, 0.0).reshape(shape)
+    further_above = np.maximum(above - straight, 0.0).reshape(shape)
+    return further_below, further_above
 
 
 def tangent(errors: DenseErrors, cell: int) -> Array:
@@ -282,8 +284,8 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
     # Rise of φ at the end: 1.96² s² C = 1.96² S_cc/(A⁻¹)_cc
     most = TWO_SIDED**2 * errors.variance[place] / errors.inverse[place, place]
     step = side * min(far / STEPS, MAX_STEP)
-    risen = 0.0
-    before = 0.0
+    rise = 0.0
+    previous_force = 0.0
     position = begin.position
     for _ in range(round(min(MAX_TANGENTS * far / abs(step), MAX_STEPS))):
         model = errors.model
@@ -298,9 +300,9 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
         change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
         position = np.clip(position + change.reshape(position.shape), *begin.data.log_bounds)
         # Rise of φ along the path by the trapezoidal rule, with the force λ = ½ dφ/du_c.
-        risen = risen + step * (before + force)
-        before = force
-        if risen >= most:
+        rise = rise + step * (previous_force + force)
+        previous_force = force
+        if rise >= most:
             break
         errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
     return np.asarray((position - begin.position).ravel())

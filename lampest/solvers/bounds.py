@@ -48,20 +48,20 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """
     least = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale
     size = float(np.abs(along).max(initial=0.0)) or 1.0
-    lengths = [sign * length / size for length in STEP_LENGTHS for sign in (1.0, -1.0)]
-    candidates = (moved_by(at, length * along) for length in lengths)
-    return next(
-        (point for point in candidates if point is not None and _certain_cost(point) < least), None
-    )
+    for length in STEP_LENGTHS:
+        for sign in (1.0, -1.0):
+            point = moved_by(at, sign * length / size * along)
+            if point is not None and _certain_cost(point) < least:
+                return point
+    return None
 
 
 def _certain_cost(at: Evaluation) -> float:
     """Return φ minus the rounding error of residuals with an absolute loss."""
     if not len(at.nonsmooth):
         return at.objective
-    return at.objective - float(
-        np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits))
-    )
+    rounding = np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits))
+    return at.objective - float(rounding)
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
@@ -94,7 +94,10 @@ def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
     lower, upper = at.data.log_bounds
     held = ((at.position >= upper) & (gradient < 0)) | ((at.position <= lower) & (gradient > 0))
     held &= lower < upper
-    if not held.any() or not (missed := _missed(at)).any():
+    if not held.any():
+        return False
+    missed = _missed(at)
+    if not missed.any():
         return False
     if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
         return True

@@ -63,7 +63,7 @@ class Certificate:
         δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings with curvature: an upper bound of |s_c|
         over the posterior standard deviation of its cell. Infinite if the noise is not known, or if
         the step is at most a millionth.
-    left : float
+    undetermined_slope : float
         Largest entry of the gradient in undetermined directions; infinite if it was not computed.
     factor : Cholesky or None
         Cholesky factor of ∇²φ, if the certificate was made by one.
@@ -75,7 +75,7 @@ class Certificate:
     step: Array
     decrement: float
     deviations: float
-    left: float = float("inf")
+    undetermined_slope: float = float("inf")
     factor: Cholesky | None = None
     lower: Evaluation | None = None
 
@@ -133,7 +133,13 @@ class Certificate:
         free = self.factor.cells
         part = self.factor.solve(-hessian.gradient[free])
         return Certificate.of(
-            hessian, self.definiteness, free, part, None, left=self.left, factor=self.factor
+            hessian,
+            self.definiteness,
+            free,
+            part,
+            None,
+            undetermined_slope=self.undetermined_slope,
+            factor=self.factor,
         )
 
     def converged(self, cost_scale: float) -> bool:
@@ -144,11 +150,10 @@ class Certificate:
         gradient is rounding, but the Newton step, divided by their curvature, is small.
         """
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
-        flat = (
-            self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
-        )
-        known = self.definiteness is Definiteness.POSITIVE or flat
-        return small and known and self.decrement**2 <= MIN_COST_SHARE * cost_scale
+        undetermined = self.definiteness is Definiteness.UNDETERMINED
+        flat = undetermined and self.undetermined_slope <= MILLIONTH * cost_scale
+        no_descent = self.definiteness is Definiteness.POSITIVE or flat
+        return small and no_descent and self.decrement**2 <= MIN_COST_SHARE * cost_scale
 
 
 def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:
@@ -156,8 +161,9 @@ def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) 
 
     `preconditioner` serves the conjugate gradients of large problems.
     """
-    if (exact := _of_reproduced(hessian)) is not None:
-        return exact
+    of_reproduced = _of_reproduced(hessian)
+    if of_reproduced is not None:
+        return of_reproduced
     free = free_cells(hessian.at, hessian.gradient)
     chosen = np.flatnonzero(free)
     if not len(chosen):
@@ -183,19 +189,19 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
         return None
     # e = (∂φ/∂y)/(∂²φ/∂y²)/y: relative residual of each reading
     missed = hessian.by_reading.ravel() / curvature / reading
-    known = hessian.at.data.noise_known
     close = float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
-    if len(reading) > (DENSE_CELLS if known else MAX_DENSE) or (known and not close):
+    noise_known = hessian.at.data.noise_known
+    if noise_known and not close:
+        return None
+    if len(reading) > (DENSE_CELLS if noise_known else MAX_DENSE):
         return None
     sensitivity = hessian.at.networks[0].sensitivity() / reading[:, None]
     cells = np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
-        return (
-            Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf)
-            if close
-            else None
-        )
+        if not close:
+            return None
+        return Certificate.of(hessian, Definiteness.UNDETERMINED, cells, 0 * missed, np.inf)
     inside = within_bounds(hessian.at, cells, step)
     if not close and (float(np.abs(step).max()) > MAX_DISTANCE or not np.array_equal(inside, step)):
         return None
@@ -225,11 +231,9 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     slope = hessian.gradient[free]
     # Usual curvature from a cell's own reading: the median weight of the readings times J_cc²
     weight = hessian.curvature[hessian.curvature > 0]
-    usual = (
-        np.median(weight) * hessian.own_response**2
-        if len(weight)
-        else np.ones(len(hessian.own_response))
-    )
+    usual = np.ones(len(hessian.own_response))
+    if len(weight):
+        usual = np.median(weight) * hessian.own_response**2
     least = ROUNDING * usual[free]
     factor = None
     if np.all(matrix.diagonal() > least):
@@ -237,12 +241,19 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     if factor is not None and clear_of_rounding(factor.triangle, factor.norm):
         part = factor.solve(-slope)
         return Certificate.of(
-            hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor
+            hessian, Definiteness.POSITIVE, free, part, None, undetermined_slope=0.0, factor=factor
         )
-    definiteness, part, left, lowest = newton_step(matrix, slope, least)
+    definiteness, part, undetermined_slope, lowest = newton_step(matrix, slope, least)
     definiteness, lower = _confirmed(hessian, definiteness, free, lowest)
     return Certificate.of(
-        hessian, definiteness, free, part, None, left=left, factor=factor, lower=lower
+        hessian,
+        definiteness,
+        free,
+        part,
+        None,
+        undetermined_slope=undetermined_slope,
+        factor=factor,
+        lower=lower,
     )
 
 
@@ -264,7 +275,7 @@ def newton_step(
     definiteness : Definiteness
     step : array, shape (cells,)
         −H⁺ g over the eigenvectors whose eigenvalue is above rounding.
-    left : float
+    undetermined_slope : float
         Largest entry of the gradient along the other eigenvectors.
     lowest : array, shape (cells,)
         Eigenvector of the lowest eigenvalue, in u.
@@ -279,14 +290,11 @@ def newton_step(
     part = vectors.T @ (slope / size)
     # s = −D⁻¹ V λ⁻¹ Vᵀ D⁻¹ g over λ > ROUNDING
     step = -vectors[:, solid] @ (part[solid] / values[solid]) / size
-    left = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
-    flat = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
-    return (
-        Definiteness.INDEFINITE if values[0] < -ROUNDING else flat,
-        step,
-        left,
-        vectors[:, 0] / size,
-    )
+    undetermined_slope = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
+    definiteness = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
+    if values[0] < -ROUNDING:
+        definiteness = Definiteness.INDEFINITE
+    return definiteness, step, undetermined_slope, vectors[:, 0] / size
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:
@@ -319,11 +327,10 @@ def _by_conjugate_gradients(
         along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
         curvature = float(along @ product(along))
         size = hessian.diagonal[chosen]
-        rounding = max(
-            ROUNDING * float(along @ (size * along)), MIN_CURVATURE * hessian.at.cost_scale
-        )
-        definiteness = (
-            Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
-        )
+        of_products = ROUNDING * float(along @ (size * along))
+        rounding = max(of_products, MIN_CURVATURE * hessian.at.cost_scale)
+        definiteness = Definiteness.INDEFINITE
+        if curvature > -rounding:
+            definiteness = Definiteness.UNDETERMINED
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
     return Certificate.of(hessian, definiteness, chosen, solved.step, None, lower=lower)

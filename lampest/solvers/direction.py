@@ -72,7 +72,7 @@ class QuadraticModel:
         Its preconditioner is the newest one, unless the point has moved too far from it.
         """
         hessian = point.hessian
-        cached = point.newest
+        cached = point.newest_preconditioner
         if cached is None or cached.distance(point.at.cell_resistance) > STEPS.max_reuse_distance:
             cached = preconditioner(hessian, hessian.free)
         in_log_r = shares_conductance(point.at)

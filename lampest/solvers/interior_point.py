@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, restricted, steihaug
+from lampest.panel.trust_region import SUFFICIENT_DECREASE, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, TwoLevel
@@ -60,8 +60,8 @@ class InteriorPoint:
     max_barrier_share: float = 1e-8
 
 
-# Without min_step, and with μ reduced after every step, one of two later frames at 100 × 100 takes
-# more than 60 s in place of 5 to 8 s (docs/studies/speed.md).
+# Without min_step, and with μ reduced after every step, a frame of a large panel may take ten times
+# as long (docs/studies/speed.md).
 METHOD = InteriorPoint()
 # Change of the distances (g − g_low, g_high − g) with g.
 SIDES = np.array([1.0, -1.0])[:, None, None, None]
@@ -76,11 +76,9 @@ def central_path(start: Evaluation, max_steps: int | None = None) -> tuple[Evalu
     steps = 0
     limit = METHOD.max_steps if max_steps is None else min(max_steps, METHOD.max_steps)
     while steps < limit and not start.data.overdue:
-        trial = (
-            barrier.advanced()
-            if barrier.added > METHOD.max_barrier_share * barrier.at.objective
-            else None
-        )
+        if not barrier.added > METHOD.max_barrier_share * barrier.at.objective:
+            break
+        trial = barrier.advanced()
         if trial is None:
             break
         barrier = trial
@@ -216,11 +214,9 @@ class Barrier:
         It is infinite outside the bounds.
         """
         distances = self.distances[:, self.moving]
-        return (
-            self.at.objective - mean * float(np.log(distances).sum())
-            if np.all(distances > 0)
-            else float("inf")
-        )
+        if not np.all(distances > 0):
+            return float("inf")
+        return self.at.objective - mean * float(np.log(distances).sum())
 
     def advanced(self) -> "Barrier | None":
         """Return the iterate after one step; None if no step lowers the barrier function."""
@@ -263,11 +259,8 @@ class Barrier:
         stiff = (self.stiffness * self.conductance**2).ravel()
         slope = -(push * self.conductance).ravel()[chosen]
         step = np.zeros(push.size)
-        step[chosen] = (
-            self._dense(chosen, stiff, slope)
-            if self.hessian.dense
-            else self._sparse(chosen, stiff, slope)
-        )
+        solve = self._dense if self.hessian.dense else self._sparse
+        step[chosen] = solve(chosen, stiff, slope)
         return step.reshape(push.shape) * self.conductance
 
     def _dense(self, chosen: Numbers, stiff: Array, slope: Array) -> Array:
@@ -286,17 +279,20 @@ class Barrier:
         free = self.moving.ravel()
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         # Accuracy grows as the barrier's share shrinks: residuals of cells at bounds hide those of
-        # the others. With ACCURACY throughout, besides the changes named at METHOD, a later frame
-        # takes 83 s (docs/studies/speed.md).
+        # the others (docs/studies/speed.md).
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         distances = (self.distances / self.conductance).reshape(2, -1)[:, chosen]
 
         def admits(step: Array) -> bool:
             return reach(distances, SIDES[:, 0, 0] * step) >= METHOD.min_step
 
-        exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
-        squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
-        for product in (exact, squares):
+        def exact(step: Array) -> Array:
+            return hessian.product(step) + (stiff + hessian.gradient) * step
+
+        def gauss_newton(step: Array) -> Array:
+            return hessian.gauss_newton_product(step) + stiff * step
+
+        for product in (exact, gauss_newton):
             solved = steihaug(
                 restricted(product, chosen, free.size), precondition, slope, accuracy, admits=admits
             )

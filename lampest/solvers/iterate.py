@@ -16,6 +16,8 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Status
 from lampest.solvers.steps import STEPS
 
+MIN_LAST_STEP = MILLIONTH / 1000  # of log r: a shorter step improves no digit of an estimate
+
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
@@ -84,9 +86,8 @@ class Iterate:
         """
         if not len(self.at.nonsmooth):
             return 0.0
-        return (
-            self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
-        )
+        slope = self.hessian.smoothing.slope(self.at.nonsmooth)
+        return self.at.dual_gap(slope) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
         """Return whether the duality gap of the smoothing is at most `tolerance` of the cost."""
@@ -127,7 +128,7 @@ class Iterate:
         return self.expected <= STEPS.refactor_distance**2 and not len(self.at.nonsmooth)
 
     @property
-    def known(self) -> Certificate | None:
+    def newest_certificate(self) -> Certificate | None:
         """The newest certificate: of this point if it is computed, otherwise of an earlier one."""
         return self.certificate or self.nearby
 
@@ -148,24 +149,21 @@ class Iterate:
 
         None without a certificate or such a point.
         """
-        lower = None if self.certificate is None else self.certificate.lower
-        return (
-            None
-            if lower is None
-            else Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
-        )
+        if self.certificate is None or self.certificate.lower is None:
+            return None
+        lower = self.certificate.lower
+        return Iterate.of(lower, self.hessian.smoothing.moved(self.at, lower), convex=False)
 
     @property
-    def newest(self) -> Preconditioner | None:
+    def newest_preconditioner(self) -> Preconditioner | None:
         """The factor of ∇²φ of the newest certificate.
 
         Without one, it is the preconditioner of an earlier point.
         """
-        return (
-            self.preconditioner
-            if self.known is None or self.known.factor is None
-            else self.known.factor
-        )
+        verdict = self.newest_certificate
+        if verdict is None or verdict.factor is None:
+            return self.preconditioner
+        return verdict.factor
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """Return the outcome at this point.
@@ -176,22 +174,28 @@ class Iterate:
         final = self.certificate
         cells = self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.nonsmooth)
-        exact = final is not None and final.factor is not None and final.settled and not len(dual)
-        if (
-            final is not None
-            and exact
-            and MILLIONTH / 1000 < np.abs(final.step).max() <= STEPS.refactor_distance
-        ):
-            cells = np.exp(self.at.position + final.step.reshape(cells.shape))
-        return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
+        if final is not None and final.factor is not None and final.settled and not len(dual):
+            length = np.abs(final.step).max()
+            if MIN_LAST_STEP < length <= STEPS.refactor_distance:
+                cells = np.exp(self.at.position + final.step.reshape(cells.shape))
+        return Outcome(
+            cells,
+            dual,
+            status,
+            iterations,
+            certificate=final,
+            carried=self.newest_preconditioner,
+            convex=self.convex,
+            at=self.at,
+        )
 
     def at_step(self, step: Array) -> "Iterate | None":
         """Return the point after a step of u (flat), clipped to the bounds.
 
         None if its network cannot be solved.
         """
-        if (at := moved_by(self.at, step)) is None:
+        at = moved_by(self.at, step)
+        if at is None:
             return None
-        return Iterate.of(
-            at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex
-        )
+        smoothing = self.hessian.smoothing.moved(self.at, at)
+        return Iterate.of(at, smoothing, self.preconditioner, convex=self.convex)

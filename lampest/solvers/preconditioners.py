@@ -31,6 +31,10 @@ MIN_DIAGONAL = 1e-12
 SHIFTS = (1e-10, 1e-6, 1e-3)
 # Of the largest weight: readings beyond a loss's corner, which still tie a line together.
 WEAK_WEIGHT = 1e-3
+# Share of the lines that add too little for a coarse space to repay its cost.
+WEAK_LINE_SHARE = 0.75
+SPARSE_SHIFT = 1e-9  # added to a unit diagonal before sparse LU
+TINY = 1e-300  # least square of a length, so that nothing is divided by zero
 Numbers = NDArray[np.intp]
 Free = NDArray[np.bool_]
 
@@ -131,15 +135,15 @@ class Cholesky(Preconditioner):
         # elsewhere.
         place = np.full(free.size, -1)
         place[self.cells] = np.arange(len(self.cells))
-        known = place[chosen] >= 0
-        inner = place[chosen][known]
+        in_factor = place[chosen] >= 0
+        inner = place[chosen][in_factor]
         outer = 1 / self.diagonal[chosen]
         right = np.zeros(len(self.cells))
 
         def solve(values: Array) -> Array:
-            right[inner] = values[known]
+            right[inner] = values[in_factor]
             solution = outer * values
-            solution[known] = self.solve(right)[inner]
+            solution[in_factor] = self.solve(right)[inner]
             return solution
 
         return solve
@@ -184,13 +188,11 @@ class TwoLevel(Preconditioner):
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
             along = parts.along / cells
-            lone = hessian.only_data and along.size > 0
-            nothing = np.zeros((0, 0))
-            lines = (
-                CoarseLines(level, along, nothing, nothing)
-                if lone
-                else CoarseLines.of(level, along, parts.mixed)
-            )
+            if hessian.only_data and along.size > 0:
+                not_needed = np.zeros((0, 0))
+                lines: CoarseLines | None = CoarseLines(level, along, not_needed, not_needed)
+            else:
+                lines = CoarseLines.of(level, along, parts.mixed)
             if lines is not None and level.nnz <= level.shape[0]:
                 diagonal = floored(level.diagonal()).reshape(cells.shape[1:])
                 return Woodbury(cells, diagonal, lines, parts.mixed_inverse)
@@ -278,18 +280,18 @@ class CoarseLines:
         columns = sparse.csr_array(
             sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along])
         )
-        length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
+        length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), TINY))
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
         # VᵀAV = Vᵀ(T + diag(c))V + (VᵀV) S (VᵀV)
         crossed = (columns.T @ (local @ columns)).toarray()
         square = (columns.T @ columns).toarray()
         added = square @ (mixed * length[:, None] * length) @ square
-        if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < 1:
+        if np.quantile(added.diagonal() / crossed.diagonal(), WEAK_LINE_SHARE) < 1:
             return None
         coarse = crossed + added
         # Inverse of the matrix scaled to a unit diagonal, shifted because columns of V can
         # coincide.
-        size = np.sqrt(np.maximum(np.abs(coarse.diagonal()), 1e-300))
+        size = np.sqrt(np.maximum(np.abs(coarse.diagonal()), TINY))
         coarse = coarse / size[:, None] / size
         coarse.flat[:: len(coarse) + 1] += SHIFTS[0]  # columns that are alike on even panels
         scale = 1 / (size * length)
@@ -373,7 +375,8 @@ def sparse_inverse(matrix: sparse.csr_array) -> Linear:
     diagonal = floored(matrix.diagonal())
     size = np.sqrt(diagonal)
     scale = sparse.diags_array(1 / size)
-    unit = sparse.csc_array(scale @ matrix @ scale + 1e-9 * sparse.eye_array(len(size)))
+    shift = SPARSE_SHIFT * sparse.eye_array(len(size))
+    unit = sparse.csc_array(scale @ matrix @ scale + shift)
     options = {"SymmetricMode": True}
     solve = splu(unit, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
     return lambda values: np.asarray(solve(values / size) / size)

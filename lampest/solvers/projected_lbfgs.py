@@ -74,10 +74,10 @@ class InverseHessians:
             np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none
         )
 
-    def copy(self, panel: int, other: int) -> None:
-        """Let another panel begin with the inverse Hessian of a panel, in place."""
+    def copy(self, panel: int, target: int) -> None:
+        """Let a target panel begin with the inverse Hessian of a panel, in place."""
         for values in (self.inverse, self.position, self.free, self.positive, self.worn):
-            values[other] = values[panel]
+            values[target] = values[panel]
 
     def distance(self, panels: Numbers, position: Array) -> Array:
         """Return the largest |δ log r| since M was made, for the chosen panels.
@@ -123,11 +123,9 @@ class InverseHessians:
             free = np.flatnonzero(points.free[number])
             scale = np.abs(np.diag(matrix))
             inverse = np.diag(1 / np.where(scale > 0, scale, 1.0))
-            factor = (
-                Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)])
-                if len(free)
-                else None
-            )
+            factor = None
+            if len(free):
+                factor = Cholesky.of(points.position[number], free, matrix[np.ix_(free, free)])
             positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
             if factor is not None and positive:
                 inverse[np.ix_(free, free)] = factor.inverse()
@@ -191,7 +189,8 @@ def solve(
         Numbers of these panels in `inverses`.
     settings : Settings
     """
-    begun = points = Hessian(start, Smoothing(1.0, NO_DUAL))
+    begun = Hessian(start, Smoothing(1.0, NO_DUAL))
+    points = begun
     ends = begun.position.copy()
     (count,) = start.data.panels
     solved = np.zeros(count, dtype=bool)
@@ -205,19 +204,8 @@ def solve(
         # Newton steps.
         near = points.residual <= settings.tolerance
         if near.any():
-            doubtful = near & ~inverses.shows_minimum(numbers[panels], points)
-            if doubtful.any():
-                inverses.renew(numbers[panels[doubtful]], points.some(np.flatnonzero(doubtful)))
-            step = np.where(
-                points.free,
-                inverses.newton(numbers[panels], np.where(points.free, points.gradient, 0.0)),
-                0.0,
-            )
-            settled = (
-                near & inverses.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
-            )
+            step, settled, stuck = _last_steps(points, inverses, numbers[panels], near)
             solved[panels[settled]] = True
-            stuck = near & ~inverses.positive[numbers[panels]]
             # Panels that are accepted, or are no minimum, leave the batch; the accepted ones after
             # their last step.
             staying = ~(settled | stuck)
@@ -238,6 +226,25 @@ def solve(
             secants = secants.some(moved)
     ends[panels] = points.position
     return BatchOutcome(begun.elsewhere(ends), solved, iterations)
+
+
+def _last_steps(
+    points: Hessian, inverses: InverseHessians, panels: Numbers, near: Mask
+) -> tuple[Array, Mask, Mask]:
+    """Return the Newton steps of panels, and which of the `near` ones are settled or stuck.
+
+    Panels whose gradient is small are near an optimum. They are settled if M shows a minimum and
+    the step is short, and stuck if ∇²φ is not positive definite. M is renewed, in place, where it
+    does not show a minimum.
+    """
+    doubtful = near & ~inverses.shows_minimum(panels, points)
+    if doubtful.any():
+        inverses.renew(panels[doubtful], points.some(np.flatnonzero(doubtful)))
+    gradient = np.where(points.free, points.gradient, 0.0)
+    step = np.where(points.free, inverses.newton(panels, gradient), 0.0)
+    positive = inverses.positive[panels]
+    settled = near & positive & (np.abs(step).max(axis=1) <= LAST_STEP)
+    return step, settled, near & ~positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,9 +278,9 @@ class Secants:
 
         Cells that are not free at both ends are excluded.
         """
-        both = before.free & points.free
-        step = np.where(both, points.position - before.position, 0.0)
-        change = np.where(both, points.gradient - before.gradient, 0.0)
+        free = before.free & points.free
+        step = np.where(free, points.position - before.position, 0.0)
+        change = np.where(free, points.gradient - before.gradient, 0.0)
         along = (step * change).sum(axis=1)
         # Pairs without positive curvature sᵀy are excluded.
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)

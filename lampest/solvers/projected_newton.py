@@ -87,9 +87,8 @@ class ProjectedNewton(Solver):
 
     def continued(self, carried: object) -> "ProjectedNewton":
         """Return the solver that begins with the preconditioner of the frame before."""
-        return replace(
-            self, preconditioner=carried if isinstance(carried, Preconditioner) else None
-        )
+        preconditioner = carried if isinstance(carried, Preconditioner) else None
+        return replace(self, preconditioner=preconditioner)
 
     def cold(self) -> "ProjectedNewton":
         """Return the solver that follows the central path of the barrier from its start."""
@@ -122,35 +121,44 @@ class ProjectedNewton(Solver):
             stationary = iterate.residual <= tolerance
             sharp = iterate.sharp(tolerance)
             reached = stationary or iterate.residual <= iterate.gap / 2
-            trial = None
             # At an optimum of the smoothed cost: end where the certificate holds.
             if reached and sharp:
                 iterate = iterate.certified()
                 if iterate.settled or unsettled == STEPS.max_tries:
                     return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
+            trial = None
             if sharp or not reached:
-                if stationary:
-                    iterate = iterate.certified()
-                    trial = iterate.below_saddle
-                if trial is None:
-                    # Near convergence the certificate's factor preconditions the step as well.
-                    iterate = iterate.certified() if iterate.converges else iterate
-                    trial = descent_step(iterate, self.parts)
-                if trial is None:
-                    iterate = iterate.certified()
-                    trial = iterate.below_saddle
+                iterate, trial = self._stepped(iterate, stationary=stationary)
             # Without a step the solve ends unless absolute losses can still be smoothed less.
             if trial is None and sharp:
-                return iterate.outcome(
-                    Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration
-                )
+                status = Status.OPTIMUM if stationary else Status.BREAKDOWN
+                return iterate.outcome(status, iteration)
             if trial is None:
                 trial = iterate.sharpened()
                 history = []
             iterate = trial
             iteration = iteration + 1
         return iterate.outcome(Status.ITERATIONS, iteration)
+
+    def _stepped(self, point: Iterate, *, stationary: bool) -> tuple[Iterate, Iterate | None]:
+        """Return a point, with its certificate where a step needs it, and the next point or None.
+
+        Beside a saddle the next point is the certificate's point of lower cost.
+        """
+        if stationary:
+            point = point.certified()
+            lower = point.below_saddle
+            if lower is not None:
+                return point, lower
+        if point.converges:
+            # Near convergence the certificate's factor preconditions the step as well.
+            point = point.certified()
+        trial = descent_step(point, self.parts)
+        if trial is not None:
+            return point, trial
+        point = point.certified()
+        return point, point.below_saddle
 
 
 def descent_step(point: Iterate, parts: NewtonParts = NewtonParts()) -> Iterate | None:
@@ -215,18 +223,17 @@ def _next_point(
     """
     hessian = point.hessian
     worn = direction.products > STEPS.max_reuse_products[hessian.dense]
-    reused, nearby = (None, None) if worn else (model.preconditioner, point.known)
     # Linear convergence: the next step is shorter by the ratio of the residuals.
     moved = float(np.abs(trial.at.position - point.at.position).max())
     small = hessian.dense and not len(point.at.nonsmooth)
     return replace(
         trial,
-        preconditioner=reused,
+        preconditioner=None if worn else model.preconditioner,
         gauss_newton=patience,
         convex=convex,
         damping=point.damping,
         expected=moved * trial.residual / (point.residual or 1.0) if small else inf,
-        nearby=nearby,
+        nearby=None if worn else point.newest_certificate,
     )
 
 
@@ -248,14 +255,11 @@ def levenberg_step(point: Iterate) -> Iterate | None:
         if factor is not None:
             step = np.zeros(free.size)
             step[free] = np.clip(factor.solve(-slope), -STEPS.max_step, STEPS.max_step)
-            # Predicted decrease of the damped model: −½ ∇φᵀδu
             trial = point.at_step(step)
+            # Predicted decrease of the damped model: −½ ∇φᵀδu
             predicted = -0.5 * float(step[free] @ slope)
-            if (
-                trial is not None
-                and (decrease := point.objective - trial.objective)
-                > SUFFICIENT_DECREASE * predicted
-            ):
+            decrease = -inf if trial is None else point.objective - trial.objective
+            if trial is not None and decrease > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
                 return replace(trial, preconditioner=None, damping=max(eased, STEPS.min_damping))
         damping = max(10 * damping, STEPS.next_damping)

@@ -314,8 +314,9 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         status = Status.BREAKDOWN if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, status, float("nan"), outcome)
     # Evaluation at the clipped cells, reused where the solver's is the same.
-    known = outcome.at is not None and np.array_equal(outcome.at.cell_resistance, cells)
-    at = outcome.at if outcome.at is not None and known else start.elsewhere(cells)
+    at = outcome.at
+    if at is None or not np.array_equal(at.cell_resistance, cells):
+        at = start.elsewhere(cells)
     gradient = at.log_gradient(dual)
     residual = at.kkt_residual(dual, gradient)
     # First order: the cost is not above that of the start, and the KKT residual is small.
@@ -338,9 +339,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
         return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    return solution_at(
-        at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM
-    )
+    held = bounds_matter(at, gradient, dual)
+    return solution_at(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
 
 
 def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
@@ -348,9 +348,8 @@ def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:
 
     They are smoothed by SMOOTHING_WIDTH of the largest residual.
     """
-    return Hessian(
-        at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), dual)
-    )
+    largest = float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0
+    return Hessian(at, Smoothing(SMOOTHING_WIDTH * largest, dual))
 
 
 def _balanced(hessian: Hessian) -> bool:
@@ -390,12 +389,8 @@ def _balanced(hessian: Hessian) -> bool:
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
     """Return the fault; ROUNDED where the second derivatives are within rounding."""
-    if fault not in (
-        Status.BREAKDOWN,
-        Status.ITERATIONS,
-        Status.STALLED,
-        Status.UNVERIFIED,
-    ) or not np.all(np.isfinite(gradient)):
+    may_be_rounding = (Status.BREAKDOWN, Status.ITERATIONS, Status.STALLED, Status.UNVERIFIED)
+    if fault not in may_be_rounding or not np.all(np.isfinite(gradient)):
         return fault
     rounded = certificate(sharp_hessian(at, outcome.dual)).definiteness is Definiteness.UNDETERMINED
     return Status.ROUNDED if rounded else fault
@@ -421,19 +416,20 @@ def solution_at(at: Evaluation, residual: float, outcome: Outcome, status: Statu
     """Return the solution at an evaluation, with its KKT residual, for a checked outcome."""
     cells = at.cell_resistance
     data = at.data
-    ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-    fields = (
+    return Solution(
         cells,
         at.reading,
         at.costs,
         at.objective,
-        residual,
-        *ends,
-        status,
-        outcome.iterations,
-    )
-    return Solution(
-        *fields, at=at, dual=outcome.dual, carried=outcome.carried, convex=outcome.convex
+        kkt_residual=residual,
+        at_lower=cells <= data.lower / OPEN_FRACTION,
+        open_cell=cells >= data.upper * OPEN_FRACTION,
+        status=status,
+        iterations=outcome.iterations,
+        at=at,
+        dual=outcome.dual,
+        carried=outcome.carried,
+        convex=outcome.convex,
     )
 
 
@@ -451,8 +447,16 @@ def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
 
     Shape (frames, rows, columns).
     """
-    empty = np.full(shape, np.nan)
+    unknown = np.full(shape, np.nan)
     flags = np.zeros(shape, dtype=bool)
     return Solution(
-        empty, empty, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0
+        cell_resistance=unknown,
+        reading=unknown,
+        costs=np.full(terms, np.nan),
+        objective=float("nan"),
+        kkt_residual=float("nan"),
+        at_lower=flags,
+        open_cell=flags,
+        status=status,
+        iterations=0,
     )

@@ -449,7 +449,7 @@ def judged(
     """
     readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
-    data, _ = stream.given(readings[1])
+    data, _ = stream.data_and_start(readings[1])
     joint = len(data.measured) == 2
     parts = [
         (
@@ -464,7 +464,14 @@ def judged(
         absolute = replace(estimator, terms=estimator.absolute_terms)
         blank = Stream(absolute, recording.scene, frame_period(recording), readings[0])
         parts.insert(
-            0, ("baseline", truth[:1], absolute, blank.given(blank.resting)[0], stream.baseline)
+            0,
+            (
+                "baseline",
+                truth[:1],
+                absolute,
+                blank.data_and_start(blank.resting)[0],
+                stream.baseline,
+            ),
         )
     solves = []
     for part, cells, fit, data, step in parts:

@@ -378,7 +378,7 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
         [reference.baseline_resistance[None], reference.cell_resistance[:-1]]
     )
     for frame, previous in zip(reference.frame, estimates, strict=True):
-        data, _ = replace(stream, previous=previous).given(readings[frame])
+        data, _ = replace(stream, previous=previous).data_and_start(readings[frame])
         yield estimator.cost(recording.scene, len(data.measured), partial=data.partial), data
 
 

@@ -135,7 +135,7 @@ def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
     readings = recording.readings()
     estimator = lampest.Estimator(terms, formulation="reduced")
     stream = lampest.Stream.begin(estimator, HOLED, 1.0, readings[np.array([0, 1])].mean())
-    data, _ = stream.given(readings[2])
+    data, _ = stream.data_and_start(readings[2])
     model = stream.estimator.method.solve(stream, data, None).surroundings()
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
     errors = DenseErrors(model)

@@ -299,7 +299,7 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
     random = np.random.default_rng(0)
     stream = first_stream(recording, readings, estimator)
     for frame in recording.measured_frames():
-        data, _ = stream.given(readings[frame])
+        data, _ = stream.data_and_start(readings[frame])
         stream, step = stream.push(readings[frame])
         if frame in (8, 9, 15, 23):
             oracle = LeastCost.of(data, Penalty("misfit", 1.0), Penalty("gradient", 1e-3))

@@ -146,7 +146,7 @@ def test_the_jacobian_is_that_of_the_residuals_of_the_cost(method: str, joint: b
     recording = bench.recording((3, 4))
     readings = recording.readings()
     stream = first_stream(recording, readings, bench.estimator(method, "reduced", (3, 4)))
-    data, _ = stream.given(readings[recording.measured_frames()[0]])
+    data, _ = stream.data_and_start(readings[recording.measured_frames()[0]])
     cost = Cost(Panel(3, 4), bench.estimators[method].parts, len(data.measured))
     point = _Point(Trf(cost, Settings(), "exact"), data, 1.0)
     position = np.log(1.3 * data.measured).ravel()

@@ -91,7 +91,7 @@ def test_second_derivatives_are_factored_once_and_reused(
     for frame in frames:
         stream, step = stream.push(readings[frame])
         assert step.solution.strict
-    data, previous = stream.given(readings[third])
+    data, previous = stream.data_and_start(readings[third])
     solver = estimator.problem(stream.scene, len(data.measured), 1.0, partial=data.partial)
     solver.prepare()
     for owner, name in ((Evaluation, "elsewhere"), (Hessian, "product"), (Cholesky, "of")):
@@ -127,7 +127,7 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
     for frame in recording.recorded[recording.role == 1]:
         previous = stream
         stream, step = stream.push(Readings.of(scene, frame))
-    data, _ = previous.given(Readings.of(scene, recording.recorded[-1]))
+    data, _ = previous.data_and_start(Readings.of(scene, recording.recorded[-1]))
     assert step.solution.status is Status.OPTIMUM
     return estimator.problem(scene, 1, 0.2).cost, data, step.cell_resistance[None]
 

@@ -13,7 +13,7 @@ where b = BELIEVED is the share of the information that is used.
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from lampest.recording.recording import Recording
 BLOCK = 50  # frames that are solved together; ten blocks take as long as one of all their frames
 # Ratio of the deviations after and before: above it the recordings determine hardly any channel.
 UNCHANGED = 0.9
+ROBUST_CORNER = 4.0  # σ: residuals of the misfit beyond it count less, as in the smoother's default
 HARDLY = (
     "these loads determine hardly any channel; press the panel at more places, or record longer"
 )
@@ -84,17 +85,16 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     channel_prior = float(prior.channel_spread_ohm)
     scene = replace(recordings[0].scene, systematic=prior)
     rows, columns = scene.panel.shape
-    parts = [
-        part for recording in recordings for part in _likelihoods(replace(recording, scene=scene))
-    ]
+    parts = list[_Likelihood]()
+    for recording in recordings:
+        parts += _likelihoods(replace(recording, scene=scene))
     if not parts:
         raise InputError(f"{name}: no calibration: no frame could be estimated")
-    unit = np.eye(len(parts[0][0]))
-    inverse = positive_inverse(unit + BELIEVED * sum(precision for _, precision, _ in parts))
-    units = _units(scene, prior, len(unit))
-    errors = units @ (BELIEVED * inverse @ sum((precision + unit) @ z for z, precision, _ in parts))
-    covariance = units @ inverse @ units.T
-    frames = sum(count for *_, count in parts)
+    z, z_covariance = _posterior(parts)
+    units = _units(scene, prior, len(z))
+    errors = units @ z
+    covariance = units @ z_covariance @ units.T
+    frames = sum(part.frames for part in parts)
     deviation = np.sqrt(np.diag(covariance))
     spread, common = _channel_deviations(covariance[1:, 1:], rows, columns)
     sizes = replace(
@@ -109,15 +109,15 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         "their mean, "
         f"from {frames} frames"
     )
-    texts = [
-        f"{error:+.2f} +- {sd:.2f}" for error, sd in zip(errors[1:], deviation[1:], strict=True)
-    ]
-    sides = (("rows", texts[:rows]), ("columns", texts[rows:]))
-    remarks = [f"{side} are off by {', '.join(offsets)} ohm" for side, offsets in sides]
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
-        remarks=(f"from {frames} frames; +- is one standard deviation", summary, *remarks),
+        remarks=(
+            f"from {frames} frames; +- is one standard deviation",
+            summary,
+            f"rows are off by {_offsets_in_words(errors[1 : 1 + rows], deviation[1 : 1 + rows])}",
+            f"columns are off by {_offsets_in_words(errors[1 + rows :], deviation[1 + rows :])}",
+        ),
         warnings=() if spread < UNCHANGED * channel_prior else (HARDLY,),
         errors=errors,
         covariance=covariance,
@@ -125,6 +125,12 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         apart_before=channel_prior,
         frames=frames,
     )
+
+
+def _offsets_in_words(errors: Array, deviations: Array) -> str:
+    """Return the offsets of the lines of a side with their standard deviations, in words."""
+    pairs = zip(errors, deviations, strict=True)
+    return f"{', '.join(f'{error:+.2f} +- {sd:.2f}' for error, sd in pairs)} ohm"
 
 
 def _check_determined(name: str, scene: Scene) -> None:
@@ -181,19 +187,21 @@ def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[flo
 def _corrected(scene: Scene, errors: Array) -> Scene:
     """Return the scene with its reference and channels corrected by these errors."""
     readout: Any = (scene.readout or scene.circuit).off_by(float(errors[0]))
-    more = np.split(errors[1:], [scene.panel.rows])
+    of_rows, of_columns = np.split(errors[1:], [scene.panel.rows])
     if isinstance(readout, DrivenCircuit):
-        driven: Any = readout.with_channels(*more)
+        driven: Any = readout.with_channels(of_rows, of_columns)
         return replace(scene, readout=_rounded(driven))
-    known = scene.series_resistance_ohm
-    both = (
-        (known.rows, known.columns) if isinstance(known, SeriesPerLine) else (known / 2, known / 2)
+    specified = scene.series_resistance_ohm
+    if not isinstance(specified, SeriesPerLine):
+        specified = SeriesPerLine(specified / 2, specified / 2)
+
+    def corrected(ohm: Any, offsets: Array) -> tuple[float, ...]:
+        line = np.round(np.maximum(np.add(ohm, offsets), 0.0), DIGITS)
+        return tuple(map(float, line))
+
+    series = SeriesPerLine(
+        corrected(specified.rows, of_rows), corrected(specified.columns, of_columns)
     )
-    lines = (
-        np.round(np.maximum(np.add(ohm, offsets), 0.0), DIGITS)
-        for ohm, offsets in zip(both, more, strict=True)
-    )
-    series = SeriesPerLine(*(tuple(map(float, line)) for line in lines))
     return replace(scene, readout=_rounded(readout), series_resistance_ohm=series)
 
 
@@ -219,20 +227,46 @@ def _circuit(scene: Scene) -> Scene:
     )
 
 
-def _likelihoods(recording: Recording) -> list[tuple[Array, Array, int]]:
-    """Return z, Λ and the number of frames of every block of frames that can be estimated."""
+class _Likelihood(NamedTuple):
+    """Information of a block of frames on the errors z that all frames share.
+
+    Attributes
+    ----------
+    estimate : array, shape (n,)
+        z.
+    precision : array, shape (n, n)
+        Λ.
+    frames : int
+        Number of frames.
+    """
+
+    estimate: Array
+    precision: Array
+    frames: int
+
+
+def _posterior(parts: Sequence[_Likelihood]) -> tuple[Array, Array]:
+    """Return the posterior mean ẑ (n,) of the errors, and their covariance C (n, n)."""
+    unit = np.eye(len(parts[0].estimate))
+    # C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z
+    covariance = positive_inverse(unit + BELIEVED * sum(part.precision for part in parts))
+    pull = sum((part.precision + unit) @ part.estimate for part in parts)
+    return np.asarray(BELIEVED * covariance @ pull), covariance
+
+
+def _likelihoods(recording: Recording) -> list[_Likelihood]:
+    """Return the likelihood of every block of frames that can be estimated."""
     noise = Prepared(recording).noise
-    parts = []
+    parts = list[_Likelihood]()
     method = SmootherMethod()
-    estimator = Estimator(
-        (Misfit(weighting="noise", loss=Student(corner=4.0)),), method, error_bars=False
-    )
+    misfit = Misfit(weighting="noise", loss=Student(corner=ROBUST_CORNER))
+    estimator = Estimator((misfit,), method, error_bars=False)
     stream = first_stream(recording, noise.readings, estimator, noise)
     usable = np.flatnonzero(noise.readings.enough(recording.scene))
     for block in np.array_split(usable, max(round(len(usable) / BLOCK), 1)):
         with suppress(*BROKEN):
             joint = method.least_cost(stream, [noise.readings[frame] for frame in block])
-            parts.append((*joint.shared_estimate, len(block)))
+            parts.append(_Likelihood(*joint.shared_estimate, len(block)))
     return parts
 
 

@@ -37,6 +37,9 @@ from lampest.panel.readouts.readout import with_memory
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import SHORT_OHM
 
+MAX_KEPT_FRACTION = 0.9  # of a converter; with 1, nothing of a new reading would be seen
+CONVERTER_ERROR_LSB = 0.5  # integral nonlinearity of the ATmega2560, by its data sheet
+MAX_EVALUATIONS = 25  # good calibrations take 5, and 10 from numbers ten times too large
 STEP = 1e-5  # of an unknown, or of ln of a resistor, for forward differences
 
 
@@ -66,17 +69,15 @@ class Unknown:
     @property
     def scale(self) -> float:
         """Value that corresponds to q = 1, in the number's unit."""
-        _, typical, _ = EXPECTED.get(
-            self.number.name, ("", TYPICAL_OHM if self.number.channel else None, 0.0)
-        )
+        default = TYPICAL_OHM if self.number.channel else None
+        _, typical, _ = EXPECTED.get(self.number.name, ("", default, 0.0))
         return typical or self.specified
 
     @property
     def start(self) -> float:
         """q of the scene's value; for channels at least the typical one."""
-        return max(
-            self.specified / self.scale, len(self.number.sides) if self.number.channel else 1.0
-        )
+        least = len(self.number.sides) if self.number.channel else 1.0
+        return max(self.specified / self.scale, least)
 
     def values(self, unknowns: Array) -> tuple[float, list[Array]]:
         """Return the common value and the offsets of the lines of each side.
@@ -86,11 +87,9 @@ class Unknown:
         standard deviation of RESISTOR_TOLERANCE.
         """
         common = self.scale * float(unknowns[self.index])
-        spread = (
-            (WORST_OHM - TYPICAL_OHM) / 3
-            if self.number.channel
-            else RESISTOR_TOLERANCE / 3**0.5 * common
-        )
+        spread = RESISTOR_TOLERANCE / 3**0.5 * common
+        if self.number.channel:
+            spread = (WORST_OHM - TYPICAL_OHM) / 3
         return common, [spread * unknowns[part] for part in self.lines.values()]
 
 
@@ -127,12 +126,10 @@ class Problem:
             for side in number.sides:
                 lines[side] = slice(first, first + lengths[side])
                 first += lengths[side]
-            of: Any = scene if number.in_scene else scene.circuit
-            value = (
-                scene.series_ohm
-                if number.in_scene and number.channel
-                else attrgetter(number.name)(of)
-            )
+            if number.in_scene and number.channel:
+                value = scene.series_ohm
+            else:
+                value = attrgetter(number.name)(scene if number.in_scene else scene.circuit)
             unknowns.append(Unknown(number, index, lines, float(np.mean(value))))
         return tuple(unknowns)
 
@@ -157,8 +154,7 @@ class Problem:
             Relative error of the reference resistor.
         """
         channels: list[Array] = [np.zeros(lines) for lines in self.scene.panel.shape]
-        known = dict[str, Any]()
-        volts = (self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt)
+        values = dict[str, Any]()
         for unknown in self.unknowns:
             common, offsets = unknown.values(unknowns)
             if unknown.number.in_scene and offsets:
@@ -167,25 +163,28 @@ class Problem:
                 # ln(1 + exp R) equals R from a few ohm on, is positive, and has a nonzero
                 # derivative everywhere.
                 numbers = np.logaddexp(0, common + offsets[0]) if offsets else np.array(common)
-                limits = {
-                    "1": (0.0, 0.9),
-                    "volt": volts,
-                    "ohm": (SHORT_OHM if offsets else 0.0, MAX_OHM),
-                }
-                limited = np.clip(numbers, *limits[unknown.number.unit]).tolist()
-                known[scene_key(unknown.number)] = tuple(limited) if offsets else limited
+                limited = np.clip(numbers, *self._limits(unknown)).tolist()
+                values[scene_key(unknown.number)] = tuple(limited) if offsets else limited
         # Contacts and faults belong to the panel, which is unplugged.
         panel = self.scene.panel
         converter = self.scene.readout
         memory = self.scene.known_memory
         scene: Scene = with_numbers(
-            Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), known
+            Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), values
         )
         readout = scene.circuit
         volt = readout.off_by(reference_off).volt_from_recorded(
             readout.simulated(cells, scene, *channels)
         )
         return with_memory(readout, scene.known_memory, volt) if scene.known_memory else volt
+
+    def _limits(self, unknown: Unknown) -> tuple[float, float]:
+        """Return the range of a number in its unit, beyond which the circuit has no meaning."""
+        if unknown.number.unit == "1":
+            return 0.0, MAX_KEPT_FRACTION
+        if unknown.number.unit == "volt":
+            return self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
+        return SHORT_OHM if unknown.lines else 0.0, MAX_OHM
 
     @cached_property
     def measured(self) -> Array:
@@ -290,21 +289,17 @@ def fit_circuit(problem: Problem) -> CircuitFit:
     """
     unknowns = problem.start
     commons = len(problem.unknowns)
-    least = np.where(np.arange(len(unknowns)) < commons, 0.0, -np.inf)
+    lower = np.where(np.arange(len(unknowns)) < commons, 0.0, -np.inf)
     # Change of ½ χ²: the second one leaves an error of a hundredth of σ.
     for settled in (1.0, 1e-4):
         root = np.linalg.cholesky(problem.covariance(unknowns))
-        # Good calibrations take some 5 evaluations from the scene's numbers, and 10 from numbers
-        # ten times too large.
-        method = LevenbergMarquardt(25, settled)
+        method = LevenbergMarquardt(MAX_EVALUATIONS, settled)
         unknowns, squares = method.minimum(
-            partial(problem.squares, root), unknowns, (least, np.inf)
+            partial(problem.squares, root), unknowns, (lower, np.inf)
         )
-    # The converter's own error: integral nonlinearity of 0.5 LSB, by the data sheet of the
-    # ATmega2560.
     residual = problem.measured - problem.expected(unknowns)
-    spread = problem.covariance(unknowns, 0.5)
-    weighted = solve_triangular(np.linalg.cholesky(spread), residual, lower=True)
+    covariance = problem.covariance(unknowns, CONVERTER_ERROR_LSB)
+    weighted = solve_triangular(np.linalg.cholesky(covariance), residual, lower=True)
     # A reading counts as a value unless both the measurement and its expectation lie at a rail.
     inside = [
         within_rails(problem.scene.circuit, volt)
@@ -315,7 +310,7 @@ def fit_circuit(problem: Problem) -> CircuitFit:
     # (JᵀJ)⁻¹ = V S⁻² Vᵀ of J = U S Vᵀ, with a very large variance in the null space of J.
     _, singular, right = np.linalg.svd(squares.jacobian, full_matrices=False)
     inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
-    sigma = np.sqrt(np.diag(spread))
+    sigma = np.sqrt(np.diag(covariance))
     return CircuitFit(
         problem,
         unknowns,
@@ -339,7 +334,7 @@ def estimated_number(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
         """Return the mean over measured lines, then the lines' offsets from it."""
         common, offsets = unknown.values(unknowns)
         means = [
-            offset[known].mean() for offset, known in zip(offsets, measured.values(), strict=True)
+            offset[lines].mean() for offset, lines in zip(offsets, measured.values(), strict=True)
         ]
         return np.concatenate([[common + sum(means)], *map(np.subtract, offsets, means)])
 
@@ -350,7 +345,7 @@ def estimated_number(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
     parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
     offsets = tuple(
-        LineOffsets(side, np.where(known, offset, np.nan), np.where(known, sd, np.nan))
-        for (side, known), offset, sd in parts
+        LineOffsets(side, np.where(lines, offset, np.nan), np.where(lines, sd, np.nan))
+        for (side, lines), offset, sd in parts
     )
     return CircuitNumber(unknown.number, float(at[0]), float(sigma[0]), offsets)

@@ -71,14 +71,16 @@ class KnownLoad:
         """Raise ValueError unless these numbers make one load."""
         if [self.mass_g, self.force_newton, self.pressure_kpa].count(None) != 2:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
-        given = tuple(
-            number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm)
-        )
-        if given not in ((True, False, False), (False, True, True), (False, False, False)):
+        is_round = self.diameter_mm is not None
+        sides = [self.length_mm, self.width_mm]
+        is_rectangular = None not in sides
+        incomplete = not is_rectangular and sides != [None, None]
+        if incomplete or (is_round and is_rectangular):
             raise ValueError("a foot is diameter_mm, or length_mm and width_mm")
-        if any(given) != (self.x_mm is not None and self.y_mm is not None):
+        has_foot = is_round or is_rectangular
+        if has_foot != (self.x_mm is not None and self.y_mm is not None):
             raise ValueError("a foot needs x_mm and y_mm, and they need a foot")
-        if not any(given) and self.pressure_kpa is None:
+        if not has_foot and self.pressure_kpa is None:
             raise ValueError(
                 "a weight or force needs its foot: diameter_mm, or length_mm and width_mm"
             )
@@ -175,13 +177,13 @@ def read_known_loads(path: Path) -> KnownLoads:
     table = path.suffix.lower() == ".csv"
     try:
         document = parse_document(_as_yaml(path), str(path)) if table else read_document(path)
-        known = cast(KnownLoads, validated(document, KnownLoads))
-        for number, load in enumerate(known.loads):
+        known_loads = cast(KnownLoads, validated(document, KnownLoads))
+        for number, load in enumerate(known_loads.loads):
             try:
                 load.check()
             except ValueError as error:
                 raise document.error(("loads", number), str(error)) from error
-        return known
+        return known_loads
     except InputError as error:
         if not table:
             raise
@@ -209,11 +211,11 @@ def _as_yaml(path: Path) -> str:
         cells = {name: _scalar(cell) for name, cell in zip(names, row, strict=False) if cell}
         if cells and not (cells.keys() >= {"first", "last"} and len(row) <= len(names)):
             raise InputError(f"{path}:{number}: {WRONG_ROW}")
-        text.append(
-            json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + ","
-            if cells
-            else ""
-        )
+        line = ""
+        if cells:
+            frames = [cells.pop("first"), cells.pop("last")]
+            line = json.dumps({"frames": frames} | cells) + ","
+        text.append(line)
     return "\n".join([*text, "]}"])
 
 

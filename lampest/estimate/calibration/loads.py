@@ -42,6 +42,13 @@ UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter
 # of a load's response: change within its frames, and response of cells beside its foot
 CHANGED = 0.25
 BESIDE = 0.5
+# Sentences on loads.
+ODD = "{} answers otherwise than the others let expect: is its weight right?"
+CHANGING = "readings change within the frames of {}: were they put on or taken off then?"
+ANSWERS_BESIDE = (
+    "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm "
+    "right?"
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,7 +85,7 @@ def calibrate_loads(
     change, sd, within = _all_responses(recordings, loads, place)
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
-    simultaneous = _together(loads, place)
+    simultaneous = _simultaneous(loads, place)
     _check_feet(felt, simultaneous)
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
@@ -90,17 +97,12 @@ def calibrate_loads(
             response = response_of(fitted, base, scene.panel.shape, tolerance)
     except ValueError as error:
         raise InputError(f"the loads make a curve that no film has: {UNITS}") from error
-    concerned = {
-        "{} answers otherwise than the others let expect: is its weight right?": _odd_loads(
-            loaded, fitted
-        ),
-        "readings change within the frames of {}: were they put on or taken off then?": within
-        > CHANGED,
-        "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm "
-        "right?": (_beside(change, felt, pressure_sd, simultaneous) > BESIDE),
-    }
-    doubts = [_unlike_first_guess(fitted, pressure, base)]
-    doubts += [_doubt(sentence, odd) for sentence, odd in concerned.items()]
+    doubts = (
+        _unlike_first_guess(fitted, pressure, base),
+        _doubt(ODD, _odd_loads(loaded, fitted)),
+        _doubt(CHANGING, within > CHANGED),
+        _doubt(ANSWERS_BESIDE, _beside(change, felt, pressure_sd, simultaneous) > BESIDE),
+    )
     summary, *remarks = _result_in_words(fitted, len(loads))
     return LoadCalibration(
         scene=replace(scene, response=response),
@@ -176,7 +178,7 @@ def _doubt(sentence: str, odd: NDArray[np.bool_]) -> str:
     return sentence.format(f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}")
 
 
-def _together(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _simultaneous(loads: Sequence[KnownLoad], place: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return whether two loads lie on the panel at the same time, (loads, loads).
 
     `place` are their recordings.
@@ -249,7 +251,7 @@ def _beside(
         Cells under the load.
     pressure_sd : array, same shape
         Standard deviation of the pressure by the position, kPa.
-    together : boolean array, shape (loads, loads)
+    simultaneous : boolean array, shape (loads, loads)
         Whether two loads lie on the panel at the same time.
     """
     ratio = np.zeros(len(change))
@@ -294,14 +296,14 @@ def _responses(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Arr
                 f"{len(recording.role) - 1}"
             )
     estimates = reconstruct(recording, Estimator((Misfit(),), "reduced"))
-    known = log_change(estimates)
-    if known is None:
+    change_and_deviation = log_change(estimates)
+    if change_and_deviation is None:
         raise InputError(
             f"{recording.name}: its estimates have no error bars, without which loads calibrate "
             "nothing; the "
             "scene must name the readout, and the panel have at most 600 cells"
         )
-    logarithm, sd = known
+    logarithm, sd = change_and_deviation
     parts = []
     if estimates.film is not None and estimates.film.film.creep_per_decade:
         logarithm, open_sd = estimates.film.at_once(logarithm, estimates.time)

@@ -29,11 +29,15 @@ from lampest.estimate.calibration.circuit_numbers import (
 )
 from lampest.estimate.calibration.trials import BELIEF, Trial
 from lampest.files.errors import InputError
-from lampest.files.levels import SIGNIFICANT
+from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.recording.recording import Recording
 
+# Deviation of a reading without a resistor over full scale: hum, and a memory of 3 %, stay below.
+MAX_UNUSED_SHARE = 0.1
+MAX_REFUSED = 1e-7  # share of good calibrations that may be refused
 PLAUSIBLE_RANGE = {
     True: "channels of a CD74HC4067 have 40 to 160 ohm",
     False: "resistors of 5 % differ by less",
@@ -94,25 +98,26 @@ def calibrate_resistors(
     for unknown, number in zip(fit.problem.unknowns, numbers, strict=True):
         _check_number(f"{name}: no calibration: ", number, unknown.specified)
     noise = noise_of(trials)
-    remarks = [remark for number in numbers for remark in number.remarks(fit.readings)]
+    remarks = list[str]()
+    for number in numbers:
+        remarks += number.remarks(fit.readings)
     if noise is not None:
-        remarks.append(
-            f"noise_lsb: of one reading, from {sum(trial.repeats.sum() for trial in trials):g} "
-            "repeats"
-        )
+        repeats = sum(trial.repeats.sum() for trial in trials)
+        remarks.append(f"noise_lsb: of one reading, from {repeats:g} repeats")
     remarks.append(
         f"resistors taken as within {100 * tolerance:g} %; the residual is "
         f"{fit.chi_square / max(fit.freedom, 1):.2g} times what noise and tolerances explain"
     )
-    differ = any(number.differ for number in numbers)
+    warnings = list[str]()
+    if any(number.differ for number in numbers):
+        warnings.append(
+            "the lines differ by more than their noise; comments in the scene state by how much"
+        )
     return ResistorCalibration(
         scene=with_estimates(scene, numbers, noise),
         summary=f"{', '.join(number.label for number in numbers)} from {fit.readings} readings",
         remarks=tuple(remarks),
-        warnings=(
-            "the lines differ by more than their noise; comments in the scene state by how much",
-        )
-        * differ,
+        warnings=tuple(warnings),
         numbers=numbers,
         readings=fit.readings,
     )
@@ -144,50 +149,56 @@ def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where no such circuit explains the readings with the known resistors."""
     trials = fit.problem.trials
-    readout = fit.problem.scene.circuit
-
-    def spoken(volt: float) -> str:
-        return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
-
     for trial in trials:
-        unused = ~trial.used & np.isfinite(trial.volt)
-        missed = np.where(
-            unused, np.abs(trial.volt - fit.problem.volt(fit.unknowns, trial.cells)), 0.0
-        )
-        if missed.max() > 0.1 * readout.full_scale_volt:  # hum, and a memory of 3 %, stay below
-            row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
-            raise InputError(
-                f"{trial.name}: no calibration: row {row}, column {column} reads "
-                f"{spoken(trial.volt[row, column])}, "
-                f"but no known resistor leads there; was the panel unplugged?"
-            )
+        _check_unused(fit, trial)
     if fit.freedom < 0 or not fit.readings:
-        many = (
-            "nothing was read across a known resistor"
-            if not fit.readings
-            else f"only {fit.readings} readings"
-        )
+        count = f"only {fit.readings} readings"
+        if not fit.readings:
+            count = "nothing was read across a known resistor"
         raise InputError(
-            f"{trials[0].name}: no calibration: {many}; join lines by more known resistors"
+            f"{trials[0].name}: no calibration: {count}; join lines by more known resistors"
         )
     # σ itself is estimated from a finite number of repeats, so χ²/freedom follows Fisher's F
     # distribution.
     freedom = max(fit.freedom, 1)
-    repeated = sum(BELIEF + trial.repeats.sum() for trial in trials)
-    # Of good calibrations may be refused.
-    if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:
-        deviation = np.abs(fit.residual) / fit.sigma
-        index = int(deviation.argmax())
-        places = [(trial.name, *place) for trial in trials for place in np.argwhere(trial.used)]
-        name, row, column = places[index]
-        measured = fit.problem.measured[index]
-        raise InputError(
-            f"{name}: no calibration: row {row}, column {column} reads {spoken(measured)}, but "
-            "behind the "
-            "circuit that fits best the known resistors give "
-            f"{spoken(measured - fit.residual[index])}; noise and "
-            f"tolerances explain {100 * np.mean(deviation < 3):.0f} % of the readings"
-        )
+    repeats = sum(BELIEF + trial.repeats.sum() for trial in trials)
+    if not fdtrc(freedom, repeats, fit.chi_square / freedom) < MAX_REFUSED:
+        return
+    deviation = np.abs(fit.residual) / fit.sigma
+    index = int(deviation.argmax())
+    places = [(trial.name, *place) for trial in trials for place in np.argwhere(trial.used)]
+    name, row, column = places[index]
+    measured = fit.problem.measured[index]
+    readout = fit.problem.scene.circuit
+    raise InputError(
+        f"{name}: no calibration: row {row}, column {column} reads "
+        f"{_recorded(readout, measured)}, but "
+        "behind the "
+        "circuit that fits best the known resistors give "
+        f"{_recorded(readout, measured - fit.residual[index])}; noise and "
+        f"tolerances explain {100 * np.mean(deviation < NOISE_REACH):.0f} % of the readings"
+    )
+
+
+def _check_unused(fit: CircuitFit, trial: Trial) -> None:
+    """Raise InputError where something else than known resistors joins lines of a trial."""
+    readout = fit.problem.scene.circuit
+    unused = ~trial.used & np.isfinite(trial.volt)
+    deviation = np.abs(trial.volt - fit.problem.volt(fit.unknowns, trial.cells))
+    missed = np.where(unused, deviation, 0.0)
+    if not missed.max() > MAX_UNUSED_SHARE * readout.full_scale_volt:
+        return
+    row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
+    raise InputError(
+        f"{trial.name}: no calibration: row {row}, column {column} reads "
+        f"{_recorded(readout, trial.volt[row, column])}, "
+        f"but no known resistor leads there; was the panel unplugged?"
+    )
+
+
+def _recorded(readout: Readout, volt: float) -> str:
+    """Return the recorded value of a voltage, in words."""
+    return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
 
 
 def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None:

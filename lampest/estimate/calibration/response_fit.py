@@ -89,8 +89,8 @@ class Loaded:
 
     def weight(self, fitted: "FittedResponse") -> Array:
         """Return 1/σ of every response, (n,), with σ² = sd² + position² + scatter² x²."""
-        response, known = self.expected(fitted)
-        return np.asarray(1 / np.sqrt(known + fitted.scatter**2 * response**2))
+        response, variance = self.expected(fitted)
+        return np.asarray(1 / np.sqrt(variance + fitted.scatter**2 * response**2))
 
     def rows(self, fitted: "FittedResponse", weight: Array) -> tuple[Array, Array]:
         """Return the residuals of a fit times the weight, and their Jacobian.
@@ -224,27 +224,22 @@ def with_evidence(loaded: Loaded, fitted: FittedResponse) -> FittedResponse:
     They are found by the Nelder-Mead method. The residuals of each cell, without its own gain, are
     N(0, V + spread² x xᵀ) with a diagonal V.
     """
-    response, known = loaded.expected(fitted)
+    response, constant_variance = loaded.expected(fitted)
     cell = loaded.felt[1]
     residual = loaded.change[loaded.felt] - response + response * fitted.gains[cell]
 
     def cost(logarithms: Array) -> float:
         spread, scatter = np.exp(np.clip(logarithms, *np.log(RANGE)))
-        variance = known + scatter**2 * response**2
+        variance = constant_variance + scatter**2 * response**2
         # −2 ln N of each cell by Woodbury: Σ e²/V − (Σ x e/V)²/(spread⁻² + Σ x²/V) + Σ ln V + ln(1
         # + spread² Σ x²/V)
-        most, shared = (
-            np.bincount(cell, response * part / variance, len(fitted.gains))
-            for part in (response, residual)
-        )
-        volume = np.log(variance).sum() + np.log1p(spread**2 * most).sum()
+        # Σ x²/V and Σ x e/V of each cell
+        precision = np.bincount(cell, response * response / variance, len(fitted.gains))
+        pull = np.bincount(cell, response * residual / variance, len(fitted.gains))
+        volume = np.log(variance).sum() + np.log1p(spread**2 * precision).sum()
+        by_gains = (pull**2 / (1 / spread**2 + precision)).sum()
         # A single cell does not determine the spread; the last summand keeps it finite.
-        return float(
-            (residual**2 / variance).sum()
-            - (shared**2 / (1 / spread**2 + most)).sum()
-            + volume
-            + spread
-        )
+        return float((residual**2 / variance).sum() - by_gains + volume + spread)
 
     minimum = scipy.optimize.minimize(
         cost, np.log([fitted.spread, fitted.scatter]), method="Nelder-Mead"
@@ -299,16 +294,8 @@ def response_of(
         Largest relative error that all loads share, uniformly distributed: its standard deviation
         is tolerance/√3.
     """
-    # Points from MIN_KPA on in equal ratios, on both sides of 0 kPa; a range below MIN_KPA has its
-    # end alone.
-    falling, rising = (
-        np.geomspace(
-            min(MIN_KPA, most), most, 1 + max(0, int(np.ceil(PER_OCTAVE * np.log2(most / MIN_KPA))))
-        )
-        if most > 0
-        else np.zeros(0)
-        for most in (-base.told_kpa[0], base.told_kpa[1])
-    )
+    falling = _table_points(-base.told_kpa[0])
+    rising = _table_points(base.told_kpa[1])
     pressure = np.concatenate([-falling[::-1], rising])
     zero = len(falling)
     logarithm, sd = fitted.curve(pressure, base)
@@ -325,5 +312,17 @@ def response_of(
     )
 
 
+def _table_points(most: float) -> Array:
+    """Return pressures from MIN_KPA to the largest one in equal ratios, kPa.
+
+    A range below MIN_KPA has its end alone; without a range there is none.
+    """
+    if most <= 0:
+        return np.zeros(0)
+    intervals = max(0, int(np.ceil(PER_OCTAVE * np.log2(most / MIN_KPA))))
+    return np.geomspace(min(MIN_KPA, most), most, 1 + intervals)
+
+
 def _significant(values: Array, digits: int = 6) -> tuple[float, ...]:
+    """Return values rounded to significant digits."""
     return tuple(float(f"{value:.{digits}g}") for value in values)

@@ -110,7 +110,7 @@ class LinearisedMethod(Method):
         absolute = state.without_comparisons()
         reduced = OptimalMethod("reduced")
         start = state.with_baseline(
-            reduced.solve(absolute, *reduced.given(absolute, state.resting))
+            reduced.solve(absolute, *reduced.data_and_start(absolute, state.resting))
         )
         if start.previous is None:
             return start

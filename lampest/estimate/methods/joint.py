@@ -133,10 +133,9 @@ class Joint:
         reduces the noise would seem to fit.
         """
         shared = self.responses(self.errors)
-        known = self._sharing
-        shift = np.append(
-            self.shift[:known] if known else np.zeros(shared.shape[2]), self.shift[known:]
-        )
+        count = self._sharing
+        z = self.shift[:count] if count else np.zeros(shared.shape[2])
+        shift = np.append(z, self.shift[count:])
         return replace(self, shared=shared, shift=shift)
 
     def responses(self, errors: Shared | None) -> Array:
@@ -192,6 +191,7 @@ class Joint:
 
     @property
     def _sharing(self) -> int:
+        """The number of shared errors z."""
         return int(self.shared.shape[2])
 
     @property
@@ -210,16 +210,15 @@ class Joint:
     @property
     def _shifted(self) -> Array:
         """(z − ẑ, c)."""
-        known = 0.0 if self.held is None else self.held[0]
-        return np.append(self.shift[: self._sharing] - known, self.shift[self._sharing :])
+        mean = 0.0 if self.held is None else self.held[0]
+        return np.append(self.shift[: self._sharing] - mean, self.shift[self._sharing :])
 
     @property
     def certainty(self) -> Array:
         """Prior precision of z and c."""
-        known = 1.0 if self.held is None else HELD_PRECISION
-        return np.concatenate(
-            [np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_step**-2)]
-        )
+        of_z = np.full(self._sharing, 1.0 if self.held is None else HELD_PRECISION)
+        of_c = np.full(len(self.stiffness), ASSUMED.common_step**-2)
+        return np.concatenate([of_z, of_c])
 
     @property
     def ties(self) -> Array:
@@ -351,9 +350,9 @@ class Joint:
         """
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
-        return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[
-            0
-        ][:, : self.cells]
+        free_right = right * ~self.pressed[:, :, None]
+        unknowns, _ = self.chain.solve(free_right, np.concatenate([corner, steps]))
+        return unknowns[:, : self.cells]
 
     @property
     def shared_estimate(self) -> tuple[Array, Array]:
@@ -361,12 +360,10 @@ class Joint:
 
         The precision is that without the prior of z.
         """
-        learned = (
-            self.chain.learned(self._sharing)
-            if self.held is None
-            else self.held[1] - np.eye(self._sharing)
-        )
-        return self.shift[: self._sharing], learned
+        z = self.shift[: self._sharing]
+        if self.held is None:
+            return z, self.chain.learned(self._sharing)
+        return z, self.held[1] - np.eye(self._sharing)
 
     def expected_squares(self) -> Array:
         """Return E x² of the steps, (frames − 1, cells)."""
@@ -406,30 +403,25 @@ class Joint:
         """
         count = self._sharing
         unlinked = replace(self, stiffness=stiffness)
-        covariance, without = (
-            problem.chain.border_covariance[:count, :count] for problem in (self, unlinked)
-        )
-        shift, shift_alone = (
-            self.shift[:count] + problem.newton()[1][:count] for problem in (self, unlinked)
-        )
-        expected = float(np.trace(without - covariance))
-        squares = float(np.sum((shift_alone - shift) ** 2))
+        # ẑ and C of all cells, ẑ' and C' without those near loads
+        covariance = self.chain.border_covariance[:count, :count]
+        shift = self.shift[:count] + self.newton()[1][:count]
+        covariance_without = unlinked.chain.border_covariance[:count, :count]
+        shift_without = self.shift[:count] + unlinked.newton()[1][:count]
+        difference = covariance_without - covariance
+        expected = float(np.trace(difference))
+        squares = float(np.sum((shift_without - shift) ** 2))
         if squares <= expected:
             return self
-        precision, prior_precision = (positive_inverse(matrix) for matrix in (covariance, without))
-        # precision = share · C⁻¹ + (1 − share) · C'⁻¹, and ẑ is the mean weighted by these
-        # precisions
+        precision = positive_inverse(covariance)
+        precision_without = positive_inverse(covariance_without)
         ratio = squares / expected
-        between = without - covariance
-        share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
-        believed, pull = (
-            share * first + (1 - share) * second
-            for first, second in (
-                (precision, prior_precision),
-                (precision @ shift, prior_precision @ shift_alone),
-            )
-        )
-        return replace(self, held=(np.linalg.solve(believed, pull), believed))
+        share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(difference**2) / 2)
+        # The average has the precision share · C⁻¹ + (1 − share) · C'⁻¹, and is the mean weighted
+        # by these.
+        average_precision = share * precision + (1 - share) * precision_without
+        pull = share * (precision @ shift) + (1 - share) * (precision_without @ shift_without)
+        return replace(self, held=(np.linalg.solve(average_precision, pull), average_precision))
 
     @property
     def uncertain(self) -> Chain:
@@ -505,10 +497,9 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
         across = rows[:, free].T @ rows[:, cells]
         precision = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
         # Schur complement: a_ii − a_iᵀ P a_i over the free cells
-        taken = np.einsum(
-            "fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True
-        )
-        return np.asarray(1 / np.maximum(precision - taken, IGNORANCE))
+        free_covariance = covariance[np.ix_(free, free)]
+        by_free = np.einsum("fi,fg,gi->i", across, free_covariance, across, optimize=True)
+        return np.asarray(1 / np.maximum(precision - by_free, IGNORANCE))
 
     # diag(P J̃ᵀ J̃), the diagonal of the averaging kernel
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from lampest.cost.cost import Cost
+from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.contacts import with_contacts
@@ -106,7 +107,7 @@ class Method(Configuration):
         """Return whether the baseline is solved together with the first frame; by default never."""
         return False
 
-    def given(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
+    def data_and_start(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve, and its start or None.
 
         The data of a joint first pair include the unloaded readings (paper, equations 15 and 21).
@@ -118,35 +119,45 @@ class Method(Configuration):
             (rows, columns).
         """
         objective = state.estimator
-        behind = state.background
-        previous = state.previous
         if self.joint_start(objective) and not state.rested:
-            return objective.data(state.resting.together(readings), behind), None
+            return objective.data(state.resting.together(readings), state.background), None
+        background = state.background
         if objective.relative:
-            known = (
-                state.scene.circuit.uniform_start(readings.value) if previous is None else previous
-            )
-            baseline = None if state.baseline is None else state.baseline.estimate(0)
-            behind = replace(behind, previous=known, baseline=baseline)
-            if objective.weighs_previous:
-                # Open cells and those without error bars have the standard deviation UNKNOWN_SD.
-                deviation = np.full(known.shape, UNKNOWN_SD)
-                if state.track is not None and state.track.deviation is not None:
-                    deviation = np.fmin(state.track.deviation, deviation)
-                behind = replace(behind, previous_deviation=deviation)
-                # remove the step that all cells have in common, so that the previous cells predict
-                # the frame's level
-                data = objective.data(readings.alone(), behind)
-                step = data.readout.common_step(
-                    data.measured[0], data.network(0, known).reading(), data.plain[0]
-                )
-                behind = replace(behind, previous=known * step)
-        data = replace(objective.data(readings.alone(), behind), first=state.first)
-        if previous is None and (panels := state.scene.circuit.panels_alike(state.resting.value)):
-            # Of several panels that give the same readings the one nearest to the unloaded panel is
-            # meant.
-            previous = np.minimum(panels[0][1], data.upper[0])
-        return data, None if previous is None else previous[None]
+            background = self._background_with_previous(state, readings)
+        data = replace(objective.data(readings.alone(), background), first=state.first)
+        if state.previous is not None:
+            return data, state.previous[None]
+        panels = state.scene.circuit.panels_alike(state.resting.value)
+        if not panels:
+            return data, None
+        # Of several panels that give the same readings the one nearest to the unloaded panel is
+        # meant.
+        return data, np.minimum(panels[0][1], data.upper[0])[None]
+
+    def _background_with_previous(self, state: SequenceState, readings: Readings) -> Background:
+        """Return the background of a frame with the previous frame and the baseline.
+
+        Where a term weighs the previous frame, its error bars are included, and the previous cells
+        have the level of the frame.
+        """
+        previous = state.previous
+        if previous is None:
+            previous = state.scene.circuit.uniform_start(readings.value)
+        baseline = None if state.baseline is None else state.baseline.estimate(0)
+        background = replace(state.background, previous=previous, baseline=baseline)
+        if not state.estimator.weighs_previous:
+            return background
+        # Open cells and those without error bars have the standard deviation UNKNOWN_SD.
+        deviation = np.full(previous.shape, UNKNOWN_SD)
+        if state.track is not None and state.track.deviation is not None:
+            deviation = np.fmin(state.track.deviation, deviation)
+        background = replace(background, previous_deviation=deviation)
+        # Remove the step that all cells have in common, so that the previous cells predict the
+        # frame's level.
+        data = state.estimator.data(readings.alone(), background)
+        model = data.network(0, previous).reading()
+        step = data.readout.common_step(data.measured[0], model, data.plain[0])
+        return replace(background, previous=previous * step)
 
     def solve(self, state: SequenceState, data: Data, previous: Array | None) -> Step:
         """Return one solve, choosing the weights that are left to the data.
@@ -185,7 +196,7 @@ class Method(Configuration):
     def begin(self, state: AnyState) -> AnyState:
         """Return the state with its baseline, which is solved alone."""
         absolute = state.without_comparisons() if state.estimator.relative else state
-        first = self.solve(absolute, *self.given(absolute, state.resting))
+        first = self.solve(absolute, *self.data_and_start(absolute, state.resting))
         settled, baseline = with_contacts(absolute, state.resting, first, self._elsewhere)
         state = replace(state, scene=settled.scene, track=settled.track)
         model = baseline.surroundings()
@@ -200,7 +211,7 @@ class Method(Configuration):
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Return the state after one frame's readings (rows, columns), and the frame's step."""
-        data, start = self.given(state, readings)
+        data, start = self.data_and_start(state, readings)
         step = self.solve(state, data, start)
         if len(data.measured) == 2:
             state, step = with_contacts(state, readings, step, self._elsewhere)
@@ -223,13 +234,11 @@ class Method(Configuration):
         after, step
             State after the frame, and its step.
         """
-        before = replace(
-            state,
-            estimator=state.estimator.with_weights(
-                step.weights, step.weight_sigma, step.prior_variance
-            ),
+        weighted = state.estimator.with_weights(
+            step.weights, step.weight_sigma, step.prior_variance
         )
-        data, previous = self.given(before, readings)
+        before = replace(state, estimator=weighted)
+        data, previous = self.data_and_start(before, readings)
         cost = before.estimator.cost(state.scene, len(data.measured), partial=data.partial)
         witness = testimony(cost, data, previous, state.estimator.solver)
         comparison = compared(step.solution, witness)
@@ -289,7 +298,9 @@ class Method(Configuration):
 
         It is solved from given cells on.
         """
-        return self.solve(state, replace(self.given(state, readings)[0], first=False), near)
+        return self.solve(
+            state, replace(self.data_and_start(state, readings)[0], first=False), near
+        )
 
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
@@ -365,25 +376,24 @@ class OptimalMethod(Method):
             return solution
         if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
             return solution
-        other = _solver(
-            solver.cost,
-            data.readout,
-            data.wiring,
-            "nodal" if is_newton else "reduced",
-            solver.settings,
+        second_kind = "nodal" if is_newton else "reduced"
+        second_solver = _solver(
+            solver.cost, data.readout, data.wiring, second_kind, solver.settings
         )
-        second = best_solution(other, data, previous)
+        second = best_solution(second_solver, data, previous)
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """Return what the solution of a single frame carries for the next one, else None."""
-        return solution.carried if solution.solved and len(solution.cell_resistance) == 1 else None
+        single = len(solution.cell_resistance) == 1
+        return solution.carried if solution.solved and single else None
 
 
 @lru_cache(maxsize=32)
 def _solver(
     cost: Cost, readout: Readout, wiring: Wiring | None, kind: str, settings: Settings
 ) -> Solver:
+    """Return the solver of a formulation: IPOPT on a program, or projected Newton."""
     if kind in EXCITATIONS:
         return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
     return ProjectedNewton(cost, settings)

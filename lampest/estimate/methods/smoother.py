@@ -153,15 +153,15 @@ class SmootherMethod(Method):
         The frame is solved together with the `lag` frames before it.
         """
         # Readings of the last frames, and their cells.
-        before, estimates = state.prepared or ((), ())
-        read = (*before, readings)[-1 - self.lag :]
+        earlier, estimates = state.prepared or ((), ())
+        read = (*earlier, readings)[-1 - self.lag :]
         cells = estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
-        if not steps[-1].solution.solved:
-            return state, steps[-1]
-        return replace(
-            after, prepared=(read, tuple(step.cell_resistance for step in steps))
-        ), steps[-1]
+        newest = steps[-1]
+        if not newest.solution.solved:
+            return state, newest
+        cells_of_steps = tuple(step.cell_resistance for step in steps)
+        return replace(after, prepared=(read, cells_of_steps)), newest
 
     def _together(
         self,
@@ -200,7 +200,9 @@ class SmootherMethod(Method):
             baseline, *steps = (Step(solution, seconds, (1.0,)).bare() for solution in solutions)
             if track is not None and baseline.solution.solved:
                 begin = perf_counter()
-                shared = track.shared and track.shared.beyond(joint.errors)
+                shared = None
+                if track.shared is not None:
+                    shared = track.shared.beyond(joint.errors)
                 certainty, bars = error_bars(joint, len(resting), shared)
                 seconds = (perf_counter() - begin) / len(solutions)
                 track = replace(track, baseline=certainty)
@@ -296,8 +298,11 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
         if not residual <= VERIFIED:
             solutions.append(failure(at.cost, at.data, fault, residual, outcome))
             continue
-        held = bounds_matter(at, slope.reshape(at.cell_resistance.shape), NO_DUAL)
-        status = Status.FAINT if weak else Status.HELD if held else Status.OPTIMUM
+        status = Status.OPTIMUM
+        if weak:
+            status = Status.FAINT
+        elif bounds_matter(at, slope.reshape(at.cell_resistance.shape), NO_DUAL):
+            status = Status.HELD
         solutions.append(solution_at(at, residual, outcome, status))
     return solutions
 
@@ -363,7 +368,11 @@ class Walk:
         if self.deviation <= least or np.mean((stiffness * squares)[:, calmer]) > 1:
             return self, False
         size = np.median(squares[:, calmer]) / self.deviation**2
-        factor = 1.0 if size > FOLLOWED else SLOW_DECREASE if size > TIED else FAST_DECREASE
+        factor = FAST_DECREASE
+        if size > FOLLOWED:
+            factor = 1.0
+        elif size > TIED:
+            factor = SLOW_DECREASE
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
     def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -425,26 +434,28 @@ def smoothed(joint: Joint, walk: Walk, settings: Settings, until: float = inf) -
     rounds = 0
     moving = True
     while rounds < MAX_ROUNDS and moving and monotonic() < until:
-        before = joint
+        previous = joint
         joint = joint.stepped()
-        moved = np.abs(joint.log_cells - before.log_cells).max(
+        moved = np.abs(joint.log_cells - previous.log_cells).max(
             initial=0.0, where=~joint.pressed[:, cells]
         )
         squares = joint.expected_squares()
-        walk, on = walk.drawn_down(squares, joint.stiffness, least)
+        walk, decreases = walk.drawn_down(squares, joint.stiffness, least)
         # U is evaluated at the model's readings, and again with the last q: with a large q these
         # follow the noise, which an error of the reference would seem to explain.
-        joint = replace(joint if on else joint.sharing(), stiffness=walk.stiffness(squares))
+        if not decreases:
+            joint = joint.sharing()
+        joint = replace(joint, stiffness=walk.stiffness(squares))
         rounds = rounds + 1
-        moving = on or moved > MAX_ROUND_CHANGE * noise
+        moving = decreases or moved > MAX_ROUND_CHANGE * noise
     # Fixed λ: hold z as far as cells away from loads agree, then minimise Φ to the tolerance.
     near = walk.near_loads(joint.expected_squares(), joint.data[0].measured.shape[-2:])
     joint = joint.agreeing(np.where(near, ASSUMED.jump**-2, joint.stiffness)).stepped()
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
-        before = joint
+        previous = joint
         joint = joint.stepped()
-        if joint is before:
+        if joint is previous:
             break
     return joint, rounds

@@ -71,16 +71,15 @@ class Alternation:
         change = np.inf
         for _ in range(MAX_ROUNDS):
             potentials = self._driven_potentials(conductance, volt)
-            before = conductance
+            previous = conductance
+            previous_change = change
             # One linear system for each sensed line j: rows i (driven while j is read), unknowns
             # g_pj.
-            solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[
-                :, :, 0
-            ].T
-            conductance = np.clip(solved, least, most)
-            change_before = change
-            change = float(np.abs(np.log(conductance / before)).max())
-            if change < CONVERGED or change > change_before:
+            matrices = potentials - volt.T[:, :, None]
+            solved = np.linalg.solve(matrices, (volt / load).T[:, :, None])
+            conductance = np.clip(solved[:, :, 0].T, least, most)
+            change = float(np.abs(np.log(conductance / previous)).max())
+            if change < CONVERGED or change > previous_change:
                 break
         return self._turned(1 / conductance)
 
@@ -109,24 +108,24 @@ class Alternation:
             driven = self.driven_volt((volt / states.load).sum(axis=1), states.drive)
             np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
             return np.asarray(potentials[None])
-        (drive, by_drive), (load, by_load) = (
-            tuple(map(self._turned, terms)) for terms in (equation.drive_terms, equation.load_terms)
-        )
+        drive, by_drive = map(self._turned, equation.drive_terms)
+        load, by_load = map(self._turned, equation.load_terms)
         result = np.empty((volt.shape[1], count, count))
         for of_address, read in zip(self.ties, equation.read_at, strict=True):
             in_order = np.concatenate(of_side(self.driven, *np.split(of_address, [read.shape[0]])))
             entries, excited = excitations(laplacian(conductance), in_order)
-            own = np.diag(entries)[:count, None]
-            other = np.diag(entries)[count:]
+            own_driven = np.diag(entries)[:count, None]
+            own_sensed = np.diag(entries)[count:]
             mutual = entries[:count, count:]
-            over = other * by_load + load
-            determinant = (own * by_drive + drive) * over - mutual**2 * by_drive * by_load
+            of_load = own_sensed * by_load + load
+            of_drive = own_driven * by_drive + drive
+            determinant = of_drive * of_load - mutual**2 * by_drive * by_load
             # Excitations of both lines, (driven i, sensed j), and the potentials of driven lines
             # that follow from them
-            of_driven = self.driving_volt * over / determinant
-            of_load = -self.driving_volt * by_load * mutual / determinant
-            lines = of_driven.T[:, :, None] * excited[None, :count, :count]
-            lines = lines + of_load.T[:, :, None] * excited[count:, None, :count]
+            excitation_driven = self.driving_volt * of_load / determinant
+            excitation_sensed = -self.driving_volt * by_load * mutual / determinant
+            lines = excitation_driven.T[:, :, None] * excited[None, :count, :count]
+            lines = lines + excitation_sensed.T[:, :, None] * excited[count:, None, :count]
             chosen = self._turned(read)[0] > 0
             result[chosen] = lines[chosen]
         return result

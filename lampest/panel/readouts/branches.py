@@ -46,20 +46,15 @@ def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[A
     measured : array, shape (rows, columns)
         Positive readings.
     """
-    aim = np.log(np.median(measured))
-    excess = (
-        np.array([np.log(np.median(reading(np.full(measured.shape, level)))) for level in LEVELS])
-        - aim
-    )
+    log_medians = [np.log(np.median(reading(np.full(measured.shape, level)))) for level in LEVELS]
+    excess = np.array(log_medians) - np.log(np.median(measured))
     crossings = np.flatnonzero(excess[:-1] * excess[1:] <= 0)
     if not crossings.size:
         return [np.full(measured.shape, LEVELS[np.argmin(np.abs(excess))])]
     # linear in the logarithms between two levels
     share = excess[crossings] / (excess[crossings] - excess[crossings + 1])
-    return [
-        np.full(measured.shape, level)
-        for level in LEVELS[crossings] * (LEVELS[1] / LEVELS[0]) ** share
-    ]
+    levels = LEVELS[crossings] * (LEVELS[1] / LEVELS[0]) ** share
+    return [np.full(measured.shape, level) for level in levels]
 
 
 def misfit(solved: Network, measured: Array) -> float:
@@ -91,9 +86,8 @@ def panels_alike(
     panels = _distinct([np.minimum(cells, upper) for cells in matched])
     networks = [network(cells) for cells in panels]
     misfits = [misfit(solved, measured) for solved in networks]
-    alike = [
-        number for number, missed in enumerate(misfits) if missed <= max(MAX_MISFIT, min(misfits))
-    ]
+    largest = max(MAX_MISFIT, min(misfits))
+    alike = [number for number, deviation in enumerate(misfits) if deviation <= largest]
     if len(alike) == 1:
         return [(0.0, panels[alike[0]])]
     evidence = {number: _log_evidence(networks[number], panels[number]) for number in alike}
@@ -106,7 +100,7 @@ def _distinct(panels: Sequence[Array]) -> list[Array]:
     """Return the panels without those that are an earlier one once more."""
     distinct: list[Array] = []
     for cells in panels:
-        if not any(np.allclose(np.log(cells), np.log(known), atol=SAME) for known in distinct):
+        if not any(np.allclose(np.log(cells), np.log(panel), atol=SAME) for panel in distinct):
             distinct.append(cells)
     return distinct
 

@@ -19,6 +19,10 @@ from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_l
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
 # readings, so many that the remaining part of σ is the one that averaging cannot remove
 ENDLESS = 65535
+# Of the quantisation error. The tail beyond is 1/(2π²·2000); it matters only without noise, where
+# b² is 1/12.
+HARMONICS = 2000
+NOISE_ACCURACY = 1e-6  # LSB
 # V: that of a thermocouple; the limit of low voltage in IEC 60038
 MIN_VOLT = 1e-3
 MAX_VOLT = 1e3
@@ -70,11 +74,9 @@ class Converter(Configuration):
                 f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB"
             )
         check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
-        passes = (
-            (0.0, self.full_scale_volt)
-            if isinstance(self.passes_volt, str | None)
-            else self.passes_volt
-        )
+        passes = (0.0, self.full_scale_volt)
+        if not isinstance(self.passes_volt, str | None):
+            passes = self.passes_volt
         if not 0 <= passes[0] < passes[1] <= self.full_scale_volt:
             most = f"{self.full_scale_volt:g}"
             raise ValueError(
@@ -97,11 +99,9 @@ class Converter(Configuration):
 
         The latter is the assumption until frames determine it.
         """
-        return (
-            self.usual_noise_lsb
-            if self.noise_lsb is None or self.noise_lsb == "estimated"
-            else self.noise_lsb
-        )
+        if self.noise_lsb is None or self.noise_lsb == "estimated":
+            return self.usual_noise_lsb
+        return self.noise_lsb
 
     @property
     def noisy_side(self) -> Side:
@@ -169,14 +169,11 @@ class Converter(Configuration):
         Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
         noise = np.array(self.assumed_noise if noise_lsb is None else noise_lsb)
-        # The tail beyond 2000 harmonics is 1/(2π²·2000); it matters only without noise, where b² is
-        # 1/12.
-        harmonic = np.arange(1, 2001, dtype=float)
-        # Terms of b², one for each harmonic h of the quantisation error (noise (…, 1), harmonic
-        # (2000,))
-        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (
-            2 * np.pi**2 * harmonic**2
-        )
+        harmonic = np.arange(1, HARMONICS + 1, dtype=float)
+        # Terms of b², one for each harmonic h of the quantisation error: noise (…, 1), harmonic
+        # (HARMONICS,)
+        damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2))
+        damped = damped / (2 * np.pi**2 * harmonic**2)
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / (readings or self.readings) + bias))
 
@@ -193,13 +190,12 @@ class Converter(Configuration):
         """
         low = 0.0
         high = 2.0**self.adc_bits
-        while high - low > 1e-6:
+        while high - low > NOISE_ACCURACY:
             middle = (low + high) / 2
-            low, high = (
-                (middle, high)
-                if float(self.averaged_variance(middle)) < variance
-                else (low, middle)
-            )
+            if float(self.averaged_variance(middle)) < variance:
+                low = middle
+            else:
+                high = middle
         return low
 
     def sigma(self, recorded: Array) -> Array:

@@ -10,6 +10,9 @@ import numpy as np
 from lampest.files.typed import Configuration, check_ranges
 from lampest.panel.panel import Array
 
+# Five suffice for the value at any resistance, second derivatives need two more.
+NEWTON_STEPS = 7
+
 
 @dataclass(frozen=True)
 class Diode(Configuration):
@@ -57,7 +60,7 @@ class Diode(Configuration):
         """Return the drop V_d in volt at a current in ampere, any shape."""
         return np.asarray(self.slope_volt * np.log1p(current / self._saturation))
 
-    def left(self, supply_volt: float, resistance: Any) -> Any:
+    def resistor_volt(self, supply_volt: float, resistance: Any) -> Any:
         """Return the voltage I·R across a resistance in series with the diode.
 
         Vcc = I·R + V_d(I); NumPy and CasADi. With A = I_s R/s and w = A e^{V_d/s} the equation is w
@@ -69,8 +72,7 @@ class Diode(Configuration):
         right = part + _logarithm(part) + supply_volt / self.slope_volt
         omega = right + _logarithm(1 + e**-right)
         # Newton: w ← w (1 + right − ln w)/(1 + w) for w + ln w = right
-        # Five suffice for the value at any resistance, second derivatives need two more.
-        for _ in range(7):
+        for _ in range(NEWTON_STEPS):
             omega = omega * (1 + right - _logarithm(omega)) / (1 + omega)
         return self.slope_volt * (omega - part)
 

@@ -141,7 +141,8 @@ class DrivenCircuit(Readout):
         super().check(scene)
         driven, sensed = of_side(self.driven, *scene.panel.shape)
         for name in (*self.of_driven, *self.of_sensed):
-            if (value := getattr(self, name)) is not None:
+            value = getattr(self, name)
+            if value is not None:
                 per_line(name, value, driven if name in self.of_driven else sensed)
         check_groups(self.groups, opposite(self.driven), sensed)
         equation = equation_of(self, *scene.panel.shape)
@@ -153,13 +154,12 @@ class DrivenCircuit(Readout):
     @property
     def _end_text(self) -> str:
         """Description of the groups and of the converter, with its input resistance."""
-        grouped = (
-            ""
-            if self.groups is None
-            else f", {len(self.groups)} {opposite(self.driven)} read in parallel"
-        )
-        taken = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
-        return f"{grouped}{taken}, {self.converter_description()}"
+        text = ""
+        if self.groups is not None:
+            text += f", {len(self.groups)} {opposite(self.driven)} read in parallel"
+        if self.input_ohm is not None:
+            text += f", converter input {self.input_ohm:g} ohm"
+        return f"{text}, {self.converter_description()}"
 
     @property
     def noisy_side(self) -> Side:
@@ -248,30 +248,31 @@ class DrivenCircuit(Readout):
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """Return c·V_ij, see the module; NumPy and CasADi."""
         equation = self._equation(mutual.shape)
-        own, other = of_side(self.driven, row, column)
+        own_driven, own_sensed = of_side(self.driven, row, column)
         if equation.floating:
             # Nothing but the read lines conducts to ground: one loop of Rd, R and Rs
-            loop = (own + other - 2 * mutual) + (equation.drive + equation.load)
+            loop = (own_driven + own_sensed - 2 * mutual) + (equation.drive + equation.load)
             return self._supply(loop) * (equation.load * equation.gain) / loop
+        # A, A' and B, B'
         drive, by_drive = equation.drive_terms
         load, by_load = equation.load_terms
-        over = other * by_load + load
-        determinant = (own * by_drive + drive) * over - mutual * mutual * (by_drive * by_load)
+        of_load = own_sensed * by_load + load
+        of_drive = own_driven * by_drive + drive
+        determinant = of_drive * of_load - mutual * mutual * (by_drive * by_load)
         if self.diode is None:
             return mutual * (equation.gain * self.driving_volt) / determinant
         # Resistance U/I of the driven path, from the excitation x and the potential u of the driven
-        # line: x = U over/determinant, u = U (own over − by_load mutual²)/determinant
+        # line: x = U of_load/determinant, u = U (Z_ii of_load − B' Z_ij²)/determinant
         by_excitation, by_potential = equation.current_terms
-        current = over * by_excitation + (own * over - mutual * mutual * by_load) * by_potential
+        potential = own_driven * of_load - mutual * mutual * by_load
+        current = of_load * by_excitation + potential * by_potential
         return mutual * equation.gain * self._supply(determinant / current) / determinant
 
     def _supply(self, resistance: Any) -> Any:
         """Return U for a resistance of the driven path, volt; NumPy and CasADi."""
-        return (
-            self.driving_volt
-            if self.diode is None
-            else self.diode.left(self.driving_volt, resistance)
-        )
+        if self.diode is None:
+            return self.driving_volt
+        return self.diode.resistor_volt(self.driving_volt, resistance)
 
     def _lost(self, current: Array) -> Array:
         """Return Vcc − U for a current through the driven line, volt."""
@@ -295,12 +296,12 @@ class DrivenCircuit(Readout):
         It is Rs, or Rp or Rd where Rs is infinite.
         """
         states = equation.states
-        finite = [
+        resistors = [
             ohm[(ohm > 0) & np.isfinite(ohm)]
             for ohm in (states.load, states.idle, states.drive, states.idle_load)
         ]
-        further = next(float(np.mean(ohm)) for ohm in finite if ohm.size)
-        return np.where(np.isfinite(equation.load), equation.load, further)
+        first = next(float(np.mean(ohm)) for ohm in resistors if ohm.size)
+        return np.where(np.isfinite(equation.load), equation.load, first)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Return the resistance of a single divider with this reading.
@@ -378,11 +379,9 @@ class DrivenCircuit(Readout):
             return []
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
         firsts = uniform_panels(self.exact_reading, positive)
-        return (
-            self._panels_from(positive, firsts, np.full(measured.shape, np.inf))
-            if len(firsts) > 1
-            else []
-        )
+        if len(firsts) == 1:
+            return []
+        return self._panels_from(positive, firsts, np.full(measured.shape, np.inf))
 
     def _panels_from(
         self, measured: Array, firsts: Sequence[Array], upper: Array
@@ -406,11 +405,9 @@ class DrivenCircuit(Readout):
         quiet = equation.together is None or np.isinf(states.idle_load).all()
         if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):
             return least
-        noise = (
-            np.zeros_like(measured)
-            if sigma is None
-            else np.where(np.isfinite(sigma), sigma, measured)
-        )
+        noise = np.zeros_like(measured)
+        if sigma is not None:
+            noise = np.where(np.isfinite(sigma), sigma, measured)
         by_volt = 1 / (equation.gain * equation.load)
         # Upper bound of the current, and with it a lower bound of the potential
         current = self._sum_together(measured * by_volt)
@@ -447,9 +444,8 @@ class DrivenCircuit(Readout):
         load = equation.load
         volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
         # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
-        drop = (
-            equation.drive if equation.together is None or len(equation.ties) > 1 else 0.0
-        ) / load
+        simultaneous = equation.together is None or len(equation.ties) > 1
+        drop = (equation.drive if simultaneous else 0.0) / load
         driven = -3 - self._along_sensed
         lost = self._lost(self._sum_together(volt / load))
         below = volt + self._sum_together(volt * drop) + lost

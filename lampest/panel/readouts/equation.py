@@ -104,41 +104,29 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
     """Return the numbers of a circuit's equation on a panel."""
     driven, sensed = of_side(circuit.driven, rows, columns)
     states = circuit.states(driven, sensed)
-    drive = states.drive
-    idle = states.idle
-    load = states.load
-    idle_load = states.idle_load
-    unchanged = np.array_equal(load, idle_load)
-    addresses = [] if unchanged or circuit.groups is None else _addresses(circuit.groups)
-    several = len(circuit.groups or ()) > 1 and bool(addresses)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        idle_ties = 1 / idle
-        load_ties = 1 / load
-        idle_load_ties = 1 / idle_load
-        # Lines that 0 ohm hold at ground while they are idle have an equation of their own.
-        held = idle == 0
-        drive_terms = np.where(
-            held, (np.ones(driven), -drive), (drive, np.where(drive == idle, 0.0, 1 - drive / idle))
-        )
-        current_terms = np.where(held, [[0.0], [-1.0]], (np.ones(driven), -idle_ties))
-        if unchanged or several:
-            load_terms = np.stack([np.ones(sensed), np.zeros(sensed)])
-        else:
-            held = idle_load == 0
-            load_terms = np.where(
-                held, (load_ties, -np.ones(sensed)), (np.ones(sensed), load_ties - idle_load_ties)
-            )
+    loads_stay = np.array_equal(states.load, states.idle_load)
+    addresses = [np.arange(sensed)]
+    parallel = False
+    if circuit.groups is not None and len(circuit.groups) > 1 and not loads_stay:
+        addresses = _addresses(circuit.groups)
+        parallel = True
+    drive_terms, current_terms = _drive_terms(states)
+    load_terms = _load_terms(states, in_ties=loads_stay or parallel)
     # Ties at every address: of idle lines, and of the loads of the lines that are read together.
     ties = []
     read = []
-    for lines in addresses if several else [np.arange(sensed)]:
-        chosen = np.isin(np.arange(sensed), lines)
-        of_sensed = np.where(chosen, load_ties, idle_load_ties) if several else idle_load_ties
-        ties.append(np.concatenate(of_side(circuit.driven, idle_ties, of_sensed)))
-        read.append(chosen.astype(float))
-    together = (
-        None if unchanged else np.transpose(read) @ np.array(read) if several else np.eye(sensed)
-    )
+    with np.errstate(divide="ignore"):
+        for lines in addresses:
+            chosen = np.isin(np.arange(sensed), lines)
+            loaded = chosen & parallel
+            of_sensed = np.where(loaded, 1 / states.load, 1 / states.idle_load)
+            ties.append(np.concatenate(of_side(circuit.driven, 1 / states.idle, of_sensed)))
+            read.append(chosen.astype(float))
+    together = None
+    if parallel:
+        together = np.transpose(read) @ np.array(read)
+    elif not loads_stay:
+        together = np.eye(sensed)
 
     def of_driven(values: Array) -> Array:
         return np.broadcast_to(along(circuit.driven, values), (rows, columns)).copy()
@@ -148,18 +136,48 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
 
     return Equation(
         states=states,
-        drive=of_driven(drive),
-        load=of_sensed_lines(load),
+        drive=of_driven(states.drive),
+        load=of_sensed_lines(states.load),
         gain=of_sensed_lines(states.gain),
         drive_terms=(of_driven(drive_terms[0]), of_driven(drive_terms[1])),
         load_terms=(of_sensed_lines(load_terms[0]), of_sensed_lines(load_terms[1])),
         current_terms=(of_driven(current_terms[0]), of_driven(current_terms[1])),
         floating=not np.any(ties),
-        grounded=bool(np.all(idle <= drive)),
+        grounded=bool(np.all(states.idle <= states.drive)),
         ties=np.stack(ties),
         read_at=np.stack([of_sensed_lines(chosen) for chosen in read]),
         together=together,
     )
+
+
+def _drive_terms(states: LineStates) -> tuple[Array, Array]:
+    """Return (A, A'), and the terms of the current, (2, driven) each; see `Equation`.
+
+    Lines that 0 ohm hold at ground while they are idle have an equation of their own.
+    """
+    drive = states.drive
+    idle = states.idle
+    ones = np.ones(len(drive))
+    held = idle == 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_own = np.where(drive == idle, 0.0, 1 - drive / idle)
+        drive_terms = np.where(held, (ones, -drive), (drive, by_own))
+        current_terms = np.where(held, [[0.0], [-1.0]], (ones, -1 / idle))
+    return drive_terms, current_terms
+
+
+def _load_terms(states: LineStates, *, in_ties: bool) -> Array:
+    """Return (B, B'), (2, sensed); see `Equation`.
+
+    `in_ties` states whether the loads are a part of the ties.
+    """
+    ones = np.ones(len(states.load))
+    if in_ties:
+        return np.stack([ones, np.zeros(len(states.load))])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        load_ties = 1 / states.load
+        of_tied = (ones, load_ties - 1 / states.idle_load)
+        return np.where(states.idle_load == 0, (load_ties, -ones), of_tied)
 
 
 def _addresses(groups: Groups) -> list[NDArray[np.intp]]:

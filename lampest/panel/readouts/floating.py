@@ -6,7 +6,8 @@ BᵀZB. As D is symmetric, one operator serves as forward and as adjoint product
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -29,6 +30,7 @@ STEP_LENGTHS = tuple(0.5**power for power in range(20))
 # Of a step's equation; near the minimum the relative misfit, for quadratic convergence.
 MAX_RESIDUAL = 0.05
 MIN_DECREASE_SHARE = 1e-12  # of ⟨R_m, g⟩: a smaller decrease is rounding
+BOUND_ROUNDING = 1e-12  # of a bound: a conductance within it is at the bound
 # Relative misfit of any reading at convergence; Newton's steps double the correct digits.
 MAX_RELATIVE_MISFIT = 1e-9
 
@@ -171,16 +173,18 @@ def square_by_lines(
     cells, lines = _parts(conductance, two_point_resistance)
     heavy = conductance * cells * weight
     of_lines = line_sums(weight)
-    none = np.zeros_like(lines)
-    zero = np.zeros_like(weight)
+    no_lines = np.zeros_like(lines)
+    no_cells = np.zeros_like(weight)
     of_rows, of_columns = np.split(lines, [len(weight)])
-    squared = lines * of_lines * lines, of_rows[:, None] * weight * of_columns
+    square_of_lines = lines * of_lines * lines
+    square_of_cells = of_rows[:, None] * weight * of_columns
     mixed = LineBlocks(
-        np.array([[none, lines], [lines, squared[0]]]), np.array([[zero, zero], [zero, squared[1]]])
+        np.array([[no_lines, lines], [lines, square_of_lines]]),
+        np.array([[no_cells, no_cells], [no_cells, square_of_cells]]),
     )
     inverse = LineBlocks(
-        np.array([[-of_lines, 1 / lines], [1 / lines, none]]),
-        np.array([[-weight, zero], [zero, zero]]),
+        np.array([[-of_lines, 1 / lines], [1 / lines, no_lines]]),
+        np.array([[-weight, no_cells], [no_cells, no_cells]]),
     )
     return NormalByLines(
         heavy * conductance * cells, np.stack([heavy, conductance]), mixed, inverse
@@ -218,48 +222,90 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     near : array, shape (rows, columns), or None
         Estimate of an earlier frame, from which the iteration begins; None for R_m·MN/(M + N − 1).
     """
-    tie = grounding(measured)
-    least = 1 / upper
-
-    def at(conductance: Array) -> tuple[float, FloatingNetwork]:
-        network = FloatingNetwork.solve(conductance, tie)
-        return float(np.sum(measured * conductance)) - log_determinant(conductance, tie), network
-
-    def freely(network: FloatingNetwork) -> tuple[Array, NDArray[np.bool_], float]:
-        """Return ∇ = R_m − R, the cells that are free to follow it, and its largest entry.
-
-        The largest entry is relative to R_m.
-        """
-        gradient = measured - network.reading()
-        free = (network.conductance > least * (1 + 1e-12)) | (gradient < 0)
-        return gradient, free, float(np.max(np.abs(gradient[free] / measured[free]), initial=0))
-
     first = measured / uniform_factor(*measured.shape) if near is None else near
-    conductance = np.maximum(1 / first, least)
-    value, network = at(conductance)
+    least = 1 / upper
+    point = _ConvexPoint(measured, least, grounding(measured), np.maximum(1 / first, least))
     for _ in range(MAX_ITERATIONS):
-        gradient, free, misfit = freely(network)
-        if misfit < MAX_RELATIVE_MISFIT:
+        if point.misfit < MAX_RELATIVE_MISFIT:
             break
-        step = _step(network, gradient, free, min(MAX_RESIDUAL, misfit))
-        rounding = MIN_DECREASE_SHARE * float(np.sum(measured * conductance))
-        # Backtracking line search, in which no conductance falls by more than a factor of ten:
-        # Armijo's condition; where the change is within rounding, the gradient must halve.
-        for length in STEP_LENGTHS:
-            trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
-            trial_value, trial_network = at(trial)
-            if trial_value <= value + SUFFICIENT_DECREASE * float(
-                np.sum(gradient * (trial - conductance))
-            ):
-                break
-            if trial_value <= value + rounding and freely(trial_network)[2] <= misfit / 2:
-                break
-        else:
+        following = _lower_point(point)
+        if following is None:
             break
-        conductance = trial
-        value = trial_value
-        network = trial_network
-    return np.asarray(1 / conductance)
+        point = following
+    return np.asarray(1 / point.conductance)
+
+
+@dataclass(frozen=True, eq=False)
+class _ConvexPoint:
+    """The convex function of `convex_start` at conductances.
+
+    Attributes
+    ----------
+    measured : array, shape (rows, columns)
+        R_m in ohm.
+    least : array, shape (rows, columns)
+        1/r_upper in siemens.
+    tie : array, shape (lines,)
+        Ties to ground in siemens.
+    conductance : array, shape (rows, columns)
+        g in siemens.
+    """
+
+    measured: Array
+    least: Array
+    tie: Array
+    conductance: Array
+
+    @cached_property
+    def network(self) -> FloatingNetwork:
+        """The solved network."""
+        return FloatingNetwork.solve(self.conductance, self.tie)
+
+    @property
+    def scale(self) -> float:
+        """⟨R_m, g⟩."""
+        return float(np.sum(self.measured * self.conductance))
+
+    @cached_property
+    def value(self) -> float:
+        """⟨R_m, g⟩ − log det C(g)."""
+        return self.scale - log_determinant(self.conductance, self.tie)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """∇ = R_m − R, (rows, columns)."""
+        return np.asarray(self.measured - self.network.reading())
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Whether a cell is free to follow −∇, boolean (rows, columns)."""
+        inside = self.network.conductance > self.least * (1 + BOUND_ROUNDING)
+        return np.asarray(inside | (self.gradient < 0))
+
+    @cached_property
+    def misfit(self) -> float:
+        """Largest entry of ∇ over the free cells, relative to R_m."""
+        relative = self.gradient[self.free] / self.measured[self.free]
+        return float(np.max(np.abs(relative), initial=0))
+
+
+def _lower_point(point: _ConvexPoint) -> _ConvexPoint | None:
+    """Return the point after a damped Newton step; None if no tried length is accepted.
+
+    Backtracking line search, in which no conductance falls by more than a factor of ten: Armijo's
+    condition; where the change is within rounding, the gradient must halve.
+    """
+    step = _step(point.network, point.gradient, point.free, min(MAX_RESIDUAL, point.misfit))
+    rounding = MIN_DECREASE_SHARE * point.scale
+    least = np.maximum(point.least, point.conductance / 10)
+    for length in STEP_LENGTHS:
+        trial = replace(point, conductance=np.maximum(point.conductance + length * step, least))
+        predicted = float(np.sum(point.gradient * (trial.conductance - point.conductance)))
+        if trial.value <= point.value + SUFFICIENT_DECREASE * predicted:
+            return trial
+        if trial.value <= point.value + rounding and trial.misfit <= point.misfit / 2:
+            return trial
+    return None
 
 
 def _step(
@@ -275,9 +321,8 @@ def _step(
         transfer = network.transfer
         transfer = transfer if len(chosen) == free.size else transfer[np.ix_(chosen, chosen)]
         curvature = (transfer * transfer).T  # symmetric; the transpose has LAPACK's memory order
-        step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[
-            1
-        ]
+        _, solved, _ = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)
+        step[free] = solved
         return step
     # Large panels: conjugate gradients on (D∘D)·p with the stencil as preconditioner.
     stencil = Stencil.of(network.conductance, network.reading(), free)

@@ -4,6 +4,7 @@ Also resistance in series with every line.
 """
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -129,7 +130,7 @@ def check_apart(groups: Groups) -> None:
     """Raise ValueError unless groups are not empty and name every line once."""
     if not groups or not all(groups):
         raise ValueError("groups: every multiplexer has at least one line")
-    lines = [line for group in groups for line in group]
+    lines = list(chain.from_iterable(groups))
     twice = next((line for line in lines if lines.count(line) > 1), None)
     if twice is not None:
         raise ValueError(
@@ -141,14 +142,16 @@ def check_groups(groups: Groups | None, side: Side, count: int) -> None:
     """Raise ValueError unless groups, if any, name every one of `count` lines of a side."""
     if groups is None:
         return
-    lines = {line for group in groups for line in group}
+    lines = set(chain.from_iterable(groups))
     name = side.removesuffix("s")
-    if beyond := sorted(lines - set(range(count))):
+    beyond = sorted(lines - set(range(count)))
+    if beyond:
         raise ValueError(
             f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to "
             f"{count - 1}"
         )
-    if missing := sorted(set(range(count)) - lines):
+    missing = sorted(set(range(count)) - lines)
+    if missing:
         raise ValueError(
             f"readout.groups: {name} {missing[0]} is left out; every one is behind a multiplexer"
         )

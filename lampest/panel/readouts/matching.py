@@ -44,8 +44,8 @@ def matching_cells(
     lower = np.log(least)
     upper = np.log(most)
     start = np.clip(np.log(first), lower, upper)
-    by = _by_matrix if measured.size <= MAX_DENSE else _by_products
-    return np.asarray(np.exp(by(network, measured, start, lower, upper)))
+    solve = _by_matrix if measured.size <= MAX_DENSE else _by_products
+    return np.asarray(np.exp(solve(network, measured, start, lower, upper)))
 
 
 def _by_matrix(

@@ -30,7 +30,7 @@ class LoadedColumnsReadout(DrivenCircuit):
 
     All other driven lines float. V = Vcc·Z_ij/(Rd_i + Z_ii) for driven line i and sensed line j
     with its load Rs_j. With a diode it is V = U·Z_ij/(Rd_i + Z_ii), U the remaining voltage; see
-    `Diode.left`.
+    `Diode.resistor_volt`.
 
     Attributes
     ----------
@@ -151,11 +151,9 @@ class GroundedReadout(DrivenCircuit):
 
     def description(self) -> str:
         sensed = opposite(self.driven)
-        loads = (
-            f"all {sensed} loaded"
-            if self.all_loaded
-            else f"one of the {sensed} loaded, the others floating"
-        )
+        loads = f"one of the {sensed} loaded, the others floating"
+        if self.all_loaded:
+            loads = f"all {sensed} loaded"
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
         return (
             f"grounded, {self.driven} driven {self.polarity} while the others are held, {loads}, "
@@ -177,9 +175,8 @@ class GroundedReadout(DrivenCircuit):
         drive = np.maximum(per_line("drive_ohm", self.drive_ohm, driven), MIN_OHM)
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         total = load + per_line("sense_ohm", self.sense_ohm, sensed)
-        return LineStates(
-            drive, drive, total, total if self.all_loaded else np.full(sensed, inf), load / total
-        )
+        idle_load = total if self.all_loaded else np.full(sensed, inf)
+        return LineStates(drive, drive, total, idle_load, load / total)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,9 +239,7 @@ class VirtualGroundReadout(SourcedCircuit):
 
         c is Rf/Rc.
         """
-        drive, channel = (
-            np.maximum(per_line(name, getattr(self, name), count), MIN_OHM)
-            for name, count in (("drive_ohm", driven), ("sense_ohm", sensed))
-        )
+        drive = np.maximum(per_line("drive_ohm", self.drive_ohm, driven), MIN_OHM)
+        channel = np.maximum(per_line("sense_ohm", self.sense_ohm, sensed), MIN_OHM)
         feedback = per_line("feedback_ohm", self.feedback_ohm, sensed)
         return LineStates(drive, drive, channel, channel, feedback / channel)

@@ -22,6 +22,7 @@ from lampest.panel.tied_network import TiedNetwork
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
 # Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
 SHORT_SHARE = 1e-6
+STEP_LSB = 1e-3  # of a voltage, for central differences
 
 
 class Surroundings(Protocol):
@@ -260,7 +261,8 @@ class Readout(Converter, ABC):
         reading by the noise σ. r_max is at least twice the start.
         """
         if measured.ndim > 2:
-            return np.stack([self.resolution(*both) for both in zip(measured, sigma, strict=True)])
+            frames = zip(measured, sigma, strict=True)
+            return np.stack([self.resolution(*frame) for frame in frames])
         start = self.uniform_start(measured)
         response = self.network(start, self.ties(measured)).own_response()
         # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
@@ -318,12 +320,10 @@ class Readout(Converter, ABC):
         least, largest = self.rails()
         beyond = ((least, recorded < least), (largest, recorded > largest))
         reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
-        plural = "s" * (len(reached) - 1)
-        return (
-            f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}"
-            if reached
-            else ""
-        )
+        if not reached:
+            return ""
+        rails = "rails" if len(reached) > 1 else "rail"
+        return f"the converter's {rails} of {' and '.join(reached)} {self.unit}"
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """Return σ·|∂y/∂(recorded)|, the σ of the network's readings y.
@@ -440,18 +440,17 @@ def without_memory(
         Recorded values V and their standard deviations, in the readout's unit.
     """
 
-    def before_it(values: Array) -> Array:
+    def of_previous_channel(values: Array) -> Array:
         """Return for every channel the value of the previous one in scan order."""
-        return in_panel_order(
-            readout, np.roll(in_scan_order(readout, values), 1, axis=-1), values.shape
-        )
+        shifted = np.roll(in_scan_order(readout, values), 1, axis=-1)
+        return in_panel_order(readout, shifted, values.shape)
 
     def slope(volt: Array) -> Array:
         """Return |∂recorded/∂V| by central differences.
 
         They are taken at least half an LSB away from the ends of the range.
         """
-        step = 1e-3 * readout.lsb_volt
+        step = STEP_LSB * readout.lsb_volt
         inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
@@ -459,15 +458,14 @@ def without_memory(
     # U_n = (V_n − m·V_(n−1))/(1 − m), with σ propagated to volt, through the difference, and back.
     volt = readout.volt_from_recorded(recorded)
     noise = sigma / slope(volt)
-    before = before_it(volt)
-    noise_before = before_it(noise)
-    unknown = ~np.isfinite(before)
-    before = np.where(unknown, volt, before)
-    noise_before = np.where(unknown, readout.full_scale_volt / np.sqrt(12), noise_before)
-    freed = np.clip((volt - fraction * before) / (1 - fraction), 0.0, readout.full_scale_volt)
-    return readout.recorded_from_volt(freed), np.hypot(noise, fraction * noise_before) / (
-        1 - fraction
-    ) * slope(freed)
+    previous = of_previous_channel(volt)
+    previous_noise = of_previous_channel(noise)
+    unknown = ~np.isfinite(previous)
+    previous = np.where(unknown, volt, previous)
+    previous_noise = np.where(unknown, readout.full_scale_volt / np.sqrt(12), previous_noise)
+    true = np.clip((volt - fraction * previous) / (1 - fraction), 0.0, readout.full_scale_volt)
+    true_noise = np.hypot(noise, fraction * previous_noise) / (1 - fraction)
+    return readout.recorded_from_volt(true), true_noise * slope(true)
 
 
 def in_scan_order(readout: Readout, values: Array) -> Array:

@@ -108,6 +108,7 @@ class Contacts(Configuration):
         return self._of_lines("sd_ohm", shape)
 
     def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
+        """Return a field of the priors for all lines, (lines,) ohm, rows first."""
         sides = zip(("rows", "columns"), (self.rows, self.columns), shape, strict=True)
         return np.concatenate(
             [
@@ -119,9 +120,11 @@ class Contacts(Configuration):
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
         """Return the contacts from means and deviations, (lines,) ohm each, rows first."""
-        both = np.stack([mean, deviation])
+        means = np.asarray(mean, dtype=float).tolist()
+        deviations = np.asarray(deviation, dtype=float).tolist()
         return cls(
-            *(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:]))
+            rows=ContactPrior(tuple(means[:rows]), tuple(deviations[:rows])),
+            columns=ContactPrior(tuple(means[rows:]), tuple(deviations[rows:])),
         )
 
 
@@ -232,13 +235,14 @@ class Ladder:
         rung = np.linalg.inv(matrix)
         passed = np.empty_like(rung)
         shown = np.empty_like(rung)
-        before = np.zeros((size, size))
+        conductance = np.zeros((size, size))
         for number in range(count):
             # Y ← (1 + (Y + Y_rung)·diag(segment))⁻¹ (Y + Y_rung), the conductance behind the next
             # segment
-            total = before + rung[number]
+            total = conductance + rung[number]
             passed[number] = np.linalg.inv(np.eye(size) + total * segment[number])
-            before = shown[number] = passed[number] @ total
+            conductance = passed[number] @ total
+            shown[number] = conductance
         return cls(outer, inner, rung, passed, shown, segment)
 
     def solve(self, differences: Array) -> Array:
@@ -249,15 +253,17 @@ class Ladder:
         driven = self.rung @ differences[self.outer, self.inner]
         source = np.empty_like(driven)
         potential = np.empty_like(driven)
-        before = np.zeros(driven.shape[1:])
-        after = np.zeros(driven.shape[1:])
         # Forward: source current of all rungs so far, behind each segment.
+        behind = np.zeros(driven.shape[1:])
         for number in range(len(driven)):
-            before = source[number] = self.passed[number] @ (before + driven[number])
+            behind = self.passed[number] @ (behind + driven[number])
+            source[number] = behind
         # Backward: currents through the segments, and potentials of the rails at each rung.
+        rail = np.zeros(driven.shape[1:])
         for number in reversed(range(len(driven))):
-            current = source[number] - self.shown[number] @ after
-            after = potential[number] = after + self.segment_ohm[number, :, None] * current
+            current = source[number] - self.shown[number] @ rail
+            rail = rail + self.segment_ohm[number, :, None] * current
+            potential[number] = rail
         return np.asarray((driven - self.rung @ potential)[self.outer, self.inner])
 
 
@@ -374,9 +380,8 @@ def wire_responses(network: Network, lines: Lines) -> Array:
     maps = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:])
     responses = []
     for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
-        beyond = np.cumsum(np.flip(maps, axis) if near_first else maps, axis).reshape(
-            currents.shape
-        )
+        from_far_end = np.flip(maps, axis) if near_first else maps
+        beyond = np.cumsum(from_far_end, axis).reshape(currents.shape)
         responses.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))
     return np.stack(responses)
 
