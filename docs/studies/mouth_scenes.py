@@ -8,7 +8,7 @@ the film is bent. The divider, its converter, channels and outliers are written 
 panel's two-point resistances are the package's.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -407,12 +407,12 @@ MAKERS: dict[str, Callable[[np.random.Generator, Panel], Scene]] = {
 MOUTHS = tuple(kind for kind in MAKERS if "mouth" in kind)
 
 
-def cells(
-    rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array
-) -> Array:
-    """(frames, rows, columns) ohm.
+def patch_means(
+    pressures: Sequence[Pressure], panel: Panel, film_: Film, shift_mm: float = 0.0
+) -> list[Array]:
+    """Mean of each pressure over the patch of every cell, (rows, columns) kPa.
 
-    courses (frames, 2): factors of contact and suction, zero where unloaded.
+    shift_mm : distance along x by which the loads stand off.
     """
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * film_.patch_mm
     inside = np.hypot(*np.meshgrid(offset, offset)) < (
@@ -429,9 +429,17 @@ def cells(
         + np.broadcast_to(offset[:, None], (GRID, GRID))
         + np.zeros((1, panel.columns, 1, 1))
     )
-    contact, suction = (
-        part(x, y)[..., inside].mean(axis=-1) for part in (scene.contact, scene.suction)
-    )
+    return [pressure(x - shift_mm, y)[..., inside].mean(axis=-1) for pressure in pressures]
+
+
+def cells(
+    rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array
+) -> Array:
+    """(frames, rows, columns) ohm.
+
+    courses (frames, 2): factors of contact and suction, zero where unloaded.
+    """
+    contact, suction = patch_means((scene.contact, scene.suction), panel, film_)
     resting = 3050 * np.exp(film_.spread * rng.standard_normal(panel.shape))
     answer = film_.bent * np.exp(film_.scatter * rng.standard_normal(panel.shape))
     pressure = courses[:, :1, None] * contact + courses[:, 1:, None] * suction
