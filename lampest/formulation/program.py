@@ -28,7 +28,7 @@ from lampest.cost.cost import Cost, Summand, Symbols, lowered, program_groups, s
 from lampest.cost.given import Given
 from lampest.cost.losses import Lowered
 from lampest.files.errors import InputError
-from lampest.formulation.circuit import Circuit
+from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.formulation.patterns import Excitation, NetworkSymbols, joined_addresses
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
@@ -191,9 +191,9 @@ class Program(CasadiOwner):
                     patterns.network(
                         circuit,
                         readout,
-                        conductance[:, frame],
-                        tie[:, frame * len(circuits) + at],
-                        scale,
+                        ConductanceSymbols(
+                            conductance[:, frame], tie[:, frame * len(circuits) + at], scale
+                        ),
                     )
                     for at, circuit in enumerate(circuits)
                 ],
