@@ -25,7 +25,7 @@ from time import process_time
 
 import numpy as np
 
-from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, patch_means
+from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, patch_means, sampled
 from docs.studies.mouth_scenes import Scene as Made
 from lampest import two_point_resistance
 from lampest.estimate.prepared import Prepared
@@ -334,15 +334,8 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
     ripple = rng.uniform(0, 0.4) * rng.standard_normal((len(time), 1, columns))
     codes = 1023 * reference / (total + reference) * gain + ripple
     parts = np.split(codes, range(BLOCK, len(codes), BLOCK))
-    mean = np.concatenate([_sampled(rng, part) for part in parts])
+    mean = np.concatenate([sampled(rng, part) for part in parts])
     return np.asarray(1000 * (1023 - mean) / mean)
-
-
-def _sampled(rng: np.random.Generator, codes: Array) -> Array:
-    """Return the means of 20 readings of codes, of which some are wild."""
-    codes = np.round(codes + 0.7 * rng.standard_normal((20, *codes.shape)))
-    wild = rng.random(codes.shape) < 1e-4
-    return np.asarray(np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0))
 
 
 def recording(
