@@ -214,6 +214,15 @@ def divider(
     return potentials(network, {"high": readout.supply_volt, "low": 0.0})[tap]
 
 
+def load_of(line: int, channel: float, load: float, input_ohm: float | None) -> list[Resistor]:
+    """Channel and load of a sensed line, and the converter's input beside the load."""
+    resistors: list[Resistor] = [
+        (("s", line), ("load", line), channel),
+        (("load", line), "low", load),
+    ]
+    return resistors + ([] if input_ohm is None else [(("load", line), "low", input_ohm)])
+
+
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
     """Drives, panel, channels and loads of a readout in volt.
 
@@ -237,11 +246,7 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
         return [*network, *((("s", line), "low", channels[line]) for line in sense_lines)]
     loads = per_line(readout.load_ohm, len(sense_lines))
     for line in [sensed] if getattr(readout, "sense", "all") == "one" else sense_lines:
-        network += [
-            (("s", line), ("load", line), channels[line]),
-            (("load", line), "low", loads[line]),
-        ]
-        network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
+        network += load_of(line, channels[line], loads[line], readout.input_ohm)
     return network
 
 
@@ -275,13 +280,7 @@ def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> 
     stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
     for line in range(sense_count):
         if line in read or stays:
-            network += [
-                (("s", line), ("load", line), channels[line]),
-                (("load", line), "low", loads[line]),
-            ]
-            network += (
-                [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
-            )
+            network += load_of(line, channels[line], loads[line], readout.input_ohm)
         elif getattr(readout, "idle_load_ohm", None) is not None:
             network.append((("s", line), "low", per_line(readout.idle_load_ohm, sense_count)[line]))
     return [(first, second, ohm) for first, second, ohm in network if ohm < np.inf]

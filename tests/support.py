@@ -1,11 +1,13 @@
-"""What several tests need: invented but consistent results, and live without haste.
+"""What several tests need: invented but consistent results, live without haste, code of pages.
 
 No test stands here.
 """
 
 import dataclasses
+import re
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -120,6 +122,12 @@ def live_pictures(
         feed(engine)
         engine.finish()
         return engine.pictures
+
+
+def block_of(page: Path, language: str) -> str:
+    """A page's only block of code in a language."""
+    (block,) = re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    return block
 
 
 def until(condition: Callable[[], object], seconds: float = 60.0) -> None:

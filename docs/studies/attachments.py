@@ -25,7 +25,7 @@ from time import process_time
 
 import numpy as np
 
-from docs.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
+from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, patch_means, sampled
 from docs.studies.mouth_scenes import Scene as Made
 from lampest import two_point_resistance
 from lampest.estimate.prepared import Prepared
@@ -282,29 +282,9 @@ def cells(
 
     shake : (frames) mm by which the load stands off.
     """
-    offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * layer.patch_mm
-    inside = np.hypot(*np.meshgrid(offset, offset)) < (
-        layer.patch_mm / 2 if layer.round else np.inf
-    )
-    across, down = panel.centres_mm()
-    x = (
-        across[None, :, None, None]
-        + np.broadcast_to(offset, (GRID, GRID))
-        + np.zeros((panel.rows, 1, 1, 1))
-    )
-    y = (
-        down[:, None, None, None]
-        + np.broadcast_to(offset[:, None], (GRID, GRID))
-        + np.zeros((1, panel.columns, 1, 1))
-    )
     places = np.unique(np.round(shake, 2))
-    maps = {
-        at: [
-            part(x - at, y)[..., inside].mean(axis=-1)
-            for part in (made.contact, made.suction, made.beside)
-        ]
-        for at in places.tolist()
-    }
+    parts = (made.contact, made.suction, made.beside)
+    maps = {at: patch_means(parts, panel, layer, at) for at in places.tolist()}
     each = [maps[at] for at in np.round(shake, 2).tolist()]
     pressure = np.array(
         [np.tensordot(share, record, 1) for share, record in zip(course, each, strict=True)]
@@ -354,15 +334,8 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
     ripple = rng.uniform(0, 0.4) * rng.standard_normal((len(time), 1, columns))
     codes = 1023 * reference / (total + reference) * gain + ripple
     parts = np.split(codes, range(BLOCK, len(codes), BLOCK))
-    mean = np.concatenate([_sampled(rng, part) for part in parts])
+    mean = np.concatenate([sampled(rng, part) for part in parts])
     return np.asarray(1000 * (1023 - mean) / mean)
-
-
-def _sampled(rng: np.random.Generator, codes: Array) -> Array:
-    """Return the means of 20 readings of codes, of which some are wild."""
-    codes = np.round(codes + 0.7 * rng.standard_normal((20, *codes.shape)))
-    wild = rng.random(codes.shape) < 1e-4
-    return np.asarray(np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0))
 
 
 def recording(

@@ -6,6 +6,7 @@ Run it with: python -m docs.studies.coverage --scenes 200 --seed 101
 """
 
 import argparse
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from lampest.cost.terms import (
     Misfit,
     RelativeChange,
 )
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc
@@ -65,6 +67,30 @@ def mouth(rng: np.random.Generator) -> tuple[Recording, Array]:
     return Recording(Scene(panel), measured, np.arange(2.0), role, sigma=noise * exact), cells
 
 
+class Errors(NamedTuple):
+    """Errors of log r in a frame.
+
+    every : of all cells. held, standard : of those away from bounds, whether the interval holds the
+        truth, and the error over its standard deviation.
+    """
+
+    every: Array
+    held: Array
+    standard: Array
+
+
+def errors_of(results: Estimates, truth: Array) -> Errors | None:
+    """The errors of the first frame against the true cells; None where it has no error bars."""
+    step = results.steps[0]
+    if not step.solution.solved or step.bars is None:
+        return None
+    bars = step.bars.frame
+    error = np.log(results.cell_resistance[0] / truth)
+    free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
+    held = (error <= bars.below) & (-error <= bars.above)
+    return Errors(error, held[free].astype(float), (error / bars.deviation)[free])
+
+
 def study(scenes: int, seed: int) -> None:
     """Print, for every method, coverage and error over standard deviation.
 
@@ -77,15 +103,12 @@ def study(scenes: int, seed: int) -> None:
         recording, cells = mouth(rng)
         for name, terms in METHODS.items():
             results = reconstruct(recording, Estimator(terms, formulation="reduced"))
-            step = results.steps[0]
-            if not step.solution.solved or step.bars is None:
-                print(f"{name}: no error bars ({step.solution.status.value})")
+            errors = errors_of(results, cells[1])
+            if errors is None:
+                print(f"{name}: no error bars ({results.steps[0].solution.status.value})")
                 continue
-            bars = step.bars.frame
-            error = np.log(results.cell_resistance[0] / cells[1])
-            free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
-            held[name].append(((error <= bars.below) & (-error <= bars.above))[free].astype(float))
-            standard[name].append((error / bars.deviation)[free])
+            held[name].append(errors.held)
+            standard[name].append(errors.standard)
     for name in METHODS:
         inside = np.concatenate(held[name])
         size = np.concatenate(standard[name])

@@ -8,7 +8,7 @@ the film is bent. The divider, its converter, channels and outliers are written 
 panel's two-point resistances are the package's.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,6 +91,13 @@ def _place(rng: np.random.Generator, panel: Panel, margin: float) -> tuple[float
     return float(x), float(y)
 
 
+def _turned(x: Array, y: Array, place: tuple[float, float], turn: float) -> tuple[Array, Array]:
+    """Coordinates from a place, along a direction and across it."""
+    u = x - place[0]
+    v = y - place[1]
+    return u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
+
+
 def annulus(
     rng: np.random.Generator, place: tuple[float, float], outer: float, inner: float, **form: float
 ) -> Scene:
@@ -108,10 +115,9 @@ def annulus(
     soft = form.get("soft", 0.0)
 
     def polar(x: Array, y: Array) -> tuple[Array, Array]:
-        u = x - place[0]
-        v = y - place[1]
-        a = (u * np.cos(turn) + v * np.sin(turn)) / np.sqrt(long)
-        b = (v * np.cos(turn) - u * np.sin(turn)) * np.sqrt(long)
+        along, across = _turned(x, y, place, turn)
+        a = along / np.sqrt(long)
+        b = across * np.sqrt(long)
         return np.hypot(a, b), np.arctan2(b, a)
 
     def contact(x: Array, y: Array) -> Array:
@@ -224,7 +230,6 @@ def with_body(rng: np.random.Generator, made: Scene) -> Scene:
 
     The body lies from the edge of the load on.
     """
-    cx, cy = made.centres_mm[0]
     turn = rng.uniform(0, 2 * np.pi)
     begin = made.diameters_mm[0] / 2 + 2
     length = rng.uniform(60, 140)
@@ -232,13 +237,13 @@ def with_body(rng: np.random.Generator, made: Scene) -> Scene:
     kpa = rng.uniform(0.5, 6)
 
     def body(x: Array, y: Array) -> Array:
-        along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn) - begin
-        across = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
+        along, across = _turned(x, y, made.centres_mm[0], turn)
+        behind = along - begin
         return np.asarray(
             kpa
             * np.maximum(1 - (across / half) ** 2, 0)
-            * _edge(-along, 3.0)
-            * _edge(along - length, 10.0)
+            * _edge(-behind, 3.0)
+            * _edge(behind - length, 10.0)
         )
 
     return Scene(made.label, made.contact, made.suction, made.diameters_mm, made.centres_mm, body)
@@ -282,7 +287,7 @@ def blobs(
     """Bumps of Gaussian profile and any direction: `size` mm wide, `kpa` high."""
     parts = [
         (
-            *_place(rng, panel, 0.0),
+            _place(rng, panel, 0.0),
             *np.exp(rng.uniform(*np.log(size), 2)),
             rng.uniform(0, np.pi),
             np.exp(rng.uniform(*np.log(kpa))),
@@ -292,9 +297,8 @@ def blobs(
 
     def pressure(x: Array, y: Array) -> Array:
         total = np.zeros_like(x)
-        for cx, cy, a, b, turn, high in parts:
-            u = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
-            v = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
+        for place, a, b, turn, high in parts:
+            u, v = _turned(x, y, place, turn)
             total += high * np.exp(-2 * ((u / a) ** 2 + (v / b) ** 2))
         return total
 
@@ -315,8 +319,7 @@ def hand(rng: np.random.Generator, panel: Panel) -> Scene:
     def pressure(x: Array, y: Array) -> Array:
         total = palm * _edge(np.hypot(x - cx, y - cy) - scale * 22, 6.0)
         for angle, near, far, kpa in fingers:
-            along = (x - cx) * np.cos(angle) + (y - cy) * np.sin(angle)
-            across = (y - cy) * np.cos(angle) - (x - cx) * np.sin(angle)
+            along, across = _turned(x, y, (cx, cy), angle)
             beyond = np.maximum(np.maximum(near - along, along - far), 0)
             total = np.maximum(total, kpa * _edge(np.hypot(beyond, across) - scale * 8, 5.0))
         return total
@@ -326,7 +329,7 @@ def hand(rng: np.random.Generator, panel: Panel) -> Scene:
 
 def fin(rng: np.random.Generator, panel: Panel) -> Scene:
     """A thin straight or bent line that presses."""
-    cx, cy = _place(rng, panel, 10.0)
+    place = _place(rng, panel, 10.0)
     turn = rng.uniform(0, np.pi)
     bend = rng.uniform(-0.012, 0.012)
     half = rng.uniform(15, 45)
@@ -334,10 +337,10 @@ def fin(rng: np.random.Generator, panel: Panel) -> Scene:
     kpa = np.exp(rng.uniform(np.log(2), np.log(30)))
 
     def pressure(x: Array, y: Array) -> Array:
-        along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
-        across = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn) - bend * along**2
+        along, across = _turned(x, y, place, turn)
+        aside = across - bend * along**2
         return np.asarray(
-            kpa * _edge(np.abs(across) - thick / 2, 2.0) * _edge(np.abs(along) - half, 4.0)
+            kpa * _edge(np.abs(aside) - thick / 2, 2.0) * _edge(np.abs(along) - half, 4.0)
         )
 
     return Scene("fin", pressure, _none)
@@ -345,7 +348,7 @@ def fin(rng: np.random.Generator, panel: Panel) -> Scene:
 
 def fish(rng: np.random.Generator, panel: Panel) -> Scene:
     """A large soft body, pressing weakly, with a faint wake of suction beside it."""
-    cx, cy = _place(rng, panel, 10.0)
+    place = _place(rng, panel, 10.0)
     turn = rng.uniform(0, np.pi)
     a = rng.uniform(35, 70)
     b = rng.uniform(12, 25)
@@ -353,9 +356,8 @@ def fish(rng: np.random.Generator, panel: Panel) -> Scene:
     wake = -rng.uniform(0, 0.4)
 
     def body(x: Array, y: Array, shift: float) -> Array:
-        u = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
-        v = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn) - shift
-        return np.asarray(np.maximum(1 - (u / a) ** 2 - (v / b) ** 2, 0))
+        u, v = _turned(x, y, place, turn)
+        return np.asarray(np.maximum(1 - (u / a) ** 2 - ((v - shift) / b) ** 2, 0))
 
     return Scene("fish", lambda x, y: kpa * body(x, y, 0.0), lambda x, y: wake * body(x, y, 2 * b))
 
@@ -407,12 +409,12 @@ MAKERS: dict[str, Callable[[np.random.Generator, Panel], Scene]] = {
 MOUTHS = tuple(kind for kind in MAKERS if "mouth" in kind)
 
 
-def cells(
-    rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array
-) -> Array:
-    """(frames, rows, columns) ohm.
+def patch_means(
+    pressures: Sequence[Pressure], panel: Panel, film_: Film, shift_mm: float = 0.0
+) -> list[Array]:
+    """Mean of each pressure over the patch of every cell, (rows, columns) kPa.
 
-    courses (frames, 2): factors of contact and suction, zero where unloaded.
+    shift_mm : distance along x by which the loads stand off.
     """
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * film_.patch_mm
     inside = np.hypot(*np.meshgrid(offset, offset)) < (
@@ -429,13 +431,28 @@ def cells(
         + np.broadcast_to(offset[:, None], (GRID, GRID))
         + np.zeros((1, panel.columns, 1, 1))
     )
-    contact, suction = (
-        part(x, y)[..., inside].mean(axis=-1) for part in (scene.contact, scene.suction)
-    )
+    return [pressure(x - shift_mm, y)[..., inside].mean(axis=-1) for pressure in pressures]
+
+
+def cells(
+    rng: np.random.Generator, panel: Panel, scene: Scene, film_: Film, courses: Array
+) -> Array:
+    """(frames, rows, columns) ohm.
+
+    courses (frames, 2): factors of contact and suction, zero where unloaded.
+    """
+    contact, suction = patch_means((scene.contact, scene.suction), panel, film_)
     resting = 3050 * np.exp(film_.spread * rng.standard_normal(panel.shape))
     answer = film_.bent * np.exp(film_.scatter * rng.standard_normal(panel.shape))
     pressure = courses[:, :1, None] * contact + courses[:, 1:, None] * suction
     return np.asarray(resting * np.exp(answer * np.log(ratio_from_pressure(pressure))))
+
+
+def sampled(rng: np.random.Generator, codes: Array, wild_share: float = 1e-4) -> Array:
+    """Means of 20 readings of codes with 0.7 LSB of noise, of which a share is wild."""
+    codes = np.round(codes + 0.7 * rng.standard_normal((20, *codes.shape)))
+    wild = rng.random(codes.shape) < wild_share
+    return np.asarray(np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0))
 
 
 def recorded(
@@ -453,9 +470,7 @@ def recorded(
         total = total + channels[:rows, None] + channels[rows:]
     reference = 1000 * (1 + (rng.uniform(-0.01, 0.01) if real else 0.0))
     volt = 5 * reference / (total + reference)
-    codes = np.round(volt / 5 * 1023 + 0.7 * rng.standard_normal((20, *volt.shape)))
-    wild = rng.random(codes.shape) < (1e-4 if real else 0.0)
-    mean = np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0)
+    mean = sampled(rng, volt / 5 * 1023, 1e-4 if real else 0.0)
     measured = 1000 * (1023 - mean) / mean
     sigma = (measured + 1000) ** 2 / 1000 / 1023 * np.hypot(0.7, 12**-0.5) / np.sqrt(20)
     return measured - 140.0, sigma

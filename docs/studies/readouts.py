@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 
-from docs.studies.coverage import mouth_cells
+from docs.studies.coverage import errors_of, mouth_cells
 from lampest import (
     Diode,
     GroundedReadout,
@@ -82,7 +82,7 @@ def coverage(name: str, draws: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
         held = []
         sizes = []
-        errors = []
+        relative = []
         failed = 0
         for _ in range(draws):
             side = int(rng.integers(6, 17))
@@ -91,17 +91,14 @@ def coverage(name: str, draws: int, seed: int) -> None:
                 measured(Scene(Panel(side, side), readout, series), cells, rng),
                 Estimator(terms, "reduced"),
             )
-            step = results.steps[0]
-            if not step.solution.solved or step.bars is None:
+            errors = errors_of(results, cells[1])
+            if errors is None:
                 failed += 1
                 continue
-            bars = step.bars.frame
-            error = np.log(results.cell_resistance[0] / cells[1])
-            free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
-            held.append(((error <= bars.below) & (-error <= bars.above))[free])
-            sizes.append((error / bars.deviation)[free])
-            errors.append(np.abs(np.expm1(error)).ravel())
-        inside, size, off = (np.concatenate(part) for part in (held, sizes, errors))
+            held.append(errors.held)
+            sizes.append(errors.standard)
+            relative.append(np.abs(np.expm1(errors.every)).ravel())
+        inside, size, off = (np.concatenate(part) for part in (held, sizes, relative))
         print(
             f"{name}: {method}: {100 * inside.mean():.1f} % held, error/sd "
             f"{np.sqrt(np.mean(size**2)):.2f}, "

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lampest
+from docs.studies.withheld import interpolated, visible
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.outliers import impossible_readings
@@ -102,16 +103,9 @@ class Withheld:
         return cls(recording, remaining, held, measured[enough[measured]])
 
     def shown(self, readings: Array) -> Array:
-        """Readings on the scale of their noise: codes within the rails.
-
-        Without a readout, percent.
-        """
+        """Readings on the scale of their noise, see `visible`."""
         scene = self.whole.scene
-        recorded = scene.circuit.to_recorded(readings, scene)
-        if scene.readout is None:
-            return np.asarray(100 * np.log(recorded))
-        within = np.clip(recorded, *scene.readout.rails())
-        return np.asarray(scene.readout.volt_from_recorded(within) / scene.readout.lsb_volt)
+        return visible(scene, scene.circuit.to_recorded(readings, scene))
 
     def errors(self, predicted: Array) -> Array:
         """Rms error of the withheld readings of every judged frame.
@@ -167,17 +161,7 @@ class Frame:
 
     def interpolated(self, values: Array) -> Array:
         """Each unknown value the mean of its neighbours, by their distance."""
-        panel = self.study.whole.scene.panel
-        first, second, distance = panel.neighbours
-        stiffness = np.zeros((panel.crossings, panel.crossings))
-        stiffness[first, second] = stiffness[second, first] = -1 / distance**2
-        stiffness[np.diag_indices(panel.crossings)] = -stiffness.sum(axis=1)
-        given = np.flatnonzero(self.known & self.present)
-        sought = np.flatnonzero(~self.known & self.present)
-        filled = values.ravel().copy()
-        towards = stiffness[np.ix_(sought, given)] @ filled[given]
-        filled[sought] = -np.linalg.solve(stiffness[np.ix_(sought, sought)], towards)
-        return filled.reshape(values.shape)
+        return interpolated(self.study.whole.scene.panel, values, self.known & self.present)
 
     def model(self, cells: Array) -> tuple[Array, Array]:
         """(readings, their derivatives with respect to ln r of the cells that are there)."""

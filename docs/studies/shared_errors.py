@@ -53,14 +53,17 @@ def recording(seed: int, channels: Array, reference: float) -> Recording:
     time = np.arange(RESTING + FRAMES, dtype=float)
     on = int(rng.integers(RESTING + 1, RESTING + 6))
     off = len(time) if rng.random() < 0.5 else int(rng.integers(len(time) - 6, len(time)))
-    there = ((time >= on) & (time < off)).astype(float)
+    courses = _courses(rng, time, on, off)
+    return measured(rng, mouth_scenes.cells(rng, panel, load, film, courses), channels, reference)
+
+
+def _courses(rng: np.random.Generator, time: Array, on: int, off: int) -> Array:
+    """Return factors of contact and of suction that breathes, (frames, 2)."""
     breath = 1 + rng.uniform(0, 0.12) * np.sin(
         2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random())
     )
-    courses = np.stack(
-        [there * breath, there * breath * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1
-    )
-    return measured(rng, mouth_scenes.cells(rng, panel, load, film, courses), channels, reference)
+    contact = breath * ((time >= on) & (time < off))
+    return np.stack([contact, contact * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
 
 
 def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recording:
@@ -73,11 +76,7 @@ def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recordi
     for number in range(loads):
         load = mouth_scenes.MAKERS[KINDS[(seed + number) % len(KINDS)]](rng, panel)
         on = RESTING + EACH * number + 2
-        breath = 1 + rng.uniform(0, 0.12) * np.sin(
-            2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random())
-        )
-        there = breath * ((time >= on) & (time < on + 5))
-        courses = np.stack([there, there * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
+        courses = _courses(rng, time, on, on + 5)
         alone = mouth_scenes.cells(np.random.default_rng([seed, 1]), panel, load, film, courses)
         cells = alone if number == 0 else cells * alone / alone[0]
     return measured(rng, cells, channels, reference)
@@ -94,9 +93,7 @@ def measured(
     volt = 1000 * (1 + reference) / (total + 1000 * (1 + reference))
     phase = rng.uniform(0, 2 * np.pi, len(time))
     ripple = 0.4 * np.sin(2 * np.pi * np.arange(SIDE) / SIDE + phase[:, None])[:, :, None]
-    codes = np.round(volt * 1023 + ripple + 0.7 * rng.standard_normal((20, *volt.shape)))
-    wild = rng.random(codes.shape) < 1e-4
-    mean = np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0)
+    mean = mouth_scenes.sampled(rng, volt * 1023 + ripple)
     scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, systematic=TOLD)
     role = (time >= RESTING).astype(np.uint8)
     return Recording(scene, 1000 * (1023 - mean) / mean, time, role, truth_cell_resistance=cells)

@@ -6,7 +6,7 @@ is larger by MIN_EVIDENCE_GAIN. A resistance in series and the memory of the con
 parameters of a circuit: their most probable values are searched for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -232,6 +232,38 @@ def some_in_series(rival: Rival, frames: ComparedFrames) -> Explanation | None:
     return min(filter(None, explanations), key=attrgetter("score"), default=None)
 
 
+@dataclass(eq=False)
+class _ParameterSearch:
+    """Search for the most probable value of a parameter of a circuit.
+
+    Attributes
+    ----------
+    rival_of : callable
+        Function (value) → the circuit with that value.
+    frames : ComparedFrames
+    best : Explanation
+        The best explanation so far; the next fits begin at its cells.
+    """
+
+    rival_of: Callable[[float], Rival]
+    frames: ComparedFrames
+    best: Explanation
+
+    def score(self, value: float) -> float:
+        """Return the score of a value; infinite where no fit is found."""
+        explanation = Explanation.of(self.rival_of(float(value)), self.frames, self.best)
+        if explanation is None:
+            return np.inf
+        self.best = min(self.best, explanation, key=attrgetter("score"))
+        return explanation.score
+
+    def between(self, lower: float, upper: float, accuracy: float) -> None:
+        """Search between two values."""
+        scipy.optimize.minimize_scalar(
+            self.score, bounds=(lower, upper), method="bounded", options={"xatol": accuracy}
+        )
+
+
 def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given resistance in series."""
     rival = explanation.rival
@@ -240,20 +272,12 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
     spacing = most_in_series(rival, frames) / (SERIES_POINTS - 1)
     if not spacing:
         return best
-
-    def score(ohm: float) -> float:
-        nonlocal best
-        trial = Explanation.of(replace(rival.with_series(ohm), at_limit=False), frames, best)
-        if trial is None:
-            return np.inf
-        best = min(best, trial, key=attrgetter("score"))
-        return trial.score
-
-    ends = max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing
-    accuracy = SERIES_ACCURACY * spacing
-    scipy.optimize.minimize_scalar(
-        score, bounds=ends, method="bounded", options={"xatol": accuracy}
+    search = _ParameterSearch(
+        lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
     )
+    accuracy = SERIES_ACCURACY * spacing
+    search.between(max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing, accuracy)
+    best = search.best
     most = (SERIES_POINTS - 1) * spacing
     at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
     if best.rival.in_series is None:
@@ -269,25 +293,13 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
         return explanation
-    best = explanation
-
-    def score(fraction: float) -> float:
-        nonlocal best
-        trial = Explanation.of(rival.with_memory(float(fraction)), frames, best)
-        if trial is None:
-            return np.inf
-        best = min(best, trial, key=attrgetter("score"))
-        return trial.score
-
-    coarse = min(MEMORIES, key=score)
-    if best is explanation:
+    search = _ParameterSearch(rival.with_memory, frames, explanation)
+    coarse = min(MEMORIES, key=search.score)
+    if search.best is explanation:
         return explanation
-    ends = coarse / 2, 2 * coarse
-    scipy.optimize.minimize_scalar(
-        score, bounds=ends, method="bounded", options={"xatol": MEMORY_ACCURACY * coarse}
-    )
-    fraction = best.rival.scene.known_memory or 0.0
-    return best if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+    search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
+    fraction = search.best.rival.scene.known_memory or 0.0
+    return search.best if MIN_MEMORY < fraction < MAX_MEMORY else explanation
 
 
 def most_in_series(rival: Rival, frames: ComparedFrames) -> float:

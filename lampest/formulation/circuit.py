@@ -26,6 +26,25 @@ Nodes = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
+class ConductanceSymbols:
+    """Symbols of the conductances of one frame.
+
+    Attributes
+    ----------
+    conductance : casadi.SX, shape (cells, 1)
+        Conductances g of the cells in 1/`scale`.
+    tie : casadi.SX, shape (lines, 1)
+        Ties t of the terminals to ground in 1/`scale`.
+    scale : casadi.SX
+        Unit of resistances in ohm; voltages for unit currents have the same unit.
+    """
+
+    conductance: casadi.SX
+    tie: casadi.SX
+    scale: casadi.SX
+
+
+@dataclass(frozen=True, eq=False)
 class Circuit:
     """Nodes and branches of a panel.
 
@@ -171,27 +190,15 @@ class Circuit:
             self.terminals.tolist(), list(range(lines)), casadi.DM.ones(lines), self.count, lines
         )
 
-    def balance(
-        self, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, voltage: casadi.SX
-    ) -> casadi.SX:
+    def balance(self, symbols: ConductanceSymbols, voltage: casadi.SX) -> casadi.SX:
         """Return the net current out of every node: B(g ∘ BᵀV) + W V + diag(T t) V.
 
-        Shape (nodes, patterns).
-
-        Parameters
-        ----------
-        conductance : casadi.SX, shape (cells, 1)
-            Conductances g of the cells in 1/`scale`.
-        tie : casadi.SX, shape (lines, 1)
-            Ties t of the terminals to ground in 1/`scale`.
-        scale : casadi.SX
-            Unit of resistances in ohm.
-        voltage : casadi.SX, shape (nodes, patterns)
+        `voltage` and the balance have shape (nodes, patterns).
         """
-        out = current_balance(self.incidence, conductance, voltage)
+        out = current_balance(self.incidence, symbols.conductance, voltage)
         if len(self.wire_siemens):
-            out += scale * (self.wire_admittance @ voltage)
-        return casadi.SX(out + casadi.diag(self.at_terminals @ tie) @ voltage)
+            out += symbols.scale * (self.wire_admittance @ voltage)
+        return casadi.SX(out + casadi.diag(self.at_terminals @ symbols.tie) @ voltage)
 
     def voltages(self, cell_resistance: Array, tie: Array) -> Array:
         """Return the voltages of all nodes for each line's excitation, (nodes, lines).

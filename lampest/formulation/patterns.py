@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 import casadi
 import numpy as np
 
-from lampest.formulation.circuit import Circuit
+from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.panel.network import Numbers
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
@@ -106,26 +106,9 @@ class Excitation(ABC):
 
     @abstractmethod
     def network(
-        self,
-        circuit: Circuit,
-        readout: Readout,
-        conductance: casadi.SX,
-        tie: casadi.SX,
-        scale: casadi.SX,
+        self, circuit: Circuit, readout: Readout, symbols: ConductanceSymbols
     ) -> NetworkSymbols:
-        """Return the unknown voltages and the equations of one frame's network.
-
-        Parameters
-        ----------
-        circuit : Circuit
-        readout : Readout
-        conductance : casadi.SX, shape (cells, 1)
-            Conductances in 1/`scale`.
-        tie : casadi.SX, shape (lines, 1)
-            Ties of the terminals to ground in 1/`scale`.
-        scale : casadi.SX
-            Unit of resistances in ohm; voltages for unit currents have the same unit.
-        """
+        """Return the unknown voltages and the equations of one frame's network."""
 
     @abstractmethod
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
@@ -150,27 +133,20 @@ class Nodal(Excitation):
     kind: Literal["nodal"] = "nodal"
 
     def network(
-        self,
-        circuit: Circuit,
-        readout: Readout,
-        conductance: casadi.SX,
-        tie: casadi.SX,
-        scale: casadi.SX,
+        self, circuit: Circuit, readout: Readout, symbols: ConductanceSymbols
     ) -> NetworkSymbols:
         """Return the network; see `Excitation.network`."""
         if circuit.lines_only:
-            return _network_of_lines(circuit, readout, conductance, tie, scale)
+            return _network_of_lines(circuit, readout, symbols)
         lines, pattern = _patterns(circuit, readout)
         unknowns = _Unknowns()
-        entries, balance = _excited(
-            unknowns, "node_voltage", circuit, lines, conductance, tie, scale
-        )
+        entries, balance = _excited(unknowns, "node_voltage", circuit, lines, symbols)
         impedance = casadi.SX(len(pattern), len(pattern))
         for line, number in enumerate(pattern):
             if number >= 0:
                 impedance[:, line] = entries[:, int(number)]
                 impedance[line, :] = impedance[:, line].T
-        return unknowns.network(balance, _reading(circuit, readout, impedance, scale))
+        return unknowns.network(balance, _reading(circuit, readout, impedance, symbols.scale))
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
@@ -186,7 +162,7 @@ class Nodal(Excitation):
 
 
 def _network_of_lines(
-    circuit: Circuit, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX
+    circuit: Circuit, readout: Readout, symbols: ConductanceSymbols
 ) -> NetworkSymbols:
     """Return the nodal network of lines without wire, in the unknowns of a symmetric Z.
 
@@ -209,7 +185,7 @@ def _network_of_lines(
     impedance[far, driven] = far_voltage
     impedance[driven, far] = far_voltage.T
     impedance[far, far] = casadi.diag(own)
-    balance = circuit.balance(conductance, tie, scale, impedance) - casadi.DM.eye(count)
+    balance = circuit.balance(symbols, impedance) - casadi.DM.eye(count)
     lower = casadi.vertcat(
         *(balance[line, driven[: place + 1]].T for place, line in enumerate(driven))
     )
@@ -217,7 +193,7 @@ def _network_of_lines(
     if reads_far:
         equations.append(casadi.diag(balance)[far])
     return unknowns.network(
-        casadi.vertcat(*equations), _reading(circuit, readout, impedance, scale)
+        casadi.vertcat(*equations), _reading(circuit, readout, impedance, symbols.scale)
     )
 
 
@@ -233,12 +209,7 @@ class PerPixel(Excitation):
     kind: Literal["per_pixel"] = "per_pixel"
 
     def network(
-        self,
-        circuit: Circuit,
-        readout: Readout,
-        conductance: casadi.SX,
-        tie: casadi.SX,
-        scale: casadi.SX,
+        self, circuit: Circuit, readout: Readout, symbols: ConductanceSymbols
     ) -> NetworkSymbols:
         """Return the network; see `Excitation.network`."""
         unknowns = _Unknowns()
@@ -247,28 +218,22 @@ class PerPixel(Excitation):
         if isinstance(readout, TwoPointReadout) and not circuit.held.any():
             voltage = unknowns.new("pixel_voltage", circuit.count, len(row))
             into = circuit.currents(row) - circuit.currents(column)
-            balance = casadi.vec(
-                circuit.balance(conductance, tie, scale, voltage) - casadi.DM(into)
-            )
+            balance = casadi.vec(circuit.balance(symbols, voltage) - casadi.DM(into))
             at_row, at_column = (
                 _chosen(voltage, circuit.terminals[line], numbers) for line in (row, column)
             )
-            return unknowns.network(balance, scale * (at_row - at_column))
-        from_row, balance = _excited(
-            unknowns, "from_row_voltage", circuit, row, conductance, tie, scale
-        )
+            return unknowns.network(balance, symbols.scale * (at_row - at_column))
+        from_row, balance = _excited(unknowns, "from_row_voltage", circuit, row, symbols)
         own_row, mutual = (_chosen(from_row, line, numbers) for line in (row, column))
         own_column = mutual
         if reads_own(readout, *circuit.shape)[1]:
-            entries, more = _excited(
-                unknowns, "from_column_voltage", circuit, column, conductance, tie, scale
-            )
+            entries, more = _excited(unknowns, "from_column_voltage", circuit, column, symbols)
             own_column = _chosen(entries, column, numbers)
             balance = casadi.vertcat(balance, more)
         entries_of_cells = [
-            _unit(circuit, row, row, scale) * own_row,
-            _unit(circuit, column, column, scale) * own_column,
-            _unit(circuit, row, column, scale) * mutual,
+            _unit(circuit, row, row, symbols.scale) * own_row,
+            _unit(circuit, column, column, symbols.scale) * own_column,
+            _unit(circuit, row, column, symbols.scale) * mutual,
         ]
         reading = readout.reading(*(_grid(circuit, entry) for entry in entries_of_cells))
         return unknowns.network(balance, casadi.vec(casadi.SX(reading).T))
@@ -326,9 +291,7 @@ def _excited(
     name: str,
     circuit: Circuit,
     lines: Numbers,
-    conductance: casadi.SX,
-    tie: casadi.SX,
-    scale: casadi.SX,
+    symbols: ConductanceSymbols,
 ) -> tuple[casadi.SX, casadi.SX]:
     """Return the entries K of all lines for the excitation of some, (lines, patterns).
 
@@ -337,7 +300,7 @@ def _excited(
     """
     voltage = casadi.SX(casadi.DM(circuit.potentials(lines)))
     voltage[circuit.free.tolist(), :] = unknowns.new(name, len(circuit.free), len(lines))
-    out = circuit.balance(conductance, tie, scale, voltage) - casadi.DM(circuit.currents(lines))
+    out = circuit.balance(symbols, voltage) - casadi.DM(circuit.currents(lines))
     entries = voltage[circuit.terminals.tolist(), :]
     held = np.flatnonzero(circuit.held)
     if len(held):

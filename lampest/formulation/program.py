@@ -28,7 +28,7 @@ from lampest.cost.cost import Cost, Summand, Symbols, lowered, program_groups, s
 from lampest.cost.given import Given
 from lampest.cost.losses import Lowered
 from lampest.files.errors import InputError
-from lampest.formulation.circuit import Circuit
+from lampest.formulation.circuit import Circuit, ConductanceSymbols
 from lampest.formulation.patterns import Excitation, NetworkSymbols, joined_addresses
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
@@ -186,16 +186,12 @@ class Program(CasadiOwner):
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
         networks = []
         for frame in range(frames):
-            addresses = [
-                patterns.network(
-                    circuit,
-                    readout,
-                    conductance[:, frame],
-                    tie[:, frame * len(circuits) + number],
-                    scale,
+            addresses = []
+            for number, circuit in enumerate(circuits):
+                symbols = ConductanceSymbols(
+                    conductance[:, frame], tie[:, frame * len(circuits) + number], scale
                 )
-                for number, circuit in enumerate(circuits)
-            ]
+                addresses.append(patterns.network(circuit, readout, symbols))
             networks.append(joined_addresses(circuits, addresses))
         return cls(
             cost,

@@ -19,7 +19,7 @@ import pytest
 from fuzz.batches import write_recording
 from support import invented_case
 
-from lampest import write_results
+from lampest import Panel, Readout, Recording, Scene, write_results
 
 HOUSE = Path(__file__).parents[2]
 MAX_SENTENCE = 1_000
@@ -111,6 +111,15 @@ class CompletedCommand:
     def described(self, fault: str) -> str:
         """Return the fault with the command's words."""
         return f"{fault}: code {self.code}, {self.out[-200:]!r} {self.err[-300:]!r}"
+
+
+def solvable_recording(readout: Readout) -> Recording:
+    """Five frames of 3 × 4 random cells without noise, the first two unloaded."""
+    scene = Scene(Panel(3, 4), readout)
+    cells = np.random.default_rng(1).uniform(900, 2000, (5, 3, 4))
+    recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
+    role = np.array([0, 0, 1, 1, 1], dtype=np.uint8)
+    return Recording(scene, recorded, np.arange(5.0), role)
 
 
 def drawn(rng: np.random.Generator, tries: Sequence[Any], count: int) -> Iterator[tuple[int, Any]]:

@@ -11,7 +11,6 @@ import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from attack.attack import (
     PASSED,
@@ -22,14 +21,12 @@ from attack.attack import (
     called,
     environment,
     small_folder,
+    solvable_recording,
 )
 
 from lampest import (
     LogGradient,
     Misfit,
-    Panel,
-    Recording,
-    Scene,
     TwoPointReadout,
     reconstruct,
     write_results,
@@ -132,13 +129,7 @@ def _solved(folder: Path) -> None:
 
     A sketch is made of them in two seconds.
     """
-    scene = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7, readings=20))
-    rng = np.random.default_rng(1)
-    cells = rng.uniform(900, 2000, (5, 3, 4))
-    recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
-    recording = Recording(
-        scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8)
-    )
+    recording = solvable_recording(TwoPointReadout(noise_lsb=0.7, readings=20))
     terms = {"LSM": (), "smooth": (LogGradient(weight=1.0),)}
     cases = []
     for name, further in terms.items():

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from attack.attack import PASSED, Outcomes, Rng, attack, drawn
+from attack.attack import PASSED, Outcomes, Rng, attack, drawn, solvable_recording
 
 from lampest import (
     CaseResult,
@@ -19,10 +19,7 @@ from lampest import (
     InputError,
     LogGradient,
     Misfit,
-    Panel,
     Readout,
-    Recording,
-    Scene,
     TwoPointReadout,
     reconstruct,
 )
@@ -57,14 +54,9 @@ FLOAT = re.compile(r"[-+.\w]*\df\b|\b(?:nan|inf)\w*", re.IGNORECASE)
 @cache
 def case_of(readout: Readout) -> CaseResult:
     """A solved case of a small panel."""
-    scene = Scene(Panel(3, 4), readout)
-    cells = np.random.default_rng(1).uniform(900, 2000, (5, 3, 4))
-    recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
-    recording = Recording(
-        scene, recorded, np.arange(5.0), np.array([0, 0, 1, 1, 1], dtype=np.uint8)
-    )
     terms = [Misfit(weighting="noise"), LogGradient(weight=1.0)]
-    return reconstruct(recording, terms, formulation="reduced").result("smooth")
+    estimates = reconstruct(solvable_recording(readout), terms, formulation="reduced")
+    return estimates.result("smooth")
 
 
 def replaced(case: CaseResult, **changes: object) -> Iterator[CaseResult]:

@@ -4,7 +4,6 @@ They go with its own reader over a pseudo-terminal, and the lines of the page ar
 """
 
 import os
-import re
 import termios
 import threading
 import time
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import block_of
 
 import lampest
 
@@ -35,20 +35,13 @@ MAX_ERROR = 0.2
 MAX_SECONDS = 0.03  # 15 ms on an idle core; the machine of a test may be busy
 
 
-def block(language: str) -> str:
-    """Return the page's code of a language."""
-    match = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert match is not None
-    return match[1]
-
-
 @pytest.fixture
 def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The page's script, as a module beside its scene."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "flexitac.yaml").write_text(block("yaml"), encoding="utf-8")
+    (tmp_path / "flexitac.yaml").write_text(block_of(PAGE, "yaml"), encoding="utf-8")
     module = ModuleType("live")
-    exec(compile(block("python"), "live.py", "exec"), module.__dict__)
+    exec(compile(block_of(PAGE, "python"), "live.py", "exec"), module.__dict__)
     return module
 
 

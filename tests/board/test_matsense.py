@@ -3,7 +3,6 @@
 The page's lines stand beside a server that answers as the package's own does.
 """
 
-import re
 import socket
 import struct
 import threading
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import block_of
 
 import lampest
 
@@ -31,16 +31,9 @@ CLOSE = 0
 RAW = 2
 
 
-def block(language: str) -> str:
-    """Return the page's code of a language."""
-    match = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert match is not None
-    return match[1]
-
-
 @pytest.fixture
 def scene(tmp_path: Path) -> lampest.Scene:
-    (tmp_path / "mat.yaml").write_text(block("yaml"), encoding="utf-8")
+    (tmp_path / "mat.yaml").write_text(block_of(PAGE, "yaml"), encoding="utf-8")
     return lampest.read_scene(tmp_path / "mat.yaml")
 
 
@@ -89,7 +82,7 @@ def test_the_code_of_the_page_locates_the_pressed_cells(
 ) -> None:
     address, press = server
     page: Any = ModuleType("live")
-    exec(compile(block("python"), "live.py", "exec"), page.__dict__)
+    exec(compile(block_of(PAGE, "python"), "live.py", "exec"), page.__dict__)
     terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)]
     estimator = lampest.Estimator(terms, formulation="truncated", error_bars=False)
     source = page.frames(scene, address)

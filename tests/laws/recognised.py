@@ -10,7 +10,7 @@ from lampest.loads.recognition.fit import Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.shapes.shape import Candidate
 from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import known_of, measured_frames
+from lampest.report.detect.detection import Frames, Known, known_of, measured_frames
 
 PANEL = Panel(10, 10)
 PATCH_MM = 6.0
@@ -27,12 +27,24 @@ def frame_under(load: Shape, panel: Panel) -> Observation:
     return Observation(readings.value[3], readings.sigma[3], baseline, np.zeros(panel.shape), 1.0)
 
 
+def known_before(recording: Recording) -> Known:
+    """What is known of a recording before its measured frames, which is enough to go on."""
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    return known
+
+
+def every_frame(recording: Recording, known: Known) -> Frames:
+    """All frames of a recording, as `lampest detect` reads them."""
+    return measured_frames(recording, known, np.ones(len(recording.time), dtype=bool))
+
+
 def answered(recording: Recording) -> Detected:
     """As `lampest detect` does."""
     known = known_of(Prepared(recording))
     if isinstance(known, Detected):
         return known
-    return known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
+    return known.answer(every_frame(recording, known))
 
 
 def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:

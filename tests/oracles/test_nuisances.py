@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from laws.recognised import every_frame, known_before
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
@@ -16,7 +17,7 @@ from lampest.audit.effects import unnamed_effects
 from lampest.estimate.prepared import Prepared
 from lampest.files.levels import UNUSUAL
 from lampest.panel.panel import EachModule, Modules
-from lampest.report.detect.detection import Known, known_of, measured_frames
+from lampest.report.detect.detection import Known, known_of
 from lampest.studies.study import read_settings
 from tests.estimates import recording_of
 from tests.netlist import two_point_resistances
@@ -123,14 +124,7 @@ def test_leaks_and_contacts_are_corrected_in_their_frames(effect: dict) -> None:
 @pytest.mark.slow
 def test_detect_uses_frames_without_the_leak() -> None:
     recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED)
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
-    frames = [
-        value
-        for value, _, _ in measured_frames(
-            recording, known, np.ones(len(recording.role), dtype=bool)
-        )
-    ]
+    frames = [value for value, _, _ in every_frame(recording, known_before(recording))]
     assert np.allclose(frames, Prepared(recording).noise.readings.value[UNLOADED:], rtol=CORRECTED)
     assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=10 * CORRECTED)
 
@@ -152,8 +146,7 @@ def test_estimates_of_modules_are_corrected_and_their_detection_is_not() -> None
     assert change[..., :COLUMNS].max() > 0.03 and not change[..., COLUMNS:].any()
     known = known_of(prepared)
     assert isinstance(known, Known)
-    every = np.ones(len(recording.role), dtype=bool)
-    seen = [value for value, _, _ in measured_frames(recording, known, every)]
+    seen = [value for value, _, _ in every_frame(recording, known)]
     np.testing.assert_array_equal(seen, recording.readings().value[UNLOADED:])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from laws.recognised import answered
+from laws.recognised import answered, every_frame
 
 from lampest import (
     Block,
@@ -44,7 +44,6 @@ from lampest.report.detect.detection import (
     detect_results,
     known_of,
     known_of_case,
-    measured_frames,
 )
 from lampest.runs.filling import _arrays_of, frame_noise_of
 from lampest.runs.starter import write_starter
@@ -191,10 +190,7 @@ def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> 
     assert known.unloaded.shape == again.unloaded.shape
     np.testing.assert_allclose(known.resting, again.resting)
     np.testing.assert_allclose(known.sigma, again.sigma)
-    all_frames = np.ones(len(recording.time), dtype=bool)
-    for expected, of_results in zip(
-        measured_frames(recording, known, all_frames), frames, strict=True
-    ):
+    for expected, of_results in zip(every_frame(recording, known), frames, strict=True):
         for part, part_again in zip(expected, of_results, strict=True):
             np.testing.assert_allclose(part, part_again)
 

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from laws.recognised import answered
+from laws.recognised import answered, every_frame, known_before
 
 from docs.studies.attachments import recording as attached
 from docs.studies.attachments import seen
 from lampest import Array
-from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breath import breath
 from lampest.loads.recognition.breathing import Breathing
@@ -27,7 +26,6 @@ from lampest.loads.recognition.steady_frames import SteadyFrames
 from lampest.loads.recognition.swings import Patterns
 from lampest.loads.recognition.watch import Watch
 from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answer_of
-from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.detect.visits import COLUMNS, count_table, visits_of
 
 # P(sucks)
@@ -178,9 +176,8 @@ def test_a_frame_that_cannot_be_computed_is_left_out_with_a_note(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
-    frames = list(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
+    known = known_before(recording)
+    frames = list(every_frame(recording, known))
     failing_s = frames[2][2]
     push = Watch.push
 
@@ -202,8 +199,7 @@ def test_a_failed_recognition_is_repeated_with_the_next_frames(
 ) -> None:
     """The next attempt recognises the load, and the recording is evaluated to its end."""
     recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
+    known = known_before(recording)
     attempts = list[bool]()
     verdict = Detector.verdict
 
@@ -214,9 +210,7 @@ def test_a_failed_recognition_is_repeated_with_the_next_frames(
         return verdict(*frame)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Detector, "verdict", failing)
-    answer = known.answer(
-        measured_frames(recording, known, np.ones(len(recording.time), dtype=bool))
-    )
+    answer = known.answer(every_frame(recording, known))
     assert (
         len(attempts) > 1 and answer.answer == PRESSES and answer.attachments[0].until_s is not None
     )
@@ -227,11 +221,10 @@ def test_a_failed_recognition_is_repeated_with_the_next_frames(
 def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
     """The ring trembles by 3 % at a breathing rate; no cell has risen."""
     recording, *_ = attached("trembling ring", 4.0, 8100 + number)
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
+    known = known_before(recording)
     watch = known.watch()
     sucking = 0.0
-    for frame in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
+    for frame in every_frame(recording, known):
         watch = watch.push(*frame)
         sucking = max([sucking, *(attachment.sucks for attachment in watch.attachments)])
     assert sucking < 0.5

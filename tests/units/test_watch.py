@@ -8,7 +8,7 @@ import pickle
 
 import numpy as np
 import pytest
-from laws.recognised import answered
+from laws.recognised import answered, every_frame, known_before
 
 from lampest import (
     OralDisc,
@@ -23,12 +23,10 @@ from lampest import (
     Unmodelled,
     simulate,
 )
-from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.detector import Detector
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.recording.simulation.measure import measured
 from lampest.report.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
-from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.live.run import scan_of
 from lampest.report.live.watcher import Unloaded, Watched
 
@@ -80,8 +78,7 @@ def test_a_change_as_small_as_film_settling_is_not_a_touch() -> None:
 def test_a_change_of_a_single_frame_is_no_step(frames: int, steps: bool) -> None:
     """The readings of a rod in some frames, without the search for outliers."""
     recording = recording_with((ROD, 9, 9 + frames), memory_share=0.0)
-    known = known_of(Prepared(recording_with()))
-    assert isinstance(known, Known)
+    known = known_before(recording_with())
     watch = known.watch()
     begins = set[float]()
     for frame in range(UNLOADED, len(recording.time)):
@@ -97,8 +94,7 @@ def test_readings_of_an_open_line_are_left_out_with_a_note() -> None:
     answer = answered(recording)
     assert answer.answer == NOTHING
     assert "row 2 is open in frames from 9.0 s on; these are left out" in answer.notes
-    usual = known_of(Prepared(recording_with(readout=LoadedColumnsReadout(noise_lsb=0.7))))
-    assert isinstance(usual, Known)
+    usual = known_before(recording_with(readout=LoadedColumnsReadout(noise_lsb=0.7)))
     watch = usual.watch()
     for frame in range(4):
         value = np.exp(watch.rest.mean).reshape(6, 6)
@@ -110,11 +106,9 @@ def test_readings_of_an_open_line_are_left_out_with_a_note() -> None:
 @pytest.mark.slow
 def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_readings() -> None:
     recording = recording_with((ROD, 0, 10))
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
-    every = np.ones(len(recording.time), dtype=bool)
+    known = known_before(recording)
     claimed, silent = (
-        replaced.answer(measured_frames(recording, replaced, every))
+        replaced.answer(every_frame(recording, replaced))
         for replaced in (known, dataclasses.replace(known, explained=False))
     )
     assert "in its unloaded frames, and left" in claimed.why
@@ -162,8 +156,7 @@ def test_cells_of_an_uneven_film_are_not_taken_for_a_load_in_the_unloaded_frames
 def test_an_outlier_in_an_unloaded_frame_does_not_prevent_detection() -> None:
     recording = recording_with((ROD, 7, 14), frames=14)
     recording.recorded[2, 1, 1] *= 3
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known) and np.max(known.watch().test.least()) < 10
+    assert np.max(known_before(recording).watch().test.least()) < 10
     assert answered(recording).answer == PRESSES
 
 
@@ -219,13 +212,10 @@ def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     recording = recording_with(*visits, frames=6000, memory_share=0.0)
     recording.recorded[:] *= 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
     first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
-    known = known_of(Prepared(dataclasses.replace(recording, **first)))
-    assert isinstance(known, Known)
+    known = known_before(dataclasses.replace(recording, **first))
     watch = known.watch()
     sizes = list[int]()
-    for value, sigma, time in measured_frames(
-        recording, known, np.ones(len(recording.time), dtype=bool)
-    ):
+    for value, sigma, time in every_frame(recording, known):
         watch = watch.push(value, sigma, time)
         sizes += [len(pickle.dumps(watch.window))] if time % 500 == 0 else []
     reported = [
