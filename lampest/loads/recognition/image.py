@@ -168,6 +168,12 @@ class Window:
         x, y = places[:, 0, 0]
         return cls(window_scene, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
 
+    def in_image(self, load: Attachment) -> Attachment:
+        """Return an attachment with its place in the image instead of the window."""
+        x, x_sd = load.x_mm
+        y, y_sd = load.y_mm
+        return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
+
 
 Opened: TypeAlias = tuple[Window, Watch, float]
 
@@ -202,12 +208,14 @@ class ImageWatch:
         modules = dict[int, Watch]()
         for number, module_scene in enumerate(panelled.scene.of_modules):
             cells = layout_of(panelled.scene.panel).cells(number)
-            if (read := np.isfinite(sigma[cells]) & np.isfinite(measured[cells])).any():
-                part = replace(panelled, scene=module_scene, water=panelled.water[cells])
-                at_rest = np.where(read, measured[cells], np.median(measured[cells][read]))
-                modules[number] = Watch.begin(
-                    part, at_rest, sigma[cells], unloaded[(..., *cells)], time
-                )
+            finite = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
+            if not finite.any():
+                continue
+            part = replace(panelled, scene=module_scene, water=panelled.water[cells])
+            at_rest = np.where(finite, measured[cells], np.median(measured[cells][finite]))
+            modules[number] = Watch.begin(
+                part, at_rest, sigma[cells], unloaded[(..., *cells)], time
+            )
         return cls(panelled, modules)
 
     @ONE_BLAS_THREAD
@@ -271,9 +279,9 @@ class ImageWatch:
         image = np.zeros(self.panelled.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
-                known = image[window.cells]
+                covered = image[window.cells]
                 image[window.cells] = np.where(
-                    np.abs(watch.change) > np.abs(known), watch.change, known
+                    np.abs(watch.change) > np.abs(covered), watch.change, covered
                 )
         return image if image.any() else None
 
@@ -298,30 +306,38 @@ class ImageWatch:
     def _begun(self, window: Window, sigma: Array) -> Watch:
         """Return the watch of a new window, with the joined states of its modules."""
         layout = layout_of(window.scene.panel)
-        known = [self.modules[n] for n in window.numbers if n in self.modules]
-        blank = np.full(
-            known[0].rest.mean.shape, np.median([np.median(part.rest.mean) for part in known])
-        )
-        levels = {
-            number: (part.rest.mean, part.level.mean, *part.recent)
-            for number, part in self.modules.items()
-        }
-        states = np.array([levels.get(number, 4 * (blank,)) for number in window.numbers])
+        watched = [self.modules[number] for number in window.numbers if number in self.modules]
+        # A module without readings has the median of the others.
+        median = np.median([np.median(module.rest.mean) for module in watched])
+        without_readings = np.full((4, *watched[0].rest.mean.shape), median)
+        states = [
+            _levels(self.modules[number]) if number in self.modules else without_readings
+            for number in window.numbers
+        ]
         images = layout.joined(
             np.swapaxes(states, 0, 1).reshape(4, -1, layout.each.rows, layout.each.columns)
         )
         _, mean, *recent = images.reshape(4, -1)
-        module = replace(
+        panelled = replace(
             self.panelled, scene=cast(Scene, window.scene), water=self.panelled.water[window.cells]
         )
-        resting = np.exp(images[0]), sigma[window.cells], np.zeros((0, *layout.shape))
-        start = Watch.begin(module, *resting, max(part.rest.until_s for part in known))
-        loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
-        begun = max(part.level.until_s for part in known)
-        rest = replace(start.rest, frames=min(part.rest.frames for part in known))
-        level = Level(mean, 1.0, begun, begun)
-        start = replace(start, test=replace(start.test, loud=loud), rest=rest, level=level)
-        return replace(start, recent=tuple(recent), history="")
+        start = Watch.begin(
+            panelled,
+            np.exp(images[0]),
+            sigma[window.cells],
+            np.zeros((0, *layout.shape)),
+            max(module.rest.until_s for module in watched),
+        )
+        loudest = max(float(module.test.loud.mean()) for module in watched)
+        begun = max(module.level.until_s for module in watched)
+        return replace(
+            start,
+            test=replace(start.test, loud=np.full(len(start.test.loud), loudest)),
+            rest=replace(start.rest, frames=min(module.rest.frames for module in watched)),
+            level=Level(mean, 1.0, begun, begun),
+            recent=tuple(recent),
+            history="",
+        )
 
     def _closed(self, time: float) -> "ImageWatch":
         """Return the watch without the windows that were calm for CALM_S.
@@ -329,21 +345,23 @@ class ImageWatch:
         Their modules take over the states.
         """
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
+        calm = tuple(opening for opening in self.opened if time - opening[2] >= CALM_S)
+        covered = under_windows(opened)
         modules = dict(self.modules)
-        for window, watch, _ in (opening for opening in self.opened if time - opening[2] >= CALM_S):
+        for window, watch, _ in calm:
             layout = layout_of(window.scene.panel)
-            images = np.reshape(
-                [watch.rest.mean, watch.level.mean, *watch.recent], (4, *layout.shape)
-            )
-            for number, levels in zip(
-                window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True
-            ):
-                if number in modules and number not in under_windows(opened):
+            images = np.reshape(_levels(watch), (4, *layout.shape))
+            of_modules = np.swapaxes(layout.split(images), 0, 1)
+            for number, levels in zip(window.numbers, of_modules, strict=True):
+                if number in modules and number not in covered:
                     baseline, mean, *recent = levels.reshape(4, -1)
-                    rest = replace(watch.rest, mean=baseline)
-                    level = replace(watch.level, mean=mean)
-                    module = replace(modules[number], rest=rest, level=level, recent=tuple(recent))
-                    modules[number] = replace(module, history=watch.history)
+                    modules[number] = replace(
+                        modules[number],
+                        rest=replace(watch.rest, mean=baseline),
+                        level=replace(watch.level, mean=mean),
+                        recent=tuple(recent),
+                        history=watch.history,
+                    )
         return replace(self, modules=modules, opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
@@ -351,29 +369,30 @@ class ImageWatch:
 
         A load in two windows is taken from the nearer middle.
         """
-        loads = [
-            (window, replace(load, x_mm=(x + window.x_mm, x_sd), y_mm=(y + window.y_mm, y_sd)))
-            for window, watch, _ in self.opened
-            for load in watch.attachments
-            for (x, x_sd), (y, y_sd) in [(load.x_mm, load.y_mm)]
-        ]
+        loads = list[tuple[Window, Attachment]]()
+        for window, watch, _ in self.opened:
+            loads += [(window, window.in_image(load)) for load in watch.attachments]
         # nearest to its window's middle first; equal loads of other windows are dropped
+        loads.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
         merged = list[tuple[Window, Attachment]]()
-        for window, load in sorted(
-            loads, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))
-        ):
-            if not any(
-                window is not neighbour and _same_load(load, seen) for neighbour, seen in merged
-            ):
+        for window, load in loads:
+            elsewhere = [nearer for neighbour, nearer in merged if neighbour is not window]
+            if not any(_same_load(load, nearer) for nearer in elsewhere):
                 merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
-        past = [load for load in ended if not any(_same_load(load, seen) for _, seen in merged)]
+        past = [load for load in ended if not any(_same_load(load, late) for _, late in merged)]
         return tuple(sorted([*past, *(load for _, load in merged)], key=lambda load: load.since_s))
 
 
 def under_windows(opened: Sequence[Opened]) -> set[int]:
     """Return the numbers of the modules under windows."""
     return {number for window, *_ in opened for number in window.numbers}
+
+
+def _levels(watch: Watch) -> tuple[Array, Array, Array, Array]:
+    """Return the unloaded level of a watch, its present level and the two last frames."""
+    previous, last = watch.recent
+    return watch.rest.mean, watch.level.mean, previous, last
 
 
 def layout_of(panel: Panel) -> Modules:
