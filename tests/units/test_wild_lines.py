@@ -277,12 +277,12 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
 def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
     for last_ms in (5_520, 100, 2**31):
         run, samples = run_of((0, 500), (1, 510), (2, last_ms))
-        samples += run.rest()
+        samples += run.last_sample()
         assert places(samples) == complete_frames(3) and samples[-1].events == (CLOCK_JUMPED,)
-        assert samples[-1].time == pytest.approx(0.02) and not run.rest()
+        assert samples[-1].time == pytest.approx(0.02) and not run.last_sample()
     for last in ((1, 510), (0, 500), (900, 515)):
         run, samples = run_of((0, 500), (1, 510), last)
-        assert not run.rest() and places(samples) == complete_frames(2), (
+        assert not run.last_sample() and places(samples) == complete_frames(2), (
             "repeated and foreign frames are none"
         )
 
