@@ -268,7 +268,7 @@ def standing_table(comparison: Comparison) -> Table:
         if row is not first:
             difference = between(row.difference, sign="+")
             ratio = digits(first.milliseconds / row.milliseconds, 2)
-            verdict = "significant" if row.told_apart else "not significant"
+            verdict = "significant" if row.is_significant else "not significant"
         speed = digits(row.milliseconds)
         rows.append(
             (row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio)
