@@ -70,10 +70,11 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             begins.append(_lengths(plans))
             for path, node in _within(file, group):
                 ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
-                kept = (
-                    name for name in node.attrs if name not in ties and not name.startswith(BLOCKS)
-                )
-                attributes[path] = {name: node.attrs[name] for name in kept}
+                attributes[path] = {
+                    name: node.attrs[name]
+                    for name in node.attrs
+                    if name not in ties and not name.startswith(BLOCKS)
+                }
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
