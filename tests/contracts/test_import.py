@@ -495,7 +495,8 @@ for bad in (b"\xff", b"\x80", b"\0", b"\xc3"):
     gap = f"bytes that are no text: their fields in line {number + 1} are missing"
     codes(f"{bad!r} in a serial log", bytes(content), gap, expected=with_nan(FIVE, (number, 0, 0)))
     comma = content.index(b",", place)
-    content[place : place + 1], content[comma : comma + 1] = b"5", bad
+    content[place : place + 1] = b"5"
+    content[comma : comma + 1] = bad
     codes(
         f"{bad!r} in place of a comma",
         bytes(content),

@@ -421,7 +421,8 @@ def claims(path: Path) -> None:
 
 def whole_sheet(path: Path) -> None:
     workbook = openpyxl.Workbook()
-    workbook.active["A1"], workbook.active["XFD1048576"] = 1, 2
+    workbook.active["A1"] = 1
+    workbook.active["XFD1048576"] = 2
     workbook.save(path)
 
 

@@ -35,9 +35,13 @@ from lampest.studies.common import StudyMethod, paper_methods
 from lampest.studies.study import page, read_settings
 
 ROOT = Path(__file__).parents[2]
-SAME_COST, NEAR_COST = 1e-6, 1e-3  # gap to the least cost, of own solvers and of any verified one
+# gap to the least cost, of own solvers and of any verified one
+SAME_COST = 1e-6
+NEAR_COST = 1e-3
 ROUNDING = 1e-12  # relative
-CONVERGED, STOPPED = 1e-5, 1e-2  # error of cells and readings, where solvers end without noise
+# error of cells and readings, where solvers end without noise
+CONVERGED = 1e-5
+STOPPED = 1e-2
 OF_NOISE = 0.1  # error of cells by 1 % of noise
 read_bench = read_settings(SolversFile)
 SOLVERS = SolverLimits().solvers

@@ -289,7 +289,8 @@ def test_nothing_sucks_on_cells_as_uneven_as_under_loads_or_where_none_may_rise(
     (place,) = suctions(resting(0.1))
     assert place.cells[3, 3] and place.cells.sum() == 1
     assert may_suck(resting(0.1, hidden=True)) and not suctions(resting(0.1, hidden=True))
-    uneven, hidden = resting(1.5), resting(1.5, hidden=True)
+    uneven = resting(1.5)
+    hidden = resting(1.5, hidden=True)
     assert not suctions(uneven) and not may_suck(hidden)
     pressed = resting(0.1)
     pressed.free_map[3, 3] = -1.0

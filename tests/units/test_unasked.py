@@ -11,7 +11,8 @@ from lampest.estimate.memory import memory_gain
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.solvers.multistart import evaluated
 
-ROWS, COLUMNS = 3, 4
+ROWS = 3
+COLUMNS = 4
 
 
 def recording_of(scene: lampest.Scene, recorded: lampest.Array) -> lampest.Recording:

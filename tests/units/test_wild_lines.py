@@ -855,11 +855,9 @@ def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
     sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
     sums[30:] += 800
     sums[50:] += np.arange(0, 1000, 100, dtype=np.uint16)[:, None, None]
-    sums[::2, 0, 0], sums[::2, 0, 1], sums[1::2, 0, :2] = (
-        2 * readings,
-        1021 * readings,
-        500 * readings,
-    )
+    sums[::2, 0, 0] = 2 * readings
+    sums[::2, 0, 1] = 1021 * readings
+    sums[1::2, 0, :2] = 500 * readings
     codes = sums[:50].reshape(50, 6)[:, 2:] / readings
     differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
     numbers = np.arange(frames)
