@@ -17,7 +17,7 @@ from contracts.imports import (
     LOADED,
     ROWS,
     VOLT_OF_CODES,
-    given,
+    foreign_file,
     lines,
     names,
 )
@@ -31,7 +31,7 @@ REFUSED: dict[str, SimpleNamespace] = {}
 
 
 def accept(name: str, content: Any, *notes: str, **options: Any) -> None:
-    TABLES[name] = given(content, *notes, **options)
+    TABLES[name] = foreign_file(content, *notes, **options)
 
 
 def codes(name: str, content: Any, *notes: str, **options: Any) -> None:
@@ -40,7 +40,7 @@ def codes(name: str, content: Any, *notes: str, **options: Any) -> None:
 
 
 def refuse(name: str, content: Any, *notes: str, **options: Any) -> None:
-    REFUSED[name] = given(content, *notes, **options)
+    REFUSED[name] = foreign_file(content, *notes, **options)
 
 
 def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:
@@ -813,7 +813,7 @@ def lines_with(line: int, field: int, text: str) -> str:
 
 
 REFUSED |= {
-    name: given(text, message, missing="refuse")
+    name: foreign_file(text, message, missing="refuse")
     for name, text, message in (
         (
             "two fields",

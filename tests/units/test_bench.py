@@ -6,7 +6,6 @@ No time is asserted.
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -58,24 +57,23 @@ def timed(
     side: int, times: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0
 ) -> Frames:
     """Frames in sequence that took so many s."""
-    known: dict[str, Any] = {
-        "rows": side,
-        "columns": side,
-        "recording": str(number),
-        "method": method,
-    }
-    known |= {
-        "solver": solver,
-        "objective": 1.0,
-        "gap": 0.0,
-        "iterations": 1,
-        "solved": True,
-        "inverse_s": 1e-6,
-    }
-    known["status"] = "optimum verified"
-    kinds = ["first", *["later"] * len(times)]
     return [
-        BenchFrame(**known, frame=frame, seconds=seconds, kind=kinds[frame])
+        BenchFrame(
+            rows=side,
+            columns=side,
+            recording=str(number),
+            method=method,
+            solver=solver,
+            frame=frame,
+            seconds=seconds,
+            kind="later" if frame else "first",
+            status="optimum verified",
+            objective=1.0,
+            gap=0.0,
+            iterations=1,
+            solved=True,
+            inverse_s=1e-6,
+        )
         for frame, seconds in enumerate(times)
     ]
 
@@ -94,7 +92,8 @@ def test_all_solvers_agree_on_solved_frames() -> None:
     }
     for frame in tiny.frames:
         paired = frame.method in ("LSR-dCR", "LSR-gdCR") and frame.shape == (3, 3)
-        assert frame.kind == ("later" if frame.frame else "pair" if paired else "first")
+        first = "pair" if paired else "first"
+        assert frame.kind == ("later" if frame.frame else first)
         if frame.solver in ("reduced", "nodal"):
             assert frame.solved and (not frame.frame or frame.gap < SAME_COST), frame
         assert not frame.verified or 0 <= frame.gap < NEAR_COST, frame
