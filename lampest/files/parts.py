@@ -124,12 +124,11 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
 
     Texts have the length of the longest one.
     """
-    scales = (
-        ()
-        if dataset.is_scale
-        else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
-    )
-    along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
+    scales: tuple[str, ...] = ()
+    if not dataset.is_scale:
+        scales = tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
+    first_scale = dataset.name if dataset.is_scale else (*scales, "")[0]
+    along = str(first_scale).endswith(f"/{TIME}")
     shape = dataset.shape
     dtype = dataset.dtype
     packing = hdf5.PACKED if dataset.compression or not dataset.chunks else hdf5.UNPACKED
