@@ -40,6 +40,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, VACUUM_KPA, Film, Response, Strength
@@ -132,7 +133,7 @@ class Plays:
         )
 
 
-def _neighbours(values: Array, below: Array) -> tuple[Array, Array]:
+def _neighbours(values: Array, below: NDArray[np.intp]) -> tuple[Array, Array]:
     """Return the values, (n, ...), at the indices `below` of the first axis, and the next ones."""
     at = np.take_along_axis(values, below[None], axis=0)[0]
     following = np.take_along_axis(values, below[None] + 1, axis=0)[0]

@@ -121,10 +121,9 @@ class Pumping:
 
         `before` is that of the same attachment in its previous place.
         """
-        if before is None:
-            logarithm = np.log(OF_KINDS.share)
-        else:
-            logarithm = logsumexp(before.logarithm, axis=-1, keepdims=True)
+        logarithm = np.asarray(np.log(OF_KINDS.share))
+        if before is not None:
+            logarithm = np.asarray(logsumexp(before.logarithm, axis=-1, keepdims=True))
         track = cls(
             weights=weights,
             reference=reference,
@@ -183,8 +182,9 @@ class Pumping:
         Mean and variance are updated by a Kalman step.
         """
         noise = NOISES[:, None, None]
-        wide = self.variance + noise**2
-        logarithm = self.logarithm - 0.5 * ((sample - self.mean) ** 2 / wide + np.log(wide))
+        wide: Array = self.variance + noise**2
+        misfit = (sample - self.mean) ** 2 / wide + np.log(wide)
+        logarithm: Array = self.logarithm - 0.5 * misfit
         best = np.argsort(-logarithm, axis=-1)[..., :HYPOTHESES]
         logarithm, mean, variance, age, wide = (
             np.take_along_axis(values, best, axis=-1)
