@@ -178,7 +178,8 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
         return "time"
     if mark:
         return SKIPPED
-    steps = np.diff(values)
+    with np.errstate(invalid="ignore"):  # of two infinite numbers: no step that grows
+        steps = np.diff(values)
     if rows > 1 and np.all(steps >= 0):
         return "frame" if set(steps) <= {0.0, 1.0} and not np.all(steps == 1) else "time"
     if grows(values):
