@@ -17,10 +17,8 @@ from lampest.recording.board.protocol import (
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
     *fields, wiring, drive, _ = vars(hello).values()
-    fields[6], fields[13] = (
-        hello.firmware[0] << 8 | hello.firmware[1],
-        ACROSS.index(hello.measured_across),
-    )
+    fields[6] = hello.firmware[0] << 8 | hello.firmware[1]
+    fields[13] = ACROSS.index(hello.measured_across)
     wiring_fields = (
         b"" if wiring == "two_point" else protocol._HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
     )

@@ -111,36 +111,33 @@ class RandomProblem:
         sigma = np.maximum(noise, 1e-4) * np.abs(exact)
         recorded = exact + noise * np.abs(exact) * random.standard_normal(exact.shape)
         troubles = _troubled(random, recorded, circuit)
-        known = random.random() < 0.8 or kind != "two_point"
-        penalties = _penalties(random, known, exact, sigma)
+        noise_known = random.random() < 0.8 or kind != "two_point"
+        penalties = _penalties(random, noise_known, exact, sigma)
         pushed = int(random.integers(0, 3))
-        scene = Scene(Panel(*shape), readout, faults=faults)
-        words = [
+        words = (
             f"{shape[0]}×{shape[1]}",
             kind,
-            f"noise {noise:.1e}" + ("" if known else " untold"),
-        ]
-        words += [
-            f"{penalty.kind}({penalty.weight:.1e}, {penalty.loss}{', σ' if penalty.scaled else ''})"
-            for penalty in penalties
-        ]
-        words += [
+            f"noise {noise:.1e}{'' if noise_known else ' unstated'}",
+            *(
+                f"{penalty.kind}({penalty.weight:.1e}, {penalty.loss}"
+                f"{', σ' if penalty.scaled else ''})"
+                for penalty in penalties
+            ),
             ("resting", "first frame", "second frame")[pushed],
             *troubles,
             "" if faults is None else "faults",
-        ]
-        about = ", ".join(filter(None, words))
+        )
         return cls(
-            seed,
-            number,
-            circuit,
-            scene,
-            penalties,
-            cells,
-            recorded,
-            sigma if known else None,
-            pushed,
-            about,
+            seed=seed,
+            number=number,
+            circuit=circuit,
+            scene=Scene(Panel(*shape), readout, faults=faults),
+            penalties=penalties,
+            cells=cells,
+            recorded=recorded,
+            sigma=sigma if noise_known else None,
+            pushed=pushed,
+            about=", ".join(filter(None, words)),
         )
 
     @cached_property
@@ -391,14 +388,14 @@ def _troubled(random: np.random.Generator, recorded: Array, circuit: Circuit) ->
 
 
 def _penalties(
-    random: np.random.Generator, known: bool, exact: Array, sigma: Array
+    random: np.random.Generator, noise_known: bool, exact: Array, sigma: Array
 ) -> tuple[Penalty, ...]:
-    scaled = known and random.random() < 0.4
+    scaled = noise_known and random.random() < 0.4
     shares = {"squared": 0.8, "huber": 0.12, "absolute": 0.08}
     corner = float(random.uniform(1, 4) * (1.0 if scaled else np.median(sigma)))
     data = Penalty("misfit", 1.0, chosen(random, shares), corner, scaled=scaled)
     kind = chosen(random, TERMS)
-    if kind == "misfit" or (kind == "arrival" and not known):
+    if kind == "misfit" or (kind == "arrival" and not noise_known):
         return (data,)
     own = {
         "total_variation": "absolute",

@@ -17,7 +17,8 @@ from matplotlib.patheffects import withStroke
 from docs.studies import script
 from lampest.report.compare import grouped
 from lampest.report.plots.style import ORANGE, RAISED, SMALL_POINT, TEXT_POINT, new_figure
-from lampest.studies.extremes import CASES, GRID, STUDY, Solve
+from lampest.studies.extreme_scenes import CASES, GRID
+from lampest.studies.extremes import STUDY, Solve
 
 COLOURS = "YlGnBu"
 

@@ -33,6 +33,7 @@ typedef struct {
     cells_view view;
 } workspace;
 
+/* Divide the panel's memory among the vectors. */
 static workspace arrange(const lampest_panel *panel) {
     const lampest_constants *c = panel->constants;
     const uint8_t m = c->rows >= c->columns ? c->rows : c->columns, n = c->rows >= c->columns ? c->columns : c->rows;
@@ -45,22 +46,48 @@ static workspace arrange(const lampest_panel *panel) {
     float *free = panel->memory;
 #define TAKE(count) (free += (count), free - (count))
     workspace w = {.constants = c, .cells = cells};
-    w.baseline = TAKE(cells), w.u = TAKE(cells);
-    w.measured = TAKE(cells), w.precision = TAKE(cells), w.reading = TAKE(cells);
-    w.gradient = TAKE(cells), w.diagonal = TAKE(cells);
-    w.x = TAKE(cells), w.r = TAKE(cells), w.p = TAKE(cells), w.q = TAKE(cells);
+    w.baseline = TAKE(cells);
+    w.u = TAKE(cells);
+    w.measured = TAKE(cells);
+    w.precision = TAKE(cells);
+    w.reading = TAKE(cells);
+    w.gradient = TAKE(cells);
+    w.diagonal = TAKE(cells);
+    w.x = TAKE(cells);
+    w.r = TAKE(cells);
+    w.p = TAKE(cells);
+    w.q = TAKE(cells);
     network *net = &w.net;
-    net->m = m, net->n = n, net->constants = c;
-    net->floats = !c->driven, net->long_driven = c->rows_driven == (c->rows >= c->columns);
-    net->conductance = TAKE(cells), net->share = TAKE(cells), net->mutual = TAKE(cells), net->middle = TAKE(cells);
-    net->inverse = TAKE(n * n), net->small = TAKE(n * n), net->small2 = TAKE(n * n);
-    net->total = TAKE(m), net->own_long = TAKE(m), net->x_long = TAKE(m), net->x_short = TAKE(n), net->tie = TAKE(m + n);
-    w.lines = TAKE(m + n), w.sums = TAKE(m + n), w.coarse = TAKE(n * n);
-    if (c->driven) net->slope_long = TAKE(cells), net->slope_short = TAKE(cells), net->slope_mutual = TAKE(cells);
+    net->m = m;
+    net->n = n;
+    net->constants = c;
+    net->floats = !c->driven;
+    net->long_driven = c->rows_driven == (c->rows >= c->columns);
+    net->conductance = TAKE(cells);
+    net->share = TAKE(cells);
+    net->mutual = TAKE(cells);
+    net->middle = TAKE(cells);
+    net->inverse = TAKE(n * n);
+    net->small = TAKE(n * n);
+    net->small2 = TAKE(n * n);
+    net->total = TAKE(m);
+    net->own_long = TAKE(m);
+    net->x_long = TAKE(m);
+    net->x_short = TAKE(n);
+    net->tie = TAKE(m + n);
+    w.lines = TAKE(m + n);
+    w.sums = TAKE(m + n);
+    w.coarse = TAKE(n * n);
+    if (c->driven) {
+        net->slope_long = TAKE(cells);
+        net->slope_short = TAKE(cells);
+        net->slope_mutual = TAKE(cells);
+    }
     w.view = (cells_view){.constants = c, .m = m, .n = n, .u = w.u, .baseline = w.baseline,
                           .conductance = net->conductance, .slope = net->middle};
     if (relative) w.view.previous = TAKE(cells);
-    w.side = (uint8_t *)TAKE((cells + 3) / 4), w.absent = (uint8_t *)TAKE((cells + 3) / 4);
+    w.side = (uint8_t *)TAKE((cells + 3) / 4);
+    w.absent = (uint8_t *)TAKE((cells + 3) / 4);
 #undef TAKE
     w.view.absent = c->present ? w.absent : NULL;
     return w;
@@ -100,12 +127,19 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
     bool row_is[LAMPEST_MAX_LINES] = {false}, column_is[LAMPEST_MAX_LINES] = {false};
     for (uint8_t row = 0; row < c->rows; row++) {
         for (uint8_t column = 0; column < c->columns; column++) {
-            const uint16_t outside = row * c->columns + column, cell = cell_number(c, row, column);
+            const uint16_t outside = row * c->columns + column;
+            const uint16_t cell = cell_number(c, row, column);
             uint16_t sum = sums[outside];
-            w->side[cell] = ABSENT, w->precision[cell] = 0, w->measured[cell] = 1;
-            /* A crossing without a cell has a reading, too, which tells of the cells around it. */
+            w->side[cell] = ABSENT;
+            w->precision[cell] = 0;
+            w->measured[cell] = 1;
+            /* A crossing without a cell has a reading, too, which depends on the cells around it. */
             const bool counts = !(w->view.absent && w->absent[cell]);
-            if (counts) cells++, row_is[row] = column_is[column] = true;
+            if (counts) {
+                cells++;
+                column_is[column] = true;
+                row_is[row] = true;
+            }
             if (sum > c->top_sum) {
                 status->missing += counts;
                 continue;
@@ -113,16 +147,30 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
             /* The network's reading rises with the sum unless it is mirrored, or a divider that is read across its reference. */
             const bool rises = c->driven ? !c->mirrored : !c->across_reference;
             side_of_reading side = VALUE;
-            if (sum < c->low_sum) sum = c->low_sum, side = rises ? AT_MOST : AT_LEAST;
-            else if (sum > c->high_sum) sum = c->high_sum, side = rises ? AT_LEAST : AT_MOST;
+            if (sum < c->low_sum) {
+                sum = c->low_sum;
+                side = rises ? AT_MOST : AT_LEAST;
+            } else if (sum > c->high_sum) {
+                sum = c->high_sum;
+                side = rises ? AT_LEAST : AT_MOST;
+            }
             float slope;
             float reading = reading_of(c, volt_of(c, sum), row, column, &slope);
             const float sigma = slope * c->sigma_volt[c->sigma_count > 1 ? outside : 0];
             const float least = c->driven ? 0 : REACH * sigma;
-            if (reading <= least && side != AT_LEAST) side = AT_MOST, reading = larger(reading, 0) + REACH * sigma;
-            if (side != VALUE) status->saturated += counts;
-            else if (counts) values++, row_has[row] = column_has[column] = true;
-            w->side[cell] = side, w->measured[cell] = reading;
+            if (reading <= least && side != AT_LEAST) {
+                side = AT_MOST;
+                reading = larger(reading, 0) + REACH * sigma;
+            }
+            if (side != VALUE) {
+                status->saturated += counts;
+            } else if (counts) {
+                values++;
+                column_has[column] = true;
+                row_has[row] = true;
+            }
+            w->side[cell] = side;
+            w->measured[cell] = reading;
             w->precision[cell] = 1 / (c->plain_sigma > 0 ? c->plain_sigma : sigma);
         }
     }
@@ -171,7 +219,8 @@ static float cost_of(const workspace *w) {
 /* Bounds of a cell in ohm. */
 static void bounds_of(const workspace *w, uint16_t cell, float *least, float *largest) {
     const lampest_constants *c = w->constants;
-    *least = c->least_ohm, *largest = c->largest_ohm;
+    *least = c->least_ohm;
+    *largest = c->largest_ohm;
     if (!c->native_bounds || w->side[cell] != VALUE) return;
     /* r >= R, as parallel paths lower a reading. An open cell in place of R^2/sigma changes the reading by sigma. */
     const float measured = w->measured[cell], alone = 2 * measured * w->cells / (float)(w->net.m + w->net.n - 1);
@@ -512,13 +561,13 @@ static bool under_load(const workspace *w) {
         }
     }
     float least = INFINITY, middle = 0;
-    for (uint16_t one = 0; one < count; one++) {
-        uint16_t below = 0;
-        for (uint16_t other = 0; other < count; other++) {
-            below += change[other] < change[one] || (change[other] == change[one] && other < one);
+    for (uint16_t cell = 0; cell < count; cell++) {
+        uint16_t rank = 0; /* number of smaller changes; of equal ones, those before */
+        for (uint16_t k = 0; k < count; k++) {
+            rank += change[k] < change[cell] || (change[k] == change[cell] && k < cell);
         }
-        if (below == count / 2) middle = change[one];
-        least = smaller(least, change[one]);
+        if (rank == count / 2) middle = change[cell];
+        least = smaller(least, change[cell]);
     }
     return least < middle - c->loaded_limit;
 }

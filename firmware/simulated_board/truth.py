@@ -21,7 +21,7 @@ def truth_text(time: object, cell_resistance: object) -> str:
 
 
 if __name__ == "__main__":
-    found = Recording.load(Path(sys.argv[1]))
-    if found.truth_cell_resistance is None:
+    recording = Recording.load(Path(sys.argv[1]))
+    if recording.truth_cell_resistance is None:
         sys.exit(f"{sys.argv[1]}: holds no /entry/truth/cell_resistance")
-    sys.stdout.write(truth_text(found.time, found.truth_cell_resistance))
+    sys.stdout.write(truth_text(recording.time, recording.truth_cell_resistance))

@@ -38,9 +38,9 @@ app = typer.Typer(
 )
 
 
-def _print_version(asked: bool) -> None:
-    """Print the version and end."""
-    if asked:
+def _print_version(requested: bool) -> None:
+    """Print the version and end, if requested."""
+    if requested:
         from importlib.metadata import version
 
         say(f"lampest {version('lampest')}")
@@ -69,13 +69,15 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 
     def called(**options: Any) -> None:
         check_address_space()
-        named = [value for name, value in options.items() if name not in outputs]
-        named += [path for value in named if isinstance(value, list) for path in value]
-        inputs = [path for path in named if isinstance(path, Path)]
-        if missing := [
-            path for path in inputs if not path.exists() and command is not estimation.init
-        ]:
-            raise InputError(f"{missing[0]}: no such file")
+        values = [value for name, value in options.items() if name not in outputs]
+        for value in tuple(values):
+            if isinstance(value, list):
+                values += value
+        inputs = [path for path in values if isinstance(path, Path)]
+        if command is not estimation.init:  # which creates its folder
+            for path in inputs:
+                if not path.exists():
+                    raise InputError(f"{path}: no such file")
         replaced = options.get("repair") or options.get("apply")  # these rewrite their inputs
         with sparing(() if replaced else inputs):
             refuse_inputs(

@@ -58,11 +58,10 @@ def record(
     from lampest.recording.board.record import record as record_board
 
     if list_:
-        for device in (available := ports()):
-            screen.say(
-                f"{device.url}  "
-                f"{device.description}{'  (looks like an Arduino)' if device.likely else ''}"
-            )
+        available = ports()
+        for device in available:
+            remark = "  (looks like an Arduino)" if device.likely else ""
+            screen.say(f"{device.url}  {device.description}{remark}")
         if not available:
             screen.say("there is no serial port", to=sys.stderr)
         return
@@ -76,7 +75,7 @@ def record(
         "baseline": baseline,
         "period": period,
     }
-    agreed = screen.scene_of(scene, assign)
+    recorded_scene = screen.scene_of(scene, assign)
     with pressed_keys() as keys, screen.progress("waiting for the board") as show:
 
         def on_progress(at: "Progress") -> None:
@@ -87,7 +86,9 @@ def record(
                 f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}",
             )
 
-        done = record_board(port, out, **options, scene=agreed, on_progress=on_progress, keys=keys)
+        done = record_board(
+            port, out, **options, scene=recorded_scene, on_progress=on_progress, keys=keys
+        )
     report_recorded(done)
 
 

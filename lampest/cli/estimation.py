@@ -99,11 +99,9 @@ def run(
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
         screen.warn(f"{name}: {text} assumed; the scene does not say")
-    executor = (
-        cases.executor
-        if cases.executor and not jobs
-        else local(jobs, len(cases.cases), separate=limited)
-    )
+    executor = cases.executor
+    if jobs or executor is None:
+        executor = local(jobs, len(cases.cases), separate=limited)
     with screen.progress("frames", counted=True) as on_frames:
         report = run_batch(
             cases, out or Path("results") / config.stem, executor, fresh=fresh, on_frames=on_frames
@@ -121,11 +119,10 @@ def run(
     for name, sentence in report.failed:
         screen.warn(f"{name} failed: {sentence}")
     if report.lost:
-        left = (
+        screen.warn(
             f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command "
             "to run them"
         )
-        screen.warn(left)
     if report.failed or report.not_run:
         raise typer.Exit(screen.SOME_FAILED)
 

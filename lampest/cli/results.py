@@ -253,9 +253,19 @@ def detect(
         content = [answer.content() for answer in answers]
         screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
-        one = sources[0].parent if is_results[0] else Path("results") / sources[0].stem
-        folder = one if len(sources) == 1 else Path("results") / "visits"
-        _tell(answers, loads, folder if out is None else out, everything=all_)
+        if out is None:
+            out = _folder_of_answers(sources, is_results=is_results[0])
+        _tell(answers, loads, out, everything=all_)
+
+
+def _folder_of_answers(sources: "Sequence[Path]", *, is_results: bool) -> Path:
+    """Return the default folder of the answers of some files.
+
+    `is_results` states whether the first file is one of results.
+    """
+    if len(sources) > 1:
+        return Path("results") / "visits"
+    return sources[0].parent if is_results else Path("results") / sources[0].stem
 
 
 def _tell(
@@ -279,33 +289,32 @@ def _tell(
     from lampest.report.detect.pressed import pressed_table, write_pressed
 
     season = visits.visits_of(answers)
-    written = [FILE, visits.FILE, *([PRESSED] if loads else [])]
-    refuse_inputs([folder / name for name in written])
-    files = [
-        write_detections(folder / FILE, answers),
-        visits.write_visits(folder / visits.FILE, season),
-    ]
-    files += [write_pressed(folder / PRESSED, loads)] if loads else []
+    files = [folder / FILE, folder / visits.FILE]
+    if loads:
+        files.append(folder / PRESSED)
+    refuse_inputs(files)
+    write_detections(folder / FILE, answers)
+    visits.write_visits(folder / visits.FILE, season)
+    if loads:
+        write_pressed(folder / PRESSED, loads)
     drawing = find_spec("matplotlib") is not None
-    files += _draw(answers, season, folder) if drawing else []
-    if len(answers) > 1:
+    if drawing:
+        files += _draw(answers, season, folder)
+    several = len(answers) > 1
+    if several:
         screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
     for answer in answers:
-        screen.say(
-            f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence
-        )
-    screen.print_notes(
-        f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings
-    )
+        screen.say(f"{answer.recording}: {answer.sentence}" if several else answer.sentence)
+    for answer in answers:
+        screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
     screen.print_table(event_table(answers))
     if len(season) > 1:
         screen.print_table(visits.count_table(answers, season))
     if everything:
         screen.print_table(load_table(answers))
         screen.print_table(pressed_table(loads))
-        screen.print_notes(
-            tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes)
-        )
+        for answer in answers:
+            screen.print_notes(f"{answer.recording}: {note}" for note in answer.notes)
     for path in files:
         screen.say(path)
     if not drawing:
@@ -321,12 +330,15 @@ def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path
     from lampest.report.plots.season import plot_season
     from lampest.report.plots.timeline import plot_timelines, timeline_files
 
-    refuse_inputs(
-        [*timeline_files(answers, folder), *([folder / visits.PICTURE] if season else [])]
-    )
+    files = list(timeline_files(answers, folder))
+    if season:
+        files.append(folder / visits.PICTURE)
+    refuse_inputs(files)
     with screen.progress("pictures") as on_picture:
-        files = [*plot_timelines(answers, folder, on_picture)]
-    return files + ([plot_season(folder / visits.PICTURE, season)] if season else [])
+        files = list(plot_timelines(answers, folder, on_picture))
+    if season:
+        files.append(plot_season(folder / visits.PICTURE, season))
+    return files
 
 
 def terms() -> None:

@@ -6,8 +6,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
-from itertools import groupby
-from operator import itemgetter
+from itertools import chain, groupby
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill, wrap
@@ -81,25 +80,29 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
         name: " ".join(text.split())
         for name, text in re.findall(r"(?m)^(\w+)\n((?:    .*\n?)+)", section)
     }
+    signature = inspect.signature(command)
     parameters = []
-    for name, param in (signature := inspect.signature(command)).parameters.items():
-        kind, *notes = (
-            get_args(param.annotation)
-            if get_origin(param.annotation) is Annotated
-            else (param.annotation,)
-        )
-        if kind is bool:
-            notes = [option("", f"--{name.strip('_').replace('_', '-')}")]
-        note = (
-            copy(notes[0])
-            if notes
-            else typer.Argument()
-            if param.default is param.empty
-            else typer.Option()
-        )
+    for name, parameter in signature.parameters.items():
+        kind = parameter.annotation
+        if get_origin(kind) is Annotated:
+            kind = get_args(kind)[0]
+        note = _note_of(parameter, kind)
         note.help = note.help or help_of[name]
-        parameters.append(param.replace(annotation=Annotated[kind, note]))
+        parameters.append(parameter.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
+
+
+def _note_of(parameter: inspect.Parameter, kind: Any) -> Any:
+    """Return Typer's description of a parameter of a type.
+
+    Truth values are flags, parameters without a default are arguments, and all others options,
+    unless their annotation has a description.
+    """
+    if kind is bool:
+        return option("", f"--{parameter.name.strip('_').replace('_', '-')}")
+    if get_origin(parameter.annotation) is Annotated:
+        return copy(get_args(parameter.annotation)[1])
+    return typer.Argument() if parameter.default is parameter.empty else typer.Option()
 
 
 def is_written(parameter: inspect.Parameter) -> bool:
@@ -230,6 +233,23 @@ def print_table(table: "Table") -> None:
         _draw(headers[1:], [cells[1:] for cells in block], room, last=True)
 
 
+def _narrowed(full: Sequence[int], floors: Sequence[int], room: int) -> tuple[list[int], int]:
+    """Return widths of columns that are narrowed until their sum fits, and by how much it does not.
+
+    The widest column that is above its floor loses a character at a time.
+    """
+    widths = list(full)
+    beyond = sum(full) - room
+    while beyond > 0:
+        spare = [number for number, width in enumerate(widths) if width > floors[number]]
+        if not spare:
+            break
+        widest = max(spare, key=widths.__getitem__)
+        widths[widest] -= 1
+        beyond -= 1
+    return widths, beyond
+
+
 def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, last: bool) -> bool:
     """Print a table and return True.
 
@@ -242,22 +262,12 @@ def _draw(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int, *, l
     from rich.table import Table as RichTable
 
     columns = [[text.split("\n") for text in column] for column in zip(headers, *rows, strict=True)]
-    full = [max(len(line) for lines in column for line in lines) for column in columns]
-    least = [
-        max(len(word) for lines in column for line in lines for word in line.split(" "))
-        for column in columns
-    ]
-    for gap, floors in (
-        (2, least),
-        (1, [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]]),
-    ):
-        widths = list(full)
-        beyond = sum(full) + gap * (len(full) - 1) + 2 - room
-        while beyond > 0 and (
-            spare := [(width, at) for at, width in enumerate(widths) if width > floors[at]]
-        ):
-            widths[max(spare, key=itemgetter(0))[1]] -= 1
-            beyond -= 1
+    full = [max(map(len, chain.from_iterable(column))) for column in columns]
+    words = [[line.split(" ") for line in chain.from_iterable(column)] for column in columns]
+    least = [max(map(len, chain.from_iterable(column))) for column in words]
+    cut_names = [min(least[0], max(MIN_NAME, len(headers[0]))), *least[1:]]
+    for gap, floors in ((2, least), (1, cut_names)):
+        widths, beyond = _narrowed(full, floors, room - gap * (len(full) - 1) - 2)
         if beyond <= 0:
             break
     if beyond > 0 and not last:

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import count
+from itertools import chain, count
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -97,8 +97,10 @@ def place_in(node: Any, part: str | int) -> Any:
 
     It is a word in a mapping, an index in a list, None elsewhere.
     """
-    number = isinstance(node, list) and str(part).isascii() and str(part).isdigit()
-    return part if isinstance(node, dict) else int(part) if number else None
+    if isinstance(node, dict):
+        return part
+    is_index = str(part).isascii() and str(part).isdigit()
+    return int(part) if isinstance(node, list) and is_index else None
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
@@ -133,17 +135,19 @@ def _with_table(document: Document, place: tuple[str, ...]) -> Document:
     rows = list[list[float]]()
     for number, line in enumerate(csv.reader(io.StringIO(_text_of(path))), start=1):
         try:
-            rows += (
-                [[int(text) if text.strip().isdecimal() else float(text) for text in line]]
-                if line
-                else []
-            )
+            if line:
+                rows.append(list(map(_number_of, line)))
         except ValueError as error:
             if number > 1:  # the first may be a header
                 raise document.error(
                     place, f"{path}:{number}: {', '.join(line)} are not all numbers"
                 ) from error
     return document.with_value(place, rows)
+
+
+def _number_of(text: str) -> float:
+    """Return a number of a table. Raises ValueError if it is none."""
+    return int(text) if text.strip().isdecimal() else float(text)
 
 
 def _text_of(path: Path) -> str:
@@ -245,8 +249,9 @@ def validated(document: Document, kind: Any) -> Any:
     Raises InputError if a key is unknown, a type is wrong, or a number is out of any physical
     range.
     """
-    if out := next(_out_of_range(document.content, ()), None):
-        raise document.error(out, NO_MEASURE)
+    out_of_range = next(_out_of_range(document.content, ()), None)
+    if out_of_range:
+        raise document.error(out_of_range, NO_MEASURE)
     try:
         return adapter(kind).validate_json(json.dumps(document.content), strict=True)
     except ValidationError as error:
@@ -288,13 +293,10 @@ def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
     for words, plain in PLAIN_WORDS.items():
         message = message.replace(words, plain)
     for part in location:
-        content = (
-            content.get(part)
-            if isinstance(content, dict)
-            else content[part]
-            if isinstance(part, int)
-            else None
-        )
+        if isinstance(content, dict):
+            content = content.get(part)
+        else:
+            content = content[part] if isinstance(part, int) else None
     if not isinstance(content, str | int | float):
         return message
     written = content.strip() if isinstance(content, str) and "number" in message else ""
@@ -375,20 +377,19 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
             or node.get("items")
             for node in nodes
         )
-        nodes = [
-            alternative
-            for node in inner
-            if isinstance(node, dict)
-            for alternative in _alternatives(node, schema)
-        ]
+        nodes = list(
+            chain.from_iterable(
+                _alternatives(node, schema) for node in inner if isinstance(node, dict)
+            )
+        )
     objects = [node["properties"] for node in nodes if "properties" in node]
     # Objects of another kind have another constant for a shared key.
     fitting = [
-        known
-        for known in objects
-        if all(_fits(known.get(key, {}), value) for key, value in content.items())
+        properties
+        for properties in objects
+        if all(_fits(properties.get(key, {}), value) for key, value in content.items())
     ]
-    keys = {key for known in fitting for key in known}
+    keys = set(chain.from_iterable(fitting))
     unused = sorted(keys - {*content})
     listed = f"; there are {', '.join(unused)}" if 0 < len(unused) <= 12 else ""
     # A setting on the command line may misspell a key that the file has.
@@ -400,7 +401,8 @@ def _alternatives(node: Any, schema: Any) -> list[Any]:
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rpartition("/")[2]]
     inner = node.get("anyOf", node.get("oneOf", ()))
-    return [alternative for part in inner for alternative in _alternatives(part, schema)] or [node]
+    alternatives = list(chain.from_iterable(_alternatives(part, schema) for part in inner))
+    return alternatives or [node]
 
 
 def _fits(node: Any, value: Any) -> bool:
@@ -455,10 +457,10 @@ def _sentence_of(faults: Sequence[Any]) -> str:
     for fault in faults:
         sentence = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "union_tag_invalid":
-            known = fault["ctx"]["expected_tags"].replace("'", "")
+            kinds = fault["ctx"]["expected_tags"].replace("'", "")
             sentence = (
                 f"there is no kind {fault['ctx']['tag']} in lampest or an installed "
-                f"package; there are {known}"
+                f"package; there are {kinds}"
             )
         elif fault["type"] == "union_tag_not_found":
             sentence = "Input should be a mapping with a 'kind'"

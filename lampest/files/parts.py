@@ -70,10 +70,11 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             begins.append(_lengths(plans))
             for path, node in _within(file, group):
                 ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
-                kept = (
-                    name for name in node.attrs if name not in ties and not name.startswith(BLOCKS)
-                )
-                attributes[path] = {name: node.attrs[name] for name in kept}
+                attributes[path] = {
+                    name: node.attrs[name]
+                    for name in node.attrs
+                    if name not in ties and not name.startswith(BLOCKS)
+                }
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
@@ -123,12 +124,11 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
 
     Texts have the length of the longest one.
     """
-    scales = (
-        ()
-        if dataset.is_scale
-        else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
-    )
-    along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
+    scales: tuple[str, ...] = ()
+    if not dataset.is_scale:
+        scales = tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
+    first_scale = dataset.name if dataset.is_scale else (*scales, "")[0]
+    along = str(first_scale).endswith(f"/{TIME}")
     shape = dataset.shape
     dtype = dataset.dtype
     packing = hdf5.PACKED if dataset.compression or not dataset.chunks else hdf5.UNPACKED

@@ -126,7 +126,8 @@ def check_memory(needed: float, label: str) -> None:
 
     An example of such a label is 'the lines of a panel'.
     """
-    if needed > (limit := memory_limit()):
+    limit = memory_limit()
+    if needed > limit:
         raise InputError(
             f"{label}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(limit)}; "
             f"{ALLOWED} allows more"
@@ -140,18 +141,17 @@ def memory_limit() -> float:
 
     Raises InputError if the user's limit is no size.
     """
-    if setting := os.environ.get(ALLOWED):
+    setting = os.environ.get(ALLOWED)
+    if setting:
         size = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", setting.strip(), re.IGNORECASE)
         if size is None or not float(size[1]):
             raise InputError(f"{ALLOWED}: {setting!r} is no size such as 8GB")
         return float(size[1]) * 1024.0 ** " KMGT".index(size[2].upper() or " ")
     free = [float(psutil.virtual_memory().available)]
     with suppress(OSError, ValueError):  # without Linux' control groups, or where the most is 'max'
-        most, taken = (
-            float(Path("/sys/fs/cgroup", name).read_text())
-            for name in ("memory.max", "memory.current")
-        )
-        free.append(most - taken)
+        limit = float(Path("/sys/fs/cgroup", "memory.max").read_text())
+        used = float(Path("/sys/fs/cgroup", "memory.current").read_text())
+        free.append(limit - used)
     addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
     if addresses != resource.RLIM_INFINITY:
         free.append(float(addresses - psutil.Process().memory_info().vms))

@@ -12,6 +12,7 @@ from lampest.files.document import UNKNOWN, Document, place_in
 from lampest.files.errors import InputError, meant
 
 Kind = TypeVar("Kind")
+MAX_COMBINATIONS = 10_000
 
 
 @dataclass(frozen=True)
@@ -65,45 +66,51 @@ def combinations(
         malformed or too large, if a path does not exist, or if a value does not fit.
     """
     content = document.content if isinstance(document.content, dict) else {}
-    sweep = content.get("sweep", {})
+    sweep = _checked_sweep(document, content.get("sweep", {}), apart, fixed or {})
     entries = content.get(apart)
+    names = list(entries) if isinstance(entries, dict) and entries else [""]
+    swept: dict[str, dict[str, list[Any]]] = {}
+    for name in names:
+        swept[name] = {
+            path: values
+            for path, values in sweep.items()
+            if _entry_of(path, apart, names) in (None, name)
+        }
+    if sum(math.prod(map(len, paths.values())) for paths in swept.values()) > MAX_COMBINATIONS:
+        raise document.error(("sweep",), f"more than {MAX_COMBINATIONS} combinations")
+    combined = []
+    for entry, paths in swept.items():
+        for values in itertools.product(*paths.values()):
+            assignments = dict(zip(paths, values, strict=True))
+            varied = _assigned(document, assignments)
+            try:
+                value = validate(varied)
+            except InputError as error:
+                raise _blamed(document, assignments, validate, error) from error
+            for path in assignments:
+                if not _is_place(document.content, value, path.split(".")):
+                    first, *inner = path.split(".")
+                    close = meant(inner[0], names) if first == apart and inner else ""
+                    raise document.error(("sweep", path), f"no such place in this document{close}")
+            combined.append(Combination(entry, assignments, varied, value))
+    return combined
+
+
+def _checked_sweep(
+    document: Document, sweep: Any, apart: str, fixed: Mapping[str, str]
+) -> dict[str, list[Any]]:
+    """Return a document's sweep. Raises InputError as `combinations` if it is malformed."""
     if not isinstance(sweep, dict):
         raise document.error(("sweep",), "must be a mapping of dotted paths to lists of values")
     for path, values in sweep.items():
         if not isinstance(values, list) or not values:
             raise document.error(("sweep", path), "must be a list of at least one value")
-        if path.split(".")[0] == "sweep" or path == apart:
+        first = path.split(".")[0]
+        if first == "sweep" or path == apart:
             raise document.error(("sweep", path), "a sweep varies keys below, or beside, this one")
-        if reason := (fixed or {}).get(path.split(".")[0]):
-            raise document.error(("sweep", path), reason)
-    names = list(entries) if isinstance(entries, dict) and entries else [""]
-    of_entry = {
-        name: {
-            path: values
-            for path, values in sweep.items()
-            if _entry_of(path, apart, names) in (None, name)
-        }
-        for name in names
-    }
-    if sum(math.prod(map(len, paths.values())) for paths in of_entry.values()) > 10_000:
-        raise document.error(("sweep",), "more than 10000 combinations")
-    combined = []
-    for entry, values in (
-        (name, values) for name in names for values in itertools.product(*of_entry[name].values())
-    ):
-        assignments = dict(zip(of_entry[entry], values, strict=True))
-        varied = _assigned(document, assignments)
-        try:
-            value = validate(varied)
-        except InputError as error:
-            raise _blamed(document, assignments, validate, error) from error
-        for path in assignments:
-            if not _is_place(document.content, value, path.split(".")):
-                first, *inner = path.split(".")
-                close = meant(inner[0], names) if first == apart and inner else ""
-                raise document.error(("sweep", path), f"no such place in this document{close}")
-        combined.append(Combination(entry, assignments, varied, value))
-    return combined
+        if first in fixed:
+            raise document.error(("sweep", path), fixed[first])
+    return sweep
 
 
 def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
@@ -155,11 +162,12 @@ def _blamed(
     if not assignments or _fault(_assigned(document, {}), validate):
         return error
     for path, value in assignments.items():
-        if fault := _fault(_assigned(document, {path: value}), validate):
+        fault = _fault(_assigned(document, {path: value}), validate)
+        if UNKNOWN in fault:
+            return document.error(("sweep", path), fault)
+        if fault:
             index = document.content["sweep"][path].index(value)
-            return document.error(
-                ("sweep", path) if UNKNOWN in fault else ("sweep", path, index), fault
-            )
+            return document.error(("sweep", path, index), fault)
     values = ", ".join(f"{path} = {value}" for path, value in assignments.items())
     return document.error(("sweep",), f"with {values}: {_without_position(error)}")
 

@@ -1,6 +1,7 @@
 """Type checks of arguments at construction, and unions by `kind` that installed packages extend."""
 
 import inspect
+import itertools
 import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -80,7 +81,8 @@ def check_range(
 def check_ranges(owner: Any, low: float, high: float, *names: str) -> None:
     """Raise ValueError unless each named field of an object is None or lies within a range."""
     for name in names:
-        if (value := getattr(owner, name)) is not None:
+        value = getattr(owner, name)
+        if value is not None:
             check_range(name, value, low, high)
 
 
@@ -109,7 +111,8 @@ def _check_fields(
 ) -> None:
     """Raise ValueError with a message unless each named field of an object is None or fits."""
     for name in names:
-        if (value := getattr(owner, name)) is not None and not fits(value):
+        value = getattr(owner, name)
+        if value is not None and not fits(value):
             raise ValueError(f"{name} {message}")
 
 
@@ -135,9 +138,8 @@ def as_double(array: NDArray[Any]) -> NDArray[Any]:
 
     No solver and no linear algebra takes that.
     """
-    return (
-        array.astype(np.float64) if array.dtype.kind == "f" and array.dtype.itemsize > 8 else array
-    )
+    is_extended = array.dtype.kind == "f" and array.dtype.itemsize > 8
+    return array.astype(np.float64) if is_extended else array
 
 
 def _arguments(
@@ -145,13 +147,13 @@ def _arguments(
 ) -> dict[str, Any]:
     """Return validated arguments by parameter."""
     try:
-        given = _signature(owner).bind(*args, **kwargs).arguments
+        arguments = _signature(owner).bind(*args, **kwargs).arguments
     except TypeError as error:
         raise InputError(f"{name}: {error}") from error
     checks = _checks(owner)
     return {
         word: checks[word](value, f"{name}: {word}") if word in checks else value
-        for word, value in given.items()
+        for word, value in arguments.items()
     }
 
 
@@ -174,7 +176,8 @@ def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
         hints = typing.get_type_hints(owner, include_extras=True)
     except NameError:  # a class in a notebook, or types that are imported for type checkers only
         return {}
-    return {word: check for word, hint in hints.items() if (check := _check_of(hint)) is not None}
+    checks = {word: _check_of(hint) for word, hint in hints.items()}
+    return {word: check for word, check in checks.items() if check is not None}
 
 
 def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
@@ -182,22 +185,18 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
 
     None for a type without a check.
     """
-    parts = (
-        typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
-    )
+    is_union = typing.get_origin(hint) in (typing.Union, UnionType)
+    parts = typing.get_args(hint) if is_union else (hint,)
     kinds = tuple(part for part in parts if isinstance(part, type))
     validator = schema_of(hint)
     is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
-    number = "float64" in str(hint)
+    dtype = np.float64 if "float64" in str(hint) else None
 
     def checked(value: Any, label: str) -> Any:
         if is_array:
-            none = value is None and type(None) in parts
-            return (
-                value
-                if none
-                else np.asarray(real_array(value, label), np.float64 if number else None)
-            )
+            if value is None and type(None) in parts:
+                return None
+            return np.asarray(real_array(value, label), dtype)
         if validator is None:
             if isinstance(value, kinds):
                 return value
@@ -246,16 +245,16 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
     return tuple(objects)
 
 
-def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
+def of_kind(kind: str, noun: str, members: Sequence[Kind]) -> Kind:
     """Return the object with this `kind`.
 
     Raises InputError, with a noun such as 'plot', unless exactly one has it.
     """
-    kinds = [str(getattr(member, "kind", "")) for member in known]
+    kinds = [str(getattr(member, "kind", "")) for member in members]
     if kinds.count(kind) != 1:
         count = f"there are two {noun}s" if kind in kinds else f"there is no {noun}"
         raise InputError(f"{count} '{kind}'; there are {', '.join(dict.fromkeys(kinds))}")
-    return known[kinds.index(kind)]
+    return members[kinds.index(kind)]
 
 
 @dataclass(frozen=True)
@@ -281,11 +280,10 @@ class ByKind:
         Called by pydantic.
         """
         members = typing.get_args(source)
-        choices = {
-            kind: handler.generate_schema(member)
-            for member in (*members, *_installed_members(members, self.group))
-            for kind in kinds_of(member)
-        }
+        choices: dict[str, Any] = {}
+        for member in (*members, *_installed_members(members, self.group)):
+            for kind in kinds_of(member):
+                choices[kind] = handler.generate_schema(member)
         tag = self._tag if self.default else "kind"
         tagged = {"type": "tagged-union", "discriminator": tag, "choices": choices}
         base = _base(members)
@@ -301,11 +299,9 @@ class ByKind:
         }
 
     def _tag(self, value: Any) -> Any:
-        return (
-            value.get("kind", self.default)
-            if isinstance(value, dict)
-            else getattr(value, "kind", None)
-        )
+        if isinstance(value, dict):
+            return value.get("kind", self.default)
+        return getattr(value, "kind", None)
 
 
 def kinds_of(member: Any) -> tuple[str, ...]:
@@ -333,7 +329,10 @@ def members_of(union: Any) -> tuple[type[Any], ...]:
 @cache
 def members_by_kind(union: Any) -> dict[str, type[Any]]:
     """Return the classes of a union by kind. Raises InputError as `members_of`."""
-    return {kind: member for member in members_of(union) for kind in kinds_of(member)}
+    by_kind: dict[str, type[Any]] = {}
+    for member in members_of(union):
+        by_kind |= dict.fromkeys(kinds_of(member), member)
+    return by_kind
 
 
 def _base(members: tuple[type[Any], ...]) -> type[Any]:
@@ -346,15 +345,15 @@ def _base(members: tuple[type[Any], ...]) -> type[Any]:
 def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[type[Any]]:
     """Yield the members that installed packages add to a union."""
     base = _base(members)
-    taken = [kind for member in members for kind in kinds_of(member)]
+    used = list(itertools.chain.from_iterable(map(kinds_of, members)))
     for added in installed(group, type) if group else ():
         named = f"{group}: {added.__name__} of an installed package"
         if not issubclass(added, base):
             raise InputError(f"{named} is no {base.__name__}")
         kinds = kinds_of(added)
-        if not kinds or not set(kinds).isdisjoint(taken):
+        if not kinds or not set(kinds).isdisjoint(used):
             raise InputError(
-                f"{named} needs kind: Literal['...'] with a word unlike {', '.join(taken)}"
+                f"{named} needs kind: Literal['...'] with a word unlike {', '.join(used)}"
             )
-        taken += kinds
+        used += kinds
         yield added

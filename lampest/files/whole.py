@@ -72,7 +72,8 @@ def own(path: Path) -> None:
     Raises InputError if it was read before. Called before the first of both.
     """
     _refuse_touched(path)
-    if touched := _TOUCHED.get():
+    touched = _TOUCHED.get()
+    if touched:
         touched.own.add(path.absolute())
 
 
@@ -92,10 +93,10 @@ def _refuse_touched(path: Path) -> None:
         raise InputError(f"{path}: two outputs have this name; give one of them another")
 
 
-def _same(path: Path, known: Path) -> bool:
+def _same(path: Path, touched: Path) -> bool:
     try:
-        return path.is_file() and path.samefile(known)
-    except (OSError, ValueError):  # the known file is absent, or one of the names is impossible
+        return path.is_file() and path.samefile(touched)
+    except (OSError, ValueError):  # the touched file is absent, or one of the names is impossible
         return False
 
 
@@ -137,7 +138,8 @@ def whole_file(path: Path) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 unfinished.unlink()
-    if (touched := _TOUCHED.get()) and not touched.owns(path.absolute()):
+    touched = _TOUCHED.get()
+    if touched and not touched.owns(path.absolute()):
         touched.written.add(path.absolute())
 
 
@@ -203,7 +205,8 @@ def check_output(path: Path) -> None:
         "p": "a pipe",
         "s": "a socket",
     }
-    if kind := kinds.get(_letter(path)):
+    kind = kinds.get(_letter(path))
+    if kind:
         raise InputError(f"{path}: is {kind}; an output replaces regular files alone")
     _refuse_touched(path)
 

@@ -40,6 +40,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, VACUUM_KPA, Film, Response, Strength
@@ -54,6 +55,7 @@ CREEPS = Film.most["creep_per_decade"] * np.linspace(0, 1, 81) ** 2
 # Compared shares of a cell's largest ln r/r0 that remain after a load and do not fade.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
 MIN_PERIOD = 1e-3  # s between frames whose times do not increase
+MAX_SD_RATIO = 0.8  # posterior over prior, with which a creep counts as estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +96,10 @@ class Plays:
 
         They are z_i clipped between p and b_i p.
         """
-        far = self.reach * pressure
-        return replace(
-            self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far))
-        )
+        reached = self.reach * pressure
+        low = np.minimum(pressure, reached)
+        high = np.maximum(pressure, reached)
+        return replace(self, held=np.clip(self.held, low, high))
 
     def effective(self, pressure: Array) -> Array:
         """Return p_e = w_0 p + Σ w_i z_i (...) kPa of the next pressure p."""
@@ -124,14 +126,18 @@ class Plays:
         play = Plays(self.weight[:, None], self.reach[:, None], self.held[:, None])
         reached = play.effective(corners)
         below = np.clip((reached <= effective).sum(axis=0) - 1, 0, len(corners) - 2)
-        start, end, low, high = (
-            np.take_along_axis(values, below[None] + step, axis=0)[0]
-            for values in (corners, reached)
-            for step in (0, 1)
-        )
+        start, end = _neighbours(corners, below)
+        low, high = _neighbours(reached, below)
         return np.asarray(
             start + (effective - low) * np.where(high > low, (end - start) / (high - low), 1.0)
         )
+
+
+def _neighbours(values: Array, below: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return the values, (n, ...), at the indices `below` of the first axis, and the next ones."""
+    at = np.take_along_axis(values, below[None], axis=0)[0]
+    following = np.take_along_axis(values, below[None] + 1, axis=0)[0]
+    return at, following
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +165,7 @@ class Creep:
 
         It is s_j ← u + (s_j − u) e^{−t/τ_j}.
         """
-        return replace(self, crept=at_once + (self.crept - at_once) * self._kept(seconds))
+        return replace(self, crept=at_once + (self.crept - at_once) * self._decay(seconds))
 
     def answer(self, at_once: Array, seconds: float) -> Array:
         """Return a = u + c Σ s_j (...) at the end of an interval with constant u."""
@@ -167,12 +173,13 @@ class Creep:
 
     def at_once(self, answer: Array, seconds: float) -> Array:
         """Return the constant u (...) of an interval from a at its end, the inverse of `answer`."""
-        remaining = self._kept(seconds)
+        decay = self._decay(seconds)
         # a = u + c Σ (u + (s_j − u) e_j) is linear in u, with e_j = e^{−t/τ_j}
-        left = self.strength * (self.crept * remaining).sum(axis=0)
-        return np.asarray((answer - left) / (1 + self.strength * (1 - remaining).sum(axis=0)))
+        memory = self.strength * (self.crept * decay).sum(axis=0)
+        return np.asarray((answer - memory) / (1 + self.strength * (1 - decay).sum(axis=0)))
 
-    def _kept(self, seconds: float) -> Array:
+    def _decay(self, seconds: float) -> Array:
+        """Return e^{−t/τ_j} after an interval in s, (decades, 1, ...)."""
         return np.asarray(np.exp(-seconds / DECADES)).reshape(-1, *[1] * np.ndim(self.strength))
 
 
@@ -249,10 +256,10 @@ class FilmMemory:
 
         NaN leaves cells as is.
         """
-        known = np.isfinite(change)
-        after, _ = self.answered(self.pressure(np.where(known, change, 0.0), seconds), seconds)
-        held = np.where(known, after.plays.held, self.plays.held)
-        crept = np.where(known, after.creep.crept, self.creep.crept)
+        finite = np.isfinite(change)
+        after, _ = self.answered(self.pressure(np.where(finite, change, 0.0), seconds), seconds)
+        held = np.where(finite, after.plays.held, self.plays.held)
+        crept = np.where(finite, after.creep.crept, self.creep.crept)
         return replace(
             self, plays=replace(self.plays, held=held), creep=replace(self.creep, crept=crept)
         )
@@ -308,10 +315,7 @@ class MemoryErrors:
     lasting_share: float = 0.5
 
     def resting_sd(self, minutes: float) -> float:
-        """Return the standard deviation of ln r/r0 of an untouched cell.
-
-        It is that some minutes after the cell's zero.
-        """
+        """Return the standard deviation of ln r/r0 of an untouched cell, minutes after its zero."""
         return hypot(self.unloaded, self.drift * minutes)
 
 
@@ -376,18 +380,18 @@ class FilmKnown:
         The first is the mean film; each further film has one uncertain strength increased by its
         standard deviation.
         """
-        films = [
-            (0.0, 0.0),
-            *[(1.0, 0.0)] * (self.hysteresis.sd > 0),
-            *[(0.0, 1.0)] * (self.creep.sd > 0),
-        ]
-        plus, plus_creep = np.array(films).T[..., None, None] * np.ones(water.shape)
+        # Numbers of standard deviations by which hysteresis and creep of each film are increased.
+        films = [(0.0, 0.0)]
+        if self.hysteresis.sd > 0:
+            films.append((1.0, 0.0))
+        if self.creep.sd > 0:
+            films.append((0.0, 1.0))
+        more_hysteresis, more_creep = np.array(films).T[..., None, None] * np.ones(water.shape)
         creep, creep_sd = self.cells or self.creep
-        gap = self.hysteresis.mean + plus * self.hysteresis.sd
-        strength = creep + plus_creep * creep_sd
-        return FilmMemory.at_rest(
-            gap, strength, self.film.answer * response.gains + 0 * gap, water, response
-        )
+        hysteresis = self.hysteresis.mean + more_hysteresis * self.hysteresis.sd
+        strength = creep + more_creep * creep_sd
+        gain = self.film.answer * response.gains * np.ones(hysteresis.shape)
+        return FilmMemory.at_rest(hysteresis, strength, gain, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """Return the film with the posterior of its creep, given a recording.
@@ -432,8 +436,9 @@ class FilmKnown:
         origin = (
             f"estimated from the recording, and {100 * lasting:.1f} % of a load may stay after it"
         )
-        known = replace(self, creep=creep, residue=lasting, cells=cells)
-        return replace(known, origin=origin) if shared <= 0.8 * usual.sd else known
+        estimate = replace(self, creep=creep, residue=lasting, cells=cells)
+        narrowed = shared <= MAX_SD_RATIO * usual.sd
+        return replace(estimate, origin=origin) if narrowed else estimate
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """Return ln r/r_rest without creep, and its error by the uncertainty of creep.
@@ -456,8 +461,8 @@ class FilmKnown:
             seconds = max(float(frame_time) - last, MIN_PERIOD)
             answers.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
             after = creep.after(answers[-1], seconds)
-            known = np.isfinite(frame)
-            creep = replace(creep, crept=np.where(known, after.crept, creep.crept))
+            finite = np.isfinite(frame)
+            creep = replace(creep, crept=np.where(finite, after.crept, creep.crept))
             last = float(frame_time)
         expected, stronger = np.stack(answers, axis=1)
         return expected, np.abs(stronger - expected)
@@ -488,44 +493,44 @@ def _likelihood(
         ln(r/r_rest) and its standard deviation.
     time : array, shape (frames,)
         s.
-    own : float
+    memory : float
         Relative standard deviation of the memory of a load.
     residues : array, shape (residues,)
         ρ.
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
     # Other cells are explained equally by every c.
-    felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded
-    change = change[:, felt]
-    sd = sd[:, felt]
+    loaded = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded
+    change = change[:, loaded]
+    sd = sd[:, loaded]
     share = residues[:, None, None]
-    creep = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum())))
+    creep = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), loaded.sum())))
     last = float(time[0])
     total, resting = np.zeros((2, len(residues), *creep.strength.shape))
     peak = np.zeros(change.shape[1])
     for frame, error, frame_time in zip(change, sd, time, strict=True):
         seconds = max(float(frame_time) - last, MIN_PERIOD)
-        known = np.isfinite(frame) & np.isfinite(error)
-        if not known.any():
+        finite = np.isfinite(frame) & np.isfinite(error)
+        if not finite.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
         answer = np.where(
-            known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading
+            finite, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading
         )
         drift = ERRORS.resting_sd((frame_time - time[0]) / 60)
         stays = fading + share * peak
-        variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (memory * stays) ** 2
+        variance = (np.where(finite, error, 0.0) / gain) ** 2 + drift**2 + (memory * stays) ** 2
         # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting
         # += P(no load)
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         density *= stays <= ERRORS.lasting_share * peak
-        total += known * np.log((density + 1 / ERRORS.loaded_range) / 2)
-        resting += known * density / (density + 1 / ERRORS.loaded_range)
-        peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
+        total += finite * np.log((density + 1 / ERRORS.loaded_range) / 2)
+        resting += finite * density / (density + 1 / ERRORS.loaded_range)
+        peak = np.fmax(peak, np.where(finite, answer[0].clip(0.0), 0.0))
         creep = creep.after(creep.at_once(answer, seconds), seconds)
         last = float(frame_time)
     # the unloaded frames of a cell count as `independent_frames` at most
-    likelihood[..., felt] = total / np.maximum(
+    likelihood[..., loaded] = total / np.maximum(
         resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0
     )
     return likelihood

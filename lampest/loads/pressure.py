@@ -38,7 +38,7 @@ class Pressure:
     errors : array, same shape
         Half the 68 % interval, kPa.
     own, common : array, same shape
-        Its two parts, kPa: each cell's own error, and the error that cells share, such as that of
+        Two parts of `errors`, kPa: each cell's own, and the one that cells share, such as that of
         the film's curve.
     saturated : array, same shape
         1 where the response does not determine the pressure: the interval, water included, exceeds
@@ -112,9 +112,12 @@ def pressure_of(
         return track.pressure(ratio, lower, upper, 0.0, own)
     frames = list[Pressure]()
     tared = list[str]()
-    for number, at in enumerate(np.arange(float(len(ratio))) if time is None else time):
-        part = None if own is None else own[number]
-        frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at), part))
+    times = np.arange(float(len(ratio))) if time is None else time
+    for number, at in enumerate(times):
+        frame_own = None if own is None else own[number]
+        frames.append(
+            track.pressure(ratio[number], lower[number], upper[number], float(at), frame_own)
+        )
         track = track.after(ratio[number], float(at))
         tared.append(track.tared)
     maps = [name for name in vars(frames[0]) if name != "tared"]
@@ -196,53 +199,57 @@ class PressureTrack:
         change = self._change(ratio)
         # The mean film, and the alternatives with one strength increased: their differences are
         # errors by the film's memory.
-        answer, *answers = -self._of_films(self.films.at_once, change, time)
-        expected, *alternatives = self._of_films(self.films.pressure, change, time)
+        answer, *varied_answers = -self._of_films(self.films.at_once, change, time)
+        expected, *varied_pressures = self._of_films(self.films.pressure, change, time)
+        memory_kpa = _distance(varied_pressures, expected)
         of_change = self._pressure_by_change(change, expected, time)
         # Error bars: estimate, residue and temperature, and response in quadrature in ln r; then
         # mapped to pressure.
-        remembered = self._kept(ratio, time)
-        curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
-        shared = TWO_SIDED * np.hypot(
-            remembered, np.hypot(response_sd(self.scene, answer), curve_sd) * answer
-        )
+        resting_sd = self._resting_sd(ratio, time)
+        shared = TWO_SIDED * self._shared_sd(answer, resting_sd)
         with np.errstate(divide="ignore"):
             fell = np.log(ratio) - np.log(lower)
             rose = np.log(upper) - np.log(ratio)
         below = np.hypot(fell, shared)
         above = np.hypot(rose, shared)
-        open_kpa = _distance(alternatives, expected)
-        least = of_change(above)
-        most = of_change(-below)
-        least = np.maximum(
-            expected - np.hypot(expected - least, TWO_SIDED * open_kpa),
-            VACUUM_KPA - self.films.water,
-        )
-        most = expected + np.hypot(most - expected, TWO_SIDED * open_kpa)
+        least = expected - np.hypot(expected - of_change(above), TWO_SIDED * memory_kpa)
+        least = np.maximum(least, VACUUM_KPA - self.films.water)
+        most = expected + np.hypot(of_change(-below) - expected, TWO_SIDED * memory_kpa)
         errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
-        errors = np.hypot(errors, open_kpa)
-        # Split of the error: each cell's own part, and the rest, which cells share.
-        half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
-        scatter = np.hypot(half, scatter_sd(self.scene, systematic_of(self.scene)) * answer)
+        errors = np.hypot(errors, memory_kpa)
+        own_sd = (fell + rose) / (2 * TWO_SIDED) if own is None else own
+        scatter = np.hypot(own_sd, scatter_sd(self.scene, systematic_of(self.scene)) * answer)
+        individual, common = _own_and_common(errors, of_change, scatter)
         with np.errstate(invalid="ignore"):
-            individual = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
-            common = np.where(
-                np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - individual**2, 0.0))
+            fall_sd = np.hypot(
+                np.hypot(rose / TWO_SIDED, resting_sd), _distance(varied_answers, answer)
             )
-            clear = -answer > NOISE_REACH * np.hypot(
-                np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer)
-            )
+            clear = -answer > NOISE_REACH * fall_sd
         pressing = clear & (expected > 0) & ~self.scene.broken
         return Pressure(
-            expected,
-            least,
-            most,
-            errors,
-            individual,
-            common,
-            self._saturated(least, most).astype(np.uint8),
-            pressing.astype(np.uint8),
+            pressure=expected,
+            lower=least,
+            upper=most,
+            errors=errors,
+            own=individual,
+            common=common,
+            saturated=self._saturated(least, most).astype(np.uint8),
+            pressing=pressing.astype(np.uint8),
         )
+
+    def _shared_sd(self, answer: Array, resting_sd: Array) -> Array:
+        """Return the standard deviation of ln r by the film, in the mean and in each cell.
+
+        Parameters
+        ----------
+        answer : array
+            −ln r/r_rest without creep.
+        resting_sd : array
+            Standard deviation of ln r/r_rest without a load.
+        """
+        bent_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
+        relative_sd = np.hypot(response_sd(self.scene, answer), bent_sd)
+        return np.asarray(np.hypot(resting_sd, relative_sd * answer))
 
     def _pressure_by_change(
         self, change: Array, expected: Array, time: float
@@ -315,11 +322,11 @@ class PressureTrack:
     def _change(self, ratio: Array) -> Array:
         return np.asarray(np.log(ratio) - self.scene.common_change[0])
 
-    def _kept(self, ratio: Array, time: float) -> Array:
+    def _resting_sd(self, ratio: Array, time: float) -> Array:
         """Return the standard deviation of ln r/r_rest without a load.
 
-        It is that by the film's residue, drift and common change. Residue and drift are multiplied
-        by √(1 − x²/peak²): they matter as far as the largest load is gone.
+        The film's residue, drift and common change cause it. Residue and drift are multiplied by
+        √(1 − x²/peak²), because they show as far as the largest load is gone.
         """
         change = self._change(ratio)
         spread = np.zeros(ratio.shape)
@@ -347,6 +354,26 @@ class PressureTrack:
         return np.moveaxis(value(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
 
 
+def _own_and_common(
+    errors: Array, of_change: Callable[[Array], Array], scatter: Array
+) -> tuple[Array, Array]:
+    """Return each cell's own part of the errors, kPa, and the part that cells share.
+
+    Parameters
+    ----------
+    errors : array
+        Half the 68 % interval, kPa.
+    of_change : callable
+        Pressure if ln r differed by an amount.
+    scatter : array
+        Standard deviation of ln r by each cell's own errors.
+    """
+    with np.errstate(invalid="ignore"):
+        own = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
+        common = np.sqrt(np.maximum(errors**2 - own**2, 0.0))
+    return own, np.where(np.isinf(errors), np.inf, common)
+
+
 def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
     """Return √Σ (alternative − expected)², of any shape."""
     return np.asarray(
@@ -357,7 +384,7 @@ def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
 def response_sd(scene: Scene, answer: Array) -> Array:
     """Return the relative standard deviation of ln(r/r0) at a pressure.
 
-    It is that by the cells' scatter and the curve.
+    The scatter of the cells and the uncertain curve cause it.
 
     Parameters
     ----------

@@ -63,13 +63,13 @@ class TareWatch:
     frames: tuple[tuple[Array, float], ...] = ()
 
     def after(
-        self, left: Array, memory: Array, time: float
+        self, change: Array, memory: Array, time: float
     ) -> tuple["TareWatch", Array | None, str]:
         """Return the state after a frame, the new zero or None, and the reason or ''.
 
         Parameters
         ----------
-        left : array, shape (rows, columns)
+        change : array, shape (rows, columns)
             ln r/r_zero without the film's memory.
         memory : array, shape (rows, columns)
             The film's memory in ln r.
@@ -78,9 +78,9 @@ class TareWatch:
         """
         zeroed = time if self.zeroed is None else self.zeroed
         count = self.tare.frames
-        if not np.isfinite(left).any():
+        if not np.isfinite(change).any():
             return TareWatch(self.tare, zeroed), None, ""
-        watch = TareWatch(self.tare, zeroed, (*self.frames, (left, time))[-count:])
+        watch = TareWatch(self.tare, zeroed, (*self.frames, (change, time))[-count:])
         mean = watch._zero(memory, (time - zeroed) / 60) if len(watch.frames) == count else None
         if mean is None:
             return watch, None, ""
@@ -98,24 +98,24 @@ class TareWatch:
         None where it must not or need not be a new zero. It must not where a frame shows a load,
         and need not where the mean is within its noise.
         """
-        frames = np.stack([left for left, _ in self.frames])
-        known = np.isfinite(frames).all(axis=0)
-        noise = sigma_of_frames(frames[:, known])
+        frames = np.stack([change for change, _ in self.frames])
+        finite = np.isfinite(frames).all(axis=0)
+        noise = sigma_of_frames(frames[:, finite])
         half = len(frames) // 2
         drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
-        moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
+        moved = np.hypot(drift, ERRORS.cell_memory * memory[finite])
         # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square
         # near 1 in every frame
-        departure = frames[:, known] / np.hypot(noise, moved)
+        departure = frames[:, finite] / np.hypot(noise, moved)
         mean = frames[:half].mean(axis=0)
         quiet = (
             np.abs(departure).max() < OUTLIER_THRESHOLD
             and (departure**2).mean(axis=1).max() < MAX_MEAN_SQUARE
         )
-        worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
-        if not (quiet and worth) or _stands_out(frames.mean(axis=0)):
+        significant = np.mean(mean[finite] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
+        if not (quiet and significant) or _stands_out(frames.mean(axis=0)):
             return None
-        return np.where(known, mean, np.nan)
+        return np.where(finite, mean, np.nan)
 
 
 def sigma_of_frames(frames: Array) -> Array:

@@ -96,22 +96,19 @@ def garbled_lines(recording: Recording) -> tuple[GarbledLines, ...]:
     scale = _noise(recording, values)
     if not scale > 0:
         return ()
+    threshold = np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
     with np.errstate(invalid="ignore"):
-        far = np.abs(values - expected) > np.fmax(
-            OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread
-        )
-    found = list[GarbledLines]()
-    rows = Along(values, expected, far, scale)
+        deviates = np.abs(values - expected) > threshold
+    suspicious: list[int] = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
+    rows = Along(values, expected, deviates, scale)
+    garbled = dict[int, GarbledLines]()
     for name, along in (("row", rows), ("column", rows.transposed)):
-        for frame in np.flatnonzero(far.any(axis=(1, 2))).tolist():
+        for frame in suspicious:
             lines = along.garbled(frame)
-            if len(lines) and not any(other.frame == frame for other in found):
-                found.append(
-                    GarbledLines(
-                        frame, name, tuple(lines.tolist()), len(lines) == along.values.shape[1]
-                    )
-                )
-    return tuple(sorted(found, key=attrgetter("frame")))
+            if len(lines) and frame not in garbled:
+                whole = len(lines) == along.values.shape[1]
+                garbled[frame] = GarbledLines(frame, name, tuple(lines.tolist()), whole)
+    return tuple(sorted(garbled.values(), key=attrgetter("frame")))
 
 
 def readings_of(garbled: Sequence[GarbledLines], recording: Recording) -> NDArray[np.bool_]:
@@ -177,23 +174,22 @@ class Along:
     ----------
     values, expected : array, shape (frames, lines, cells)
         Voltages at the converter, and those that the neighbouring frames predict.
-    far : boolean array, same shape
-        Readings that deviate from the neighbouring frames.
+    deviates : boolean array, same shape
+        Whether a reading deviates from the neighbouring frames.
     scale : float
         Standard deviation of the noise, volt.
     """
 
     values: Array
     expected: Array
-    far: NDArray[np.bool_]
-
+    deviates: NDArray[np.bool_]
     scale: float
 
     @property
     def transposed(self) -> "Along":
         """The lines of the other side."""
         values, expected = (part.swapaxes(1, 2) for part in (self.values, self.expected))
-        return Along(values, expected, self.far.swapaxes(1, 2), self.scale)
+        return Along(values, expected, self.deviates.swapaxes(1, 2), self.scale)
 
     @cached_property
     def roughness(self) -> Array:
@@ -213,27 +209,26 @@ class Along:
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
         """Whether a line has a single value, beyond those of all other frames, (frames, lines)."""
-        known = np.isfinite(self.values)
-        largest = np.max(self.values, axis=2, initial=-np.inf, where=known)
-        smallest = np.min(self.values, axis=2, initial=np.inf, where=known)
+        finite = np.isfinite(self.values)
+        largest = np.max(self.values, axis=2, initial=-np.inf, where=finite)
+        smallest = np.min(self.values, axis=2, initial=np.inf, where=finite)
         above = smallest > largest_of_others(largest.max(axis=1))[:, None]
         below = largest < -largest_of_others(-smallest.min(axis=1))[:, None]
-        return np.asarray((above | below) & known.any(axis=2) & (largest < smallest + self.scale))
+        return np.asarray((above | below) & finite.any(axis=2) & (largest < smallest + self.scale))
 
     def garbled(self, frame: int) -> NDArray[np.intp]:
         """Return the garbled lines of a frame."""
-        shares = self.far[frame].mean(axis=1)
+        shares = self.deviates[frame].mean(axis=1)
         least = self._least_rough[frame]
         roughness = self.roughness[frame]
         clear = (shares > MIN_SHARE) & ((roughness > CLEARLY * least) | self._lost[frame])
         # Lines that deviate as a whole while the others do not.
         inside = shares > MIN_LINE_SHARE
-        apart = inside.any() and shares[inside].mean() >= MIN_SHARE
-        apart &= inside.all() or shares[~inside].mean() <= MAX_SHARE_BESIDE
-        if apart and (
-            float(np.median(roughness[inside])) > least or self._is_displaced(frame, inside)
-        ):
-            return np.flatnonzero(inside)
+        if inside.any() and shares[inside].mean() >= MIN_SHARE:
+            apart = inside.all() or shares[~inside].mean() <= MAX_SHARE_BESIDE
+            rough = float(np.median(roughness[inside])) > least
+            if apart and (rough or self._is_displaced(frame, inside)):
+                return np.flatnonzero(inside)
         return np.flatnonzero(clear)
 
     def _is_displaced(self, frame: int, lines: NDArray[np.bool_]) -> bool:
@@ -250,24 +245,22 @@ class Along:
         deviation = middle(np.abs(current - whole[lines]))
         if MIN_IMPROVEMENT * middle(np.abs(following - previous)) > deviation:
             return False
-        for steps, order in product(
-            (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1)), ORDERS
-        ):
-            displaced = np.roll(whole.ravel(order=order), steps).reshape(whole.shape, order=order)
-            missed = np.abs(current - displaced[lines])
-            known = np.isfinite(missed)
-            explained = np.sum(missed[known] < UNUSUAL * self.scale) / max(int(known.sum()), 1)
-            film = (
-                np.roll(first.ravel(order=order), steps).reshape(first.shape, order=order) - first
-            )
+        displacements = (*range(-MAX_DISPLACEMENT, 0), *range(1, MAX_DISPLACEMENT + 1))
+        for steps, order in product(displacements, ORDERS):
+            missed = np.abs(current - displaced(whole, steps, order)[lines])
+            finite = np.isfinite(missed)
+            explained = np.sum(missed[finite] < UNUSUAL * self.scale) / max(int(finite.sum()), 1)
+            film = displaced(first, steps, order) - first
             structured = middle(np.abs(film)) > OUTLIER_THRESHOLD * self.scale
-            if (
-                structured
-                and explained > MIN_EXPLAINED
-                and MIN_IMPROVEMENT * middle(missed) < deviation
-            ):
+            improved = MIN_IMPROVEMENT * middle(missed) < deviation
+            if structured and explained > MIN_EXPLAINED and improved:
                 return True
         return False
+
+
+def displaced(frame: Array, steps: int, order: Literal["C", "F"]) -> Array:
+    """Return a frame (rows, columns) whose readings are displaced by steps along the scan."""
+    return np.roll(frame.ravel(order=order), steps).reshape(frame.shape, order=order)
 
 
 def largest_of_others(values: Array) -> Array:

@@ -178,8 +178,8 @@ class Readings:
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
-        stood = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
-        return cls(stood, None if noise is None else _filled(noise, seen), side, seen)
+        value = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
+        return cls(value, None if noise is None else _filled(noise, seen), side, seen)
 
     @classmethod
     def _of_modules(
@@ -302,19 +302,19 @@ class Readings:
         value = self.plain
         bound = self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
-        among = bound.sum(axis=0) > value.sum(axis=0)
+        is_bound = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:
             near = bound & (np.abs(self.value - of_values) <= NOISE_REACH * self.sigma)
-            among |= near.any(axis=0)
+            is_bound |= near.any(axis=0)
         of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
-        side = np.where(among, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
-        seen = np.where((value | bound).any(axis=0) & ~(among & (side == VALUE)), 1.0, 0.0)
-        mean = _standing_in(np.where(among, of_all, of_values), side, seen)
+        side = np.where(is_bound, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
+        undecided = is_bound & (side == VALUE)
+        seen = np.where((value | bound).any(axis=0) & ~undecided, 1.0, 0.0)
+        mean = _standing_in(np.where(is_bound, of_all, of_values), side, seen)
         if deviation is None or deviation_of_all is None:
             return Readings(mean, None, side, seen)
-        return Readings(
-            mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen
-        )
+        sigma = np.where(is_bound, deviation_of_all, deviation)
+        return Readings(mean, _filled(sigma, seen), side, seen)
 
     def alone(self) -> "Readings":
         """Return one frame (rows, columns) as (1, rows, columns)."""
@@ -328,9 +328,9 @@ def mean_change(value: Array, resting: Array) -> Array:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
-    known = np.isfinite(change)
-    total = np.where(known, change, 0.0).sum(axis=(-2, -1))
-    return np.asarray(total / np.maximum(known.sum(axis=(-2, -1)), 1))
+    finite = np.isfinite(change)
+    total = np.where(finite, change, 0.0).sum(axis=(-2, -1))
+    return np.asarray(total / np.maximum(finite.sum(axis=(-2, -1)), 1))
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
@@ -358,9 +358,11 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str =
         return
     if sigma.shape not in (recorded.shape, shape):
         raise InputError(f"{where}sigma has another shape than the readings")
-    if np.any(out := beyond_any_panel(sigma)):
+    impossible = beyond_any_panel(sigma)
+    if np.any(impossible):
         raise InputError(
-            f"{where}sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has"
+            f"{where}sigma holds {sigma[impossible][0]:.6g} {scene.circuit.unit}, which no "
+            "electronics has"
         )
     if np.any(sigma <= 0):
         index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
@@ -393,11 +395,11 @@ def _without_channel_before(
         raise InputError(
             "converter_memory needs a readout in the scene, of whose voltages it is a fraction"
         )
-    known = (
+    noise = (
         scene.readout.sigma(recorded) if sigma is None else np.broadcast_to(sigma, recorded.shape)
     )
-    freed, sigma = without_memory(scene.readout, memory, recorded, known)
-    within, beyond = _within_rails(scene, freed)
+    corrected, sigma = without_memory(scene.readout, memory, recorded, noise)
+    within, beyond = _within_rails(scene, corrected)
     return within, np.where(side == VALUE, beyond, side), sigma
 
 
@@ -431,11 +433,11 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
     The number is the largest or smallest value of the frame. `seen` is 0 for all readings of a
     frame without any finite number.
     """
-    known = (seen > 0) & np.isfinite(network) & (network > 0)
-    largest = np.max(network, axis=(-2, -1), keepdims=True, initial=0.0, where=known)
-    smallest = np.min(network, axis=(-2, -1), keepdims=True, initial=np.inf, where=known)
-    network = np.where(known, network, np.where(network > 0, largest, smallest))
-    return network, np.where(known.any(axis=(-2, -1), keepdims=True), seen, 0.0)
+    is_number = (seen > 0) & np.isfinite(network) & (network > 0)
+    largest = np.max(network, axis=(-2, -1), keepdims=True, initial=0.0, where=is_number)
+    smallest = np.min(network, axis=(-2, -1), keepdims=True, initial=np.inf, where=is_number)
+    network = np.where(is_number, network, np.where(network > 0, largest, smallest))
+    return network, np.where(is_number.any(axis=(-2, -1), keepdims=True), seen, 0.0)
 
 
 def _averaged(
@@ -481,7 +483,7 @@ def _filled(values: Array, seen: Array) -> Array:
 def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     """Return groups of rows with equal readings in all frames (frames, rows, columns).
 
-    None if the noise is unknown: there are no groups then. Two rows that touch are one node: their
+    There are no groups if the noise is unknown. Two rows that touch are one node: their
     readings are equal in every column of every frame, and differ from those of other rows in every
     frame. Rows of a uniform panel that no load reaches differ from the others only under loads, and
     not in the frame in which the rows are most alike.

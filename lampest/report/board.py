@@ -26,12 +26,10 @@ def board_sentence(recording: Recording) -> str:
         f"the board estimated {int(np.sum(estimated))} of {int(np.sum(measured))} measured frames"
     )
     unloaded = recording.role == UNLOADED
-    if not np.any(unloaded) or not np.any(estimated):
-        return (
-            f"{count}; they are compared where unloaded frames precede them"
-            if np.any(estimated)
-            else count
-        )
+    if not np.any(estimated):
+        return count
+    if not np.any(unloaded):
+        return f"{count}; they are compared where unloaded frames precede them"
     try:
         return f"{count}; {_difference(recording, unloaded, np.flatnonzero(estimated))}"
     except InputError as error:
@@ -51,8 +49,8 @@ def _difference(
     chosen = estimated[places]
     part = joined((recording,), np.union1d(np.flatnonzero(unloaded), chosen))
     assert recording.board_log_change is not None
-    found = Reconstruction.of(part, Estimator(default_terms(part), "reduced"))
-    return difference_sentence(found.result(), recording.board_log_change[chosen], chosen)
+    estimate = Reconstruction.of(part, Estimator(default_terms(part), "reduced"))
+    return difference_sentence(estimate.result(), recording.board_log_change[chosen], chosen)
 
 
 def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArray[np.intp]) -> str:
@@ -74,16 +72,16 @@ def difference_sentence(case: CaseResult, board_log_change: Array, frames: NDArr
     size = difference
     if case.sigma_own is not None:
         size = difference / np.where(case.sigma_own > 0, case.sigma_own, np.nan)
-    known = np.isfinite(size)
-    if not np.any(known):
+    compared = np.isfinite(size)
+    if not np.any(compared):
         return "no cell has both estimates"
-    worst = np.unravel_index(np.nanargmax(np.where(known, size, np.nan)), size.shape)
+    worst = np.unravel_index(np.nanargmax(np.where(compared, size, np.nan)), size.shape)
 
     def amount(share: float, log_difference: float) -> str:
         percent = f"{digits(100 * float(np.expm1(log_difference)), 2)} %"
         return percent if case.sigma_own is None else f"{digits(share, 2)} σ ({percent})"
 
-    median = amount(float(np.median(size[known])), float(np.median(difference[known])))
+    median = amount(float(np.median(size[compared])), float(np.median(difference[compared])))
     largest = amount(float(size[worst]), float(difference[worst]))
     unit = "" if case.sigma_own is None else "; σ is a cell's own error"
     count = f"{len(case.frame)} frame{'' if len(case.frame) == 1 else 's'}"

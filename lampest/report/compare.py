@@ -297,18 +297,17 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
         for row in rows
         if row["chosen weights"]
     )
-    notes = (
-        f"warning: {row['recording']}: {line}"
-        for row in rows
-        for line in row["warnings"].split("\n")
-        if line
-    )
+    notes = list[str]()
+    for row in rows:
+        lines = filter(None, row["warnings"].split("\n"))
+        notes += [f"warning: {row['recording']}: {line}" for line in lines]
     return list(dict.fromkeys((*chosen, *notes)))
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:
     """Return rows of values as CSV; see `write_rows`."""
-    write_rows(stream := io.StringIO(), rows)
+    stream = io.StringIO()
+    write_rows(stream, rows)
     return stream.getvalue()
 
 
@@ -333,13 +332,13 @@ def table_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     keys = swept_keys(rows)
     lines = list[dict[str, Any]]()
     for row in rows:
-        swept = {key: row["swept"].get(key) for key in keys}
-        parts = (
-            swept if header == "swept" else {header: row[header]}
-            for header in row
-            if header not in ASIDE
-        )
-        lines.append({header: figure for part in parts for header, figure in part.items()})
+        line: dict[str, Any] = {}
+        for header in row:
+            if header == "swept":
+                line |= {key: row["swept"].get(key) for key in keys}
+            elif header not in ASIDE:
+                line[header] = row[header]
+        lines.append(line)
     return lines
 
 

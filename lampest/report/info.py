@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_re
 
 MAX_ROWS = 48  # of a map
 MAX_NAMED = 4  # datasets in a sentence
+MAX_LISTED = 4  # numbers of an entry; of more the range is given
 FALLS = " ░▒▓█"
 RISES = " .+*#"
 UNKNOWN = "?"
@@ -179,13 +181,12 @@ def apply_advice(path: str | Path) -> list[str]:
         raise InputError(
             f"{path}: --apply: too long for memory; write the lines into its scene before import"
         )
-    scene, taken, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
-    if taken:
+    scene, written, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
+    if written:
         replace(recording, scene=scene).save(path)
-    done = [f"written to the scene of {path}: {line}" for line in taken]
-    return [*done, *(f"not written: {sentence}" for sentence in refused)] or [
-        f"{path}: no advice has a line to write"
-    ]
+    lines = [f"written to the scene of {path}: {line}" for line in written]
+    lines += [f"not written: {sentence}" for sentence in refused]
+    return lines or [f"{path}: no advice has a line to write"]
 
 
 def _processing(recording: Recording) -> str:
@@ -208,7 +209,8 @@ def _scene(scene: Scene) -> Iterator[Sentence]:
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
         cells = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
-    if (modules := panel.modules) is not None:
+    modules = panel.modules
+    if modules is not None:
         each = f"{modules.each.rows} × {modules.each.columns}"
         seam = f"seams of {modules.seam_mm:g} mm"
         cells = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
@@ -234,13 +236,13 @@ def _in_words(part: Any) -> str:
     semicolons.
     """
     if isinstance(part, dict):
-        return ", ".join(
-            f"{key} {words}" for key, value in part.items() if (words := _in_words(value))
-        )
+        entries = ((key, _in_words(value)) for key, value in part.items())
+        return ", ".join(f"{key} {words}" for key, words in entries if words)
     if isinstance(part, list) and any(isinstance(item, dict) for item in part):
         return "; ".join(map(_in_words, part))
-    if isinstance(part, list) and (numbers := [*_numbers(part)]):
-        return f"{min(numbers):.3g} to {max(numbers):.3g}" if len(numbers) > 4 else str(part)
+    numbers = list(_numbers(part)) if isinstance(part, list) else []
+    if len(numbers) > MAX_LISTED:
+        return f"{min(numbers):.3g} to {max(numbers):.3g}"
     return f"{part:g}" if isinstance(part, float) else str(part or "")
 
 
@@ -253,58 +255,69 @@ def _numbers(values: list[Any]) -> Iterator[float]:
 
 
 def _results_lines(results: Results) -> list[str]:
+    """Return the recordings, the cases, and the cells of the first case in words."""
     lines = []
     for recording in results.recordings():
         cases = results.of(recording)
-        first = cases[0]
-        frames, rows, columns = first.measured.shape
-        truth = "not in" if first.truth is None else "in"
-        taken_off = ", series resistance taken off" if first.scene.circuit.unit == "ohm" else ""
-        values = spanned(as_recorded(first.measured, first.scene), first.scene.circuit.unit)
-        lines.append(
-            f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} "
-            "s, "
-            f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth "
-            f"{truth} the file"
-        )
-        missing = (
-            np.isnan(first.measured) & first.scene.requested
-        )  # results of older versions do not say what are bounds
-        bounds = (
-            np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
-        )
-        shown = first.model_mark and first.model_sentence not in first.warnings
-        lines += _lines(
-            [
-                ("readings", f"{values} ({first.scene.circuit.signal_name}{taken_off})"),
-                ("", holes_sentence(missing, bounds)),
-                ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
-                *(("warning", line) for line in first.warnings.split("\n")),
-                *(("estimated", line) for line in estimated_lines(first.scene.estimated)),
-                *(("advice", line) for line in first.advice.split("\n")),
-                ("film", first.film_sentence),
-                ("noise", first.noise_learned),
-            ]
-        )
+        lines += _measurement_lines(cases[0])
         width = max(len(case.estimator) for case in cases)
         for case in cases:
-            solved = f"solved {int(np.sum(case.solved))}/{frames}{_starts(case)}"
-            cells = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
-            lines.append(f"  {case.estimator:{width}}  {solved}  {cells}")
-            if case.error_words:
-                lines.append(f"  {'':{width}}  {case.error_words} (medians)")
+            lines += _case_lines(case, width)
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        against = (
-            "the first measured frame" if UNREFERENCED in case.warnings else "the unloaded panel"
-        )
+        against = "the unloaded panel"
+        if UNREFERENCED in case.warnings:
+            against = "the first measured frame"
         lines.append(
             f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:"
         )
         lines += shaded_map(case.relative_change[place])
+    return lines
+
+
+def _measurement_lines(case: CaseResult) -> list[str]:
+    """Return what all cases of a recording share in words."""
+    scene = case.scene
+    frames, rows, columns = case.measured.shape
+    truth = "not in" if case.truth is None else "in"
+    taken_off = ", series resistance taken off" if scene.circuit.unit == "ohm" else ""
+    values = spanned(as_recorded(case.measured, scene), scene.circuit.unit)
+    headline = (
+        f"recording {case.recording}: {frames} frames, {case.time.min():g} to "
+        f"{case.time.max():g} s, {rows} rows × {columns} columns, pitch "
+        f"{scene.panel.pitch_mm:g} mm, truth {truth} the file"
+    )
+    missing = np.isnan(case.measured) & scene.requested
+    # results of older versions do not say what are bounds
+    bounds = np.zeros(missing.shape, dtype=bool)
+    if case.reading_side is not None:
+        bounds = case.reading_side != 0
+    model = ""
+    if case.model_mark and case.model_sentence not in case.warnings:
+        model = f"{case.model_mark}: {case.model_sentence}"
+    sentences = [
+        ("readings", f"{values} ({scene.circuit.signal_name}{taken_off})"),
+        ("", holes_sentence(missing, bounds)),
+        ("model", model),
+        *(("warning", line) for line in case.warnings.split("\n")),
+        *(("estimated", line) for line in estimated_lines(scene.estimated)),
+        *(("advice", line) for line in case.advice.split("\n")),
+        ("film", case.film_sentence),
+        ("noise", case.noise_learned),
+    ]
+    return [headline, *_lines(sentences)]
+
+
+def _case_lines(case: CaseResult, width: int) -> list[str]:
+    """Return a case in words; its name has the given width."""
+    solved = f"solved {int(np.sum(case.solved))}/{len(case.measured)}{_starts(case)}"
+    cells = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
+    lines = [f"  {case.estimator:{width}}  {solved}  {cells}"]
+    if case.error_words:
+        lines.append(f"  {'':{width}}  {case.error_words} (medians)")
     return lines
 
 
@@ -357,11 +370,18 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
     ]
     parts[0] = parts[0].replace(" ", " reading " if counts[0][0] == 1 else " readings ", 1)
     frames = int(np.sum((missing | bounds).any(axis=(1, 2))))
-    empty = (("row", missing.all(axis=(0, 2))), ("column", missing.all(axis=(0, 1))))
-    lines = [f"{name} {number}" for name, blank in empty for number in np.flatnonzero(blank)]
+    return f"{', '.join(parts)}, in {frames} of {len(missing)} frames{_empty_lines(missing)}"
+
+
+def _empty_lines(missing: NDArray[np.bool_]) -> str:
+    """Return which lines have no reading at all, behind a semicolon; '' without any."""
+    rows = np.flatnonzero(missing.all(axis=(0, 2)))
+    columns = np.flatnonzero(missing.all(axis=(0, 1)))
+    lines = [*(f"row {number}" for number in rows), *(f"column {number}" for number in columns)]
+    if not lines:
+        return ""
     named = " and ".join(lines) if len(lines) < 3 else first_and_more(lines)
-    none = f"; {named} {'has' if len(lines) == 1 else 'have'} none" if lines else ""
-    return f"{', '.join(parts)}, in {frames} of {len(missing)} frames{none}"
+    return f"; {named} {'has' if len(lines) == 1 else 'have'} none"
 
 
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
@@ -407,9 +427,8 @@ def text_map(values: Array) -> list[str]:
     ]
     lines = [[*map(str, range(values.shape[1]))], *texts]
     labels = ["column", *(f"row {row}" for row in range(len(texts)))]
-    drawn, remark = _fitted(
-        labels, lines, max(len(text) for line in lines for text in line) + 2, values.shape
-    )
+    width = 2 + max(len(text) for text in chain.from_iterable(lines))
+    drawn, remark = _fitted(labels, lines, width, values.shape)
     return drawn + remark
 
 
@@ -422,9 +441,9 @@ def shaded_map(change: Array) -> list[str]:
     signs = np.where(np.isfinite(change), " ", UNKNOWN)
     keys = []
     for name, shades, part in (("falls by", FALLS, -change), ("rises by", RISES, change)):
-        known = np.where(np.isfinite(part), part, 0.0)
-        end = max(float(np.max(known)), 1.0)  # changes from noise alone stay white
-        steps = np.clip(np.rint(4 * known / end), 0, 4).astype(int)
+        finite = np.where(np.isfinite(part), part, 0.0)
+        end = max(float(np.max(finite)), 1.0)  # changes from noise alone stay white
+        steps = np.clip(np.rint(4 * finite / end), 0, 4).astype(int)
         signs = np.where(steps > 0, np.array(list(shades))[steps], signs)
         if np.any(steps > 0):
             parts = (f"{sign} {end * step / 4:.3g} %" for step, sign in enumerate(shades) if step)
@@ -438,7 +457,7 @@ def shaded_map(change: Array) -> list[str]:
 
 
 def _room() -> int:
-    # Where no terminal says how many signs it has.
+    """Return the number of signs in a line of the terminal; 100 where none says it."""
     return max(shutil.get_terminal_size((100, 24)).columns, 20)
 
 
@@ -451,11 +470,11 @@ def _fitted(
 
     shape : of the whole map.
     """
-    left = max(map(len, labels))
+    label_width = max(map(len, labels))
     rows = min(shape[0], MAX_ROWS)
-    columns = min(shape[1], max(1, (_room() - left) // width))
+    columns = min(shape[1], max(1, (_room() - label_width) // width))
     drawn = [
-        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:columns])
+        f"{label:>{label_width}}" + "".join(f"{text:>{width}}" for text in line[:columns])
         for label, line in zip(labels, lines, strict=True)
     ]
     remark = f"(the first {rows} of {shape[0]} rows and {columns} of {shape[1]} columns)"

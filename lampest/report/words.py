@@ -17,11 +17,9 @@ def no_formula(value: object) -> object:
 
     This concerns texts that spreadsheets would evaluate as formulas.
     """
-    return (
-        f"'{value}"
-        if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
-        else value
-    )
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return f"'{value}"
+    return value
 
 
 def digits(value: float, count: int = 3, like: float | None = None) -> str:
@@ -31,8 +29,10 @@ def digits(value: float, count: int = 3, like: float | None = None) -> str:
 
     like : a number that gets `count` digits; the value then has the same decimals.
     """
-    if not np.isfinite(value):
-        return "not a number" if np.isnan(value) else ("−∞" if value < 0 else "∞")
+    if np.isnan(value):
+        return "not a number"
+    if np.isinf(value):
+        return "−∞" if value < 0 else "∞"
     size = abs(value if like is None else like)
     if size and not 1e-4 <= size < 1e6:
         mantissa, exponent = f"{value:.{count - 1}e}".split("e")
@@ -53,14 +53,14 @@ def median_text(values: Array, text: Callable[[float], str] = digits) -> str:
 
     '' where none is known.
     """
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return ""
-    least, middle, largest = map(text, np.percentile(known, [0, 50, 100]).tolist())
+    least, middle, largest = map(text, np.percentile(finite, [0, 50, 100]).tolist())
     return middle if least == largest else f"{middle} ({least} to {largest})"
 
 
 def spanned(values: Array, unit: str) -> str:
     """Return the smallest and the largest known value in words, such as '219.5 to 672.9 ohm'."""
-    known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "unknown"
+    finite = values[np.isfinite(values)]
+    return f"{finite.min():.4g} to {finite.max():.4g} {unit}" if finite.size else "unknown"

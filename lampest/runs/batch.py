@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -41,7 +41,13 @@ from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
-from lampest.runs.results import join_case, read_results, stored_cases, write_results
+from lampest.runs.results import (
+    PublishedFigures,
+    join_case,
+    read_results,
+    stored_cases,
+    write_results,
+)
 
 RESULTS = "results.h5"
 CASES = "cases"
@@ -208,7 +214,6 @@ def run_batch(
         finished = _results(tasks)
         waiting = [task for task in tasks if task.file not in finished]
         failed: list[tuple[str, str]] = []
-        aside: Path | None = None
         lost = ""
         try:
             with _counted(waiting, on_frames), closing(_outcomes(executor, waiting)) as outcomes:
@@ -221,34 +226,48 @@ def run_batch(
             lost = str(error)
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
-            known = finished | _results(
-                [task for task in tasks if task.file not in finished], unfinished=True
-            )
-            held = [known[task.file] for task in tasks if task.file in known]
+            cases = _with_unfinished(tasks, finished)
             _clear(folder, tasks, fresh=False)
-            if held:
-                aside = _put_aside(folder / RESULTS, held)
-                write_results(folder / RESULTS, held, run.published)
-        skipped = len(tasks) - len(waiting)
+            aside = _write_all(folder / RESULTS, cases, run.published)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
-        solved = len(waiting) - len(failed) - not_run
-        warnings, advice = (_different_lines(held, name) for name in ("warnings", "advice"))
-        estimated = about_recordings(
-            (case.recording, case.scene.estimated) for case in held if isinstance(case, CaseResult)
-        )
-        results = folder / RESULTS if held else None
         return Report(
-            results,
-            solved,
-            skipped,
-            tuple(failed),
-            aside,
-            not_run,
-            lost,
-            warnings,
-            advice,
-            estimated,
+            results=folder / RESULTS if cases else None,
+            done=len(waiting) - len(failed) - not_run,
+            skipped=len(tasks) - len(waiting),
+            failed=tuple(failed),
+            aside=aside,
+            not_run=not_run,
+            lost=lost,
+            warnings=_different_lines(cases, "warnings"),
+            advice=_different_lines(cases, "advice"),
+            estimated=about_recordings(
+                (case.recording, case.scene.estimated)
+                for case in cases
+                if isinstance(case, CaseResult)
+            ),
         )
+
+
+def _with_unfinished(
+    tasks: Sequence[Task], finished: Mapping[Path, CaseResult | StoredCase]
+) -> list[CaseResult | StoredCase]:
+    """Return the results of all cases in order, of unfinished ones those of the finished frames."""
+    unfinished = _results([task for task in tasks if task.file not in finished], unfinished=True)
+    results = {**finished, **unfinished}
+    return [results[task.file] for task in tasks if task.file in results]
+
+
+def _write_all(
+    path: Path,
+    cases: Sequence[CaseResult | StoredCase],
+    published: Mapping[str, PublishedFigures] | None,
+) -> Path | None:
+    """Write the results of all cases, if any; return the new name of a file of other cases."""
+    if not cases:
+        return None
+    aside = _put_aside(path, cases)
+    write_results(path, cases, published)
+    return aside
 
 
 def _failure(task: Task, error: BaseException) -> tuple[str, str]:
@@ -258,19 +277,14 @@ def _failure(task: Task, error: BaseException) -> tuple[str, str]:
 
 
 def _different_lines(
-    held: Sequence[CaseResult | StoredCase], name: Literal["warnings", "advice"]
+    cases: Sequence[CaseResult | StoredCase], name: Literal["warnings", "advice"]
 ) -> tuple[str, ...]:
-    """Return the different lines of results' warnings or advice.
-
-    They come with the names of their recordings.
-    """
-    lines = (
-        f"{case.recording}: {line}"
-        for case in held
-        if isinstance(case, CaseResult)
-        for line in getattr(case, name).split("\n")
-        if line
-    )
+    """Return the different lines of results' warnings or advice, behind their recordings' names."""
+    lines = list[str]()
+    for case in cases:
+        if isinstance(case, CaseResult):
+            text = getattr(case, name)
+            lines += [f"{case.recording}: {line}" for line in text.split("\n") if line]
     return tuple(dict.fromkeys(lines))
 
 
@@ -283,12 +297,12 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
     frames = sum(task.case.frames for task in tasks)
     ended = threading.Event()
 
-    def tell() -> None:
+    def report() -> None:
         on_frames(sum(task.frames_done for task in tasks), frames)
 
     def watch() -> None:
         while not ended.wait(EVERY_SECONDS):
-            tell()
+            report()
 
     thread = threading.Thread(target=watch, daemon=True)
     with suppress(RuntimeError):  # no further thread can be started: only the end is reported
@@ -299,7 +313,7 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
         ended.set()
         if thread.ident is not None:
             thread.join()
-        tell()
+        report()
 
 
 def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
@@ -308,7 +322,9 @@ def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
     The parts of cases that exceed the memory are solved first.
     """
     with ExitStack() as stack:
-        parts = [(task, number) for task in waiting for number in parts_to_solve(task)]
+        parts = list[tuple[Task, int]]()
+        for task in waiting:
+            parts += [(task, number) for number in parts_to_solve(task)]
         if parts:  # failures of parts show when their cases are joined
             deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
         yield from stack.enter_context(closing(executor.results(solve_case, waiting)))
@@ -348,9 +364,10 @@ def solve_part(part: tuple[Task, int]) -> None:
     recording = _recording(task.case.path, task.case.sha256)
     if isinstance(recording, StoredRecording):
         parts = _parts(task.case.estimator, recording)
-        list(
-            task.write_parts(parts.estimates(lambda at: None if at == number else CarriedOver({})))
-        )
+        # The other parts count as solved.
+        solved = parts.estimates(lambda at: None if at == number else CarriedOver({}))
+        for _ in task.write_parts(solved):
+            pass
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:
@@ -509,7 +526,12 @@ def _results(
     for task in tasks:
         file = task.unfinished if unfinished else task.file
         with suppress(InputError, ValueError):
-            if file.is_file():
-                [held] = stored_cases(file) if task.case.stored else read_results(file).cases
-                results |= {task.file: held} if held.case_id == task.case.case_id else {}
+            if not file.is_file():
+                continue
+            cases: Sequence[CaseResult | StoredCase] = (
+                stored_cases(file) if task.case.stored else read_results(file).cases
+            )
+            [case] = cases
+            if case.case_id == task.case.case_id:
+                results[task.file] = case
     return results

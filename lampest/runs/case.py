@@ -140,11 +140,11 @@ class CaseResult(Content):
         """Weights chosen by the data with the standard deviation of ln λ, as text."""
         messages = []
         for term, sigma in self.weight_sigma.items():
-            known = sigma[np.isfinite(sigma)]
+            chosen_sigma = sigma[np.isfinite(sigma)]
             weights = self.weights[term][np.isfinite(self.weights[term])]
-            if known.size and weights.size:
+            if chosen_sigma.size and weights.size:
                 messages.append(
-                    f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})"
+                    f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(chosen_sigma):.2g})"
                 )
         return ", ".join(messages)
 
@@ -183,11 +183,10 @@ class CaseResult(Content):
             or not np.isfinite(self.sigma_own).any()
         ):
             return ""
-        known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
+        determined = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
         words = "own {:.2g} {unit}, common {:.2g} {unit}"
-        individual, common = (
-            100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common)
-        )
+        individual = 100 * float(np.median(self.sigma_own[determined]))
+        common = 100 * float(np.median(self.sigma_common[determined]))
         message = f"standard deviation of cells: {words.format(individual, common, unit='%')}"
         parts = self.pressed_errors(self.solved)
         if parts is None or not parts[0].size:

@@ -169,11 +169,9 @@ class Column(Validated):
         values = getattr(estimates, self.name) if self.value is None else self.value(estimates)
         if values is None:
             return None
-        return (
-            tuple(np.asarray(values).tolist())
-            if self.dtype is str
-            else np.asarray(values, self.dtype)
-        )
+        if self.dtype is str:
+            return tuple(np.asarray(values).tolist())
+        return np.asarray(values, self.dtype)
 
     def read(self, file: Any, group: str, sizes: Mapping[str, int], part: slice = hdf5.ALL) -> Any:
         """Read the values in a group of a file.
@@ -194,13 +192,8 @@ class Column(Validated):
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
         if self.dtype is str:
             return hdf5.read_texts(file, path, shape[0], part)
-        integer = (
-            None
-            if np.dtype(self.dtype).kind == "f"
-            else np.uint8
-            if self.dtype is bool
-            else self.dtype
-        )
+        stored = np.uint8 if self.dtype is bool else self.dtype
+        integer = None if np.dtype(self.dtype).kind == "f" else stored
         return hdf5.read_array(file, path, len(shape), shape, part, integer).astype(self.dtype)
 
 

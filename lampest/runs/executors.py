@@ -157,7 +157,8 @@ def answered_first(workers: Collection[Worker]) -> list[Worker]:
     """
     while True:
         readable = wait([worker.pipe for worker in workers], LIVENESS_SECONDS)
-        if answered := [worker for worker in workers if worker.pipe in readable or worker.ready]:
+        answered = [worker for worker in workers if worker.pipe in readable or worker.ready]
+        if answered:
             return answered
 
 
@@ -196,7 +197,8 @@ def _answer(task: bytes) -> bytes:
             return pickle.dumps(function(argument))
     except Exception as error:
         with suppress(Exception):
-            pickle.loads(pickled := pickle.dumps(error))
+            pickled = pickle.dumps(error)
+            pickle.loads(pickled)  # some exceptions can be pickled, but not read again
             return pickled
         return pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
 

@@ -44,9 +44,9 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
         "case_id": case.case_id,
         "case_yaml": case.resolved,
     }
-    return _filled(
-        estimates, (), names | ({"swept_json": json.dumps(case.swept)} if case.swept else {})
-    )
+    if case.swept:
+        names["swept_json"] = json.dumps(case.swept)
+    return _filled(estimates, (), names)
 
 
 def named_result(
@@ -124,8 +124,9 @@ def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | No
         return None
     channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
     none = np.zeros((channels, 0))
-    held = {"gain": np.nan, "unloaded": np.nan, "together": none, "apart": none, **arrays}
-    gain, unloaded, *roots = parts = [np.asarray(held[name]) for name in NOISE]
+    complete = {"gain": np.nan, "unloaded": np.nan, "together": none, "apart": none, **arrays}
+    parts = [np.asarray(complete[name]) for name in NOISE]
+    gain, unloaded, *roots = parts
     if any(array.dtype.kind not in "iuf" or not np.isfinite(array).all() for array in parts):
         raise ValueError("frame_gain and what belongs to it must be finite numbers")
     if gain.shape or unloaded.shape or gain < 0 or unloaded < 1:

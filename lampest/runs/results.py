@@ -184,7 +184,7 @@ def write_results(
                     for part in (SHARED, case.estimator)[bool(number) :]:
                         join_parts((case.path,), group.create_group(part), f"/entry/{name}/{part}")
                 else:
-                    _write_case(group, case, table, with_given=not number)
+                    _write_case(group, case, table, with_measurement=not number)
                 hdf5.set_attributes(group[case.estimator], order=number)
 
 
@@ -207,13 +207,13 @@ def _begun(file: h5py.File, first: str) -> h5py.Group:
 
 def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> None:
     """Raise InputError unless all cases of a recording have the same measurement."""
-    seen: set[str] = set()
+    estimators: set[str] = set()
     for case in cases:
         first = cases[0]
         shared = [column.name for column in case.described(columns) if column.shared]
-        if case.estimator in seen:
+        if case.estimator in estimators:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
-        seen.add(case.estimator)
+        estimators.add(case.estimator)
         for name, ours, theirs in (
             *((name, case.column(name), first.column(name)) for name in shared),
             ("start_time", case.start_time, first.start_time),
@@ -231,21 +231,24 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
 
 
 def _write_case(
-    group: h5py.Group, case: CaseResult, table: Sequence[Column], *, with_given: bool
+    group: h5py.Group, case: CaseResult, table: Sequence[Column], *, with_measurement: bool
 ) -> None:
     """Write an estimate and, with the first case of a recording, the measurement."""
     series = series_of(case, table, raw=True).values()
-    if with_given:
-        given = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
+    if with_measurement:
+        measurement = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
         texts = {"scene": (scene_text(case.scene), "what was measured, YAML")}
         if case.start_time:
             texts["start_time"] = case.start_time, "date and time at 0 s of the time axis, ISO 8601"
         for name, (text, words) in texts.items():
-            hdf5.write_dataset(given, name, hdf5.ascii_array(text), "1", words)
-        _write_series(given, case, [column for column in series if column.shared])
+            hdf5.write_dataset(measurement, name, hdf5.ascii_array(text), "1", words)
+        _write_series(measurement, case, [column for column in series if column.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
-    held = {name: (getattr(case, item), default) for name, (item, default) in ATTRIBUTES.items()}
-    attributes = {name: value for name, (value, default) in held.items() if value != default}
+    attributes: dict[str, Any] = {}
+    for name, (item, default) in ATTRIBUTES.items():
+        value = getattr(case, item)
+        if value != default:
+            attributes[name] = value
     attributes |= {f"{library}_version": text for library, text in case.versions.items()}
     attributes |= {f"frame_{name}": noise for name, noise in case.frame_noise.items()}
     attributes["joint_start"] = np.uint8(case.joint_start)
@@ -314,12 +317,12 @@ def read_results(
         published = _read_published(file)
         names = _in_order(file, "/entry")
         parts = {name: hdf5.ALL if frames is None else _part(file, name, frames) for name in names}
-        read = {name: part for name, part in parts.items() if part is not None}
-        if names and not read:
+        if names and all(part is None for part in parts.values()):
             raise InputError(f"{path}: holds none of the frames that are asked for")
-        cases = [
-            case for name, part in read.items() for case in _read_recording(file, name, table, part)
-        ]
+        cases = list[CaseResult]()
+        for name, part in parts.items():
+            if part is not None:
+                cases += _read_recording(file, name, table, part)
         return Results(tuple(cases), published)
 
 
@@ -355,12 +358,9 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         if not isinstance(form, str) or form != FORMAT:
-            recording = isinstance(form, str) and form.startswith("recording/")
-            kind = (
-                "a recording, lampest run computes results of it"
-                if recording
-                else f"lampest_format is {form!r}"
-            )
+            kind = f"lampest_format is {form!r}"
+            if isinstance(form, str) and form.startswith("recording/"):
+                kind = "a recording, lampest run computes results of it"
             raise InputError(f"{file.filename}: no results file ({kind})")
         yield file
 
@@ -396,6 +396,7 @@ def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
 def _read_recording(
     file: h5py.File, name: str, table: Sequence[Column], part: slice
 ) -> list[CaseResult]:
+    """Return the cases of a recording. Raises InputError as `read_results`."""
     base = f"/entry/{name}/{SHARED}"
     scene: Scene = validated(
         parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene"),
@@ -407,37 +408,32 @@ def _read_recording(
     hdf5.read_array(file, path, len(MAPS), part=slice(0))
     shape = hdf5.shape_of(file, path)
     estimators = _estimators(file, name)
-    maps = sum(column.axes == MAPS and not column.shared for column in table)
-    if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
+    of_cases = [column for column in table if not column.shared]
+    maps = len(estimators) * sum(column.axes == MAPS for column in of_cases)
+    if maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
         raise InputError(
             f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, which are "
             "not read at once; "
             f"of its {shape[0]} frames --frames 0:1000 names some"
         )
     sizes = dict(zip(MAPS, shape, strict=True))
-
-    def held(group: str, columns: Iterable[Column]) -> dict[str, Any]:
-        """Return the values of columns that are required or in the file."""
-        return {
-            column.name: column.read(file, group, sizes, part)
-            for column in columns
-            if column.name in REQUIRED or hdf5.has(file, f"{group}/{column.path}")
-        }
-
-    start = (
-        hdf5.read_text(file, f"{base}/start_time") if hdf5.has(file, f"{base}/start_time") else ""
-    )
-    given = held(base, (column for column in table if column.shared))
-    known = {"recording": name, "scene": scene, "start_time": start}
+    start_path = f"{base}/start_time"
+    about = {
+        "recording": name,
+        "scene": scene,
+        "start_time": hdf5.read_text(file, start_path) if hdf5.has(file, start_path) else "",
+    }
+    shared = [column for column in table if column.shared]
+    measurements = _read_columns(file, base, shared, sizes, part)
     cases = []
     for estimator in estimators:
         group = f"/entry/{name}/{estimator}"
-        values = given | held(group, (column for column in table if not column.shared))
+        values = measurements | _read_columns(file, group, of_cases, sizes, part)
         figures = {
             kind.name: _read_figures(file, f"{group}/{kind.folder}", shape[:1], part)
             for kind in FIGURES
         }
-        attributes = known | _read_attributes(file, group) | figures
+        attributes = about | _read_attributes(file, group) | figures
         try:
             case = CaseResult.of(values, estimator=estimator, **attributes)
             case.check(table)
@@ -445,6 +441,21 @@ def _read_recording(
             raise InputError(f"{file.filename}: {error}") from error
         cases.append(case)
     return cases
+
+
+def _read_columns(
+    file: h5py.File,
+    group: str,
+    columns: Iterable[Column],
+    sizes: Mapping[str, int],
+    part: slice,
+) -> dict[str, Any]:
+    """Return the values of the columns that are required or in a group of the file."""
+    return {
+        column.name: column.read(file, group, sizes, part)
+        for column in columns
+        if column.name in REQUIRED or hdf5.has(file, f"{group}/{column.path}")
+    }
 
 
 def _read_figures(

@@ -1,6 +1,6 @@
 """Benchmark of solvers on simulated recordings; docs/studies/bench.py adds SciPy's solvers."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
@@ -14,12 +14,14 @@ from scipy.stats import linregress
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.sequence import first_stream
+from lampest.estimate.stream import Stream
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.loads.shapes import AnyShape, Rod
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
@@ -27,7 +29,15 @@ from lampest.report.compare import Columns, grouped
 from lampest.report.words import text_of
 from lampest.solvers.solution import Settings
 from lampest.studies import common, study
-from lampest.studies.common import MIN_GAP, TimedFrame, inverse_time, outcome, peak_memory, pushed
+from lampest.studies.common import (
+    MIN_GAP,
+    Pushed,
+    TimedFrame,
+    inverse_time,
+    outcome,
+    peak_memory,
+    pushed,
+)
 from lampest.studies.study import OnStep, column
 
 
@@ -186,12 +196,15 @@ class BenchPart(NamedTuple):
         similar = [
             frame for frame in done if frame.method == self.method and frame.solver in solvers
         ]
-        nearest = max(
-            (size for frame in similar if (size := sum(frame.shape)) <= lines), default=lines
-        )
+        smaller = [sum(frame.shape) for frame in similar if sum(frame.shape) <= lines]
+        nearest = max(smaller, default=lines)
         similar = [frame for frame in similar if sum(frame.shape) == nearest]
         recordings = len({(frame.shape, frame.recording) for frame in similar}) or 1
         return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
+
+
+PROCESS_START_S = 3.0  # that a fresh process takes to begin
+LONG_TURN_S = 1.0  # of all solvers, against which disturbances are small
 
 
 LeftOut = tuple[common.Shape, str, str]  # panel, method, and the part that was left out
@@ -229,15 +242,13 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
             missed.append((shape, method, name))
             continue
         part_frames = list(_frames(bench, simulated(shape, part.recording), part, end))
-        if (count := part_frames[-1].frame + 1) <= bench.frames:
+        count = part_frames[-1].frame + 1
+        if count <= bench.frames:
             missed.append((shape, method, f"{name} after {count} of {bench.frames + 1} frames"))
         with_memory = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
         for solver in bench.solvers(shape) if with_memory else ():
-            # A fresh process takes some 3 s to begin.
-            if (
-                3.0 + sum(frame.seconds for frame in part_frames if frame.solver == solver)
-                > end - perf_counter()
-            ):
+            solving_s = sum(frame.seconds for frame in part_frames if frame.solver == solver)
+            if PROCESS_START_S + solving_s > end - perf_counter():
                 missed.append((shape, method, f"memory of {solver}"))
                 continue
             peak = peak_memory(
@@ -270,23 +281,14 @@ def _frames(
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
         begin = perf_counter()
-        turns = []
-        for _ in range(bench.repeats if number else 1):
-            turns.append(
-                {
-                    name: pushed(method_stream, readings[frame])
-                    for name, method_stream in streams.items()
-                }
-            )
-            # Disturbances are small against 1 s.
-            if sum(turn.seconds for turn in turns[-1].values()) > 1.0:
-                break
-        reached = {name: turn.objective for name, turn in turns[0].items()}
-        best = min(reached, key=lambda name: reached[name])
+        turns = _turns(streams, readings[frame], bench.repeats if number else 1)
+        objectives = {name: turn.objective for name, turn in turns[0].items()}
+        best = min(objectives, key=objectives.__getitem__)
         # scale of the gap: φ_best + 1e-9 Σ R²
-        size = reached[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
+        size = objectives[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
         for name, turn in turns[0].items():
-            gap = (turn.objective - reached[best]) / size if turn.step.solution.solved else np.inf
+            solved = turn.step.solution.solved
+            gap = (turn.objective - objectives[best]) / size if solved else np.inf
             yield BenchFrame(
                 **outcome(recording, turn.step),
                 method=part.method,
@@ -306,6 +308,18 @@ def _frames(
         }
         if perf_counter() - begin > end - perf_counter():
             return
+
+
+def _turns(
+    streams: Mapping[str, Stream], readings: Readings, repeats: int
+) -> list[dict[str, Pushed]]:
+    """Solve a frame by all solvers, several times in turn; once where that takes long."""
+    turns = list[dict[str, Pushed]]()
+    for _ in range(repeats):
+        turns.append({name: pushed(stream, readings) for name, stream in streams.items()})
+        if sum(turn.seconds for turn in turns[-1].values()) > LONG_TURN_S:
+            break
+    return turns
 
 
 ALL = "all"  # methods together

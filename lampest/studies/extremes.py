@@ -1,34 +1,32 @@
-"""Atlas of extreme scenes.
+"""Atlas of extreme scenes: how each solve ended.
 
-They are panels at the limits of sensors, faults and files, and how each solve ended. Solves are
-verified by 50-digit arithmetic and a second test of optimality, which share no code with the
-solvers.
+Solves are verified by 50-digit arithmetic and a second test of optimality, which share no code with
+the solvers.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, product
 from math import nan
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.files.typed import Configuration, check_range
-from lampest.panel.faults import Faults
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
+from lampest.files.typed import Configuration
+from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import exact_two_point_resistance, two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
-from lampest.solvers.solution import VERIFIED, Settings
+from lampest.solvers.solution import VERIFIED, Settings, Solution
 from lampest.studies import study
 from lampest.studies.certified import (
     correct_digits,
@@ -38,232 +36,12 @@ from lampest.studies.certified import (
     fifty_digit_library,
     fifty_digits,
 )
-from lampest.studies.common import Shape, Sizes, StudyMethod, paper_methods, shapes_of
+from lampest.studies.common import StudyMethod, paper_methods
+from lampest.studies.extreme_scenes import CASES, GRID, AtlasSample, Grid, recording_of
 from lampest.studies.study import OnStep, column
 
-GRID = "log-uniform"
-OPEN = 1e9  # factor of a broken cell that the scene does not state; its inverse is that of a short
-USUAL_OHM = 3000.0  # resistance of a cell before a case changes it
-
-
-@dataclass(frozen=True)
-class AtlasSample:
-    """A scene of the atlas."""
-
-    case: str = column("1", "name of the scene")
-    rows: int = column("1", "row lines")
-    columns: int = column("1", "column lines")
-    decades: float = column("1", "decades between the least and the largest sound cell")
-    noise: float = column("1", "relative standard deviation of a reading")
-    seed: int = column("1", "seed of cells and noise")
-
-    @property
-    def shape(self) -> Shape:
-        """Rows and columns."""
-        return self.rows, self.columns
-
-    @property
-    def cell(self) -> Shape:
-        """Row and column of the cell, row or column that breaks."""
-        return self.rows // 2, self.columns // 3
-
-
-class Extreme(NamedTuple):
-    """Kind of scene.
-
-    Attributes
-    ----------
-    factor : callable
-        (row, column, sample, generator) → factors (rows, columns) of the usual cells.
-    single_fault : bool
-        Whether one cell or line is broken.
-    contrasted : bool
-        Whether it has the contrast of the sample.
-    shapes : tuple of Shape
-        Its panels, instead of those of the atlas.
-    stated : str
-        Key of the fault in the scene; '' for none.
-    readout, series_ohm
-        Entries of the scene.
-    still : bool
-        Whether both frames are equal, including noise.
-    weight : float or None
-        Weight of all penalties, instead of their own.
-    """
-
-    factor: Callable[[Any, Any, AtlasSample, np.random.Generator], Any] = (
-        lambda row, column, sample, rng: 1.0
-    )
-    single_fault: bool = False
-    contrasted: bool = False
-    shapes: tuple[Shape, ...] = ()
-    stated: str = ""
-    readout: TwoPointReadout | None = None
-    series_ohm: float = 0.0
-    still: bool = False
-    weight: float | None = None
-
-    def faults(self, cell: Shape) -> Faults | None:
-        """Return the faults that the scene states."""
-        places: dict[str, Any] = {
-            "dead_rows": cell[:1],
-            "dead_columns": cell[1:],
-            "open": (cell,),
-            "shorted": (cell,),
-        }
-        return Faults(**{self.stated: places[self.stated]}) if self.stated else None
-
-
-def recording_of(sample: AtlasSample) -> tuple[Recording, Array]:
-    """Return a recording of a scene, and its cells (2, rows, columns) ohm, unloaded and loaded.
-
-    Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is
-    a converter.
-    """
-    case = CASES[sample.case]
-    rng = np.random.default_rng([sample.seed, *sample.shape, 1])
-    # cells within a factor of 2 of each other; a fifth of them have half their resistance under
-    # load
-    usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
-    cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
-    if case.still:
-        cells[1] = cells[0]
-    row, column = np.indices(sample.shape)
-    cells *= case.factor(row, column, sample, rng)
-    rng = np.random.default_rng([sample.seed, *sample.shape, 2])
-    exact = two_point_resistance(cells)
-    readout = case.readout
-    noise = 1 + sample.noise * rng.standard_normal(exact.shape)
-    if case.still:
-        noise[1] = noise[0]
-    total = exact * np.maximum(noise, 0.01) + case.series_ohm
-    if case.series_ohm:
-        total = np.maximum(
-            total + sample.noise * case.series_ohm * rng.standard_normal(exact.shape), 1e-3
-        )
-    sigma: Array | None = max(sample.noise, 1e-9) * total
-    if readout is not None:
-        volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(
-            total.shape
-        )
-        codes = readout.code_from_volt(volt).astype(float)
-        total = readout.recorded_from_volt(readout.volt_from_code(codes))
-        sigma = None
-    usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number
-    sigma = None if sigma is None else np.where(usable, sigma, USUAL_OHM)
-    scene = Scene(Panel(*sample.shape), readout, case.series_ohm, case.faults(sample.cell))
-    about = (
-        np.where(usable, total, USUAL_OHM),
-        np.arange(2.0),
-        np.array([0, 1], dtype=np.uint8),
-        sigma,
-    )
-    return Recording(scene, *about, name=sample.case), cells
-
-
-def _broken(part: Literal["cell", "row", "column"], factor: float, stated: str = "") -> Extreme:
-    """Return a case with a cell, row or column times a factor.
-
-    The scene states it under a key.
-    """
-
-    def times(row: Array, column: Array, sample: AtlasSample, rng: np.random.Generator) -> Array:
-        in_row = row == sample.cell[0]
-        in_column = column == sample.cell[1]
-        return np.where(
-            {"cell": in_row & in_column, "row": in_row, "column": in_column}[part], factor, 1.0
-        )
-
-    return Extreme(times, single_fault=True, stated=stated)
-
-
-CASES: dict[str, Extreme] = {
-    GRID: Extreme(
-        lambda _, __, at, rng: 10 ** rng.uniform(-at.decades / 2, at.decades / 2, at.shape),
-        contrasted=True,
-    ),
-    # One block of good conductors beside three of bad ones.
-    "two clusters": Extreme(
-        lambda j, k, at, _: (
-            10 ** (at.decades * (((j < at.rows // 2) | (k < at.columns // 2)) - 0.5))
-        ),
-        contrasted=True,
-    ),
-    "checkerboard": Extreme(
-        lambda j, k, at, _: 10 ** (at.decades * ((j + k) % 2 - 0.5)), contrasted=True
-    ),
-    "open cell": _broken("cell", OPEN),
-    "open row": _broken("row", OPEN),
-    "open column": _broken("column", OPEN),
-    "shorted cell": _broken("cell", 1 / OPEN),
-    "shorted row": _broken("row", 1 / OPEN),
-    "open cell, known": _broken("cell", np.inf, "open"),
-    "dead row, known": _broken("row", np.inf, "dead_rows"),
-    "dead column, known": _broken("column", np.inf, "dead_columns"),
-    "shorted cell, known": _broken("cell", 0.0, "shorted"),
-    "1 mOhm to 1 GOhm": Extreme(
-        lambda j, _, at, rng: (
-            rng.permutation(np.logspace(-3, 9, j.size)).reshape(at.shape) / USUAL_OHM
-        )
-    ),
-    "1 x 1": Extreme(shapes=((1, 1),)),
-    "1 x N": Extreme(shapes=((1, 9),)),
-    "M x 1": Extreme(shapes=((9, 1),)),
-    "2 x 64": Extreme(shapes=((2, 64),)),
-    "identical frames": Extreme(still=True),
-    "weight 0": Extreme(weight=0.0),
-    "weight 1e-12": Extreme(weight=1e-12),
-    "weight 1e12": Extreme(weight=1e12),
-    # A row of readings beyond one end of the converter, and a cell beyond the other.
-    "codes at both rails": Extreme(
-        lambda j, k, at, _: np.where(j == at.cell[0], 1e6, 1.0) * np.where(j + k == 0, 1e-6, 1.0),
-        readout=TwoPointReadout(readings=1),
-    ),
-    # A cell of about 1 mΩ, which is negligible against the series resistance.
-    "at the series resistance": _broken("cell", 1e-3 / USUAL_OHM)._replace(series_ohm=140.0),
-    "all times 1e6": Extreme(lambda *_: 1e6),
-}
-
-
-@dataclass(frozen=True)
-class Grid(Configuration):
-    """Panels of random cells, log-uniform: every size with every number of decades, noise and seed.
-
-    Attributes
-    ----------
-    sizes
-        Sides of square panels, or [rows, columns].
-    decades
-        Decades between the least and the largest cell.
-    noise
-        Relative standard deviation of a reading in percent.
-    seeds
-        Number of panels of each kind.
-    """
-
-    sizes: Sizes
-    decades: tuple[float, ...] = (1, 2, 3, 4, 5, 6, 7, 8, 9)
-    noise: tuple[float, ...] = (0, 0.1, 1, 10)
-    seeds: int = 1
-
-    def __post_init__(self) -> None:
-        check_range("a panel's side", [side for shape in self.shapes for side in shape], 1, 64)
-        check_range("decades", self.decades, 0, 15)
-        check_range("noise", self.noise, 0, 100, " percent")
-        check_range("seeds", self.seeds, 0, 1000)
-
-    @property
-    def shapes(self) -> tuple[Shape, ...]:
-        """Shapes (rows, columns) of the panels."""
-        return shapes_of(self.sizes)
-
-    def samples(self, name: str) -> Iterator[AtlasSample]:
-        """Yield the samples of a case."""
-        case = CASES[name]
-        shapes = (case.shapes or self.shapes) if self.sizes else ()
-        decades = self.decades if case.contrasted else (0.0,)
-        for shape, decade, noise, seed in product(shapes, decades, self.noise, range(self.seeds)):
-            yield AtlasSample(name, *shape, decade, noise / 100, seed)
+# Of a panel of its own shape, below which the nodal formulation solves a case, too.
+MAX_SPECIAL_CELLS = 100
 
 
 @dataclass(frozen=True)
@@ -300,9 +78,8 @@ class AtlasFile(Configuration):
     def __post_init__(self) -> None:
         if not self.estimators:
             raise ValueError("estimators must hold at least one")
-        if not all(
-            term.loss.squared for method in self.estimators.values() for term in method.parts
-        ):
+        terms = chain.from_iterable(method.parts for method in self.estimators.values())
+        if not all(term.loss.squared for term in terms):
             raise ValueError("only squared losses can be tested by differences of the cost")
         if not self.samples:
             raise ValueError("grid and structured hold no scene")
@@ -318,12 +95,13 @@ class AtlasFile(Configuration):
     def formulations(self, sample: AtlasSample) -> tuple[Literal["reduced", "nodal"], ...]:
         """Return the formulations in which every method solves a scene."""
         part = self.nodal
-        small_special = bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
-        known = 100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0)
-        chosen = (
-            known and sample.seed < part.seeds and (small_special or sample.shape in part.shapes)
-        )
-        return ("reduced", "nodal") if chosen else ("reduced",)
+        is_small = sample.rows * sample.columns < MAX_SPECIAL_CELLS
+        has_shape = sample.shape in part.shapes or (bool(CASES[sample.case].shapes) and is_small)
+        has_noise = 100 * sample.noise in part.noise
+        has_decades = sample.decades in (*part.decades, 0.0)
+        if has_shape and has_noise and has_decades and sample.seed < part.seeds:
+            return ("reduced", "nodal")
+        return ("reduced",)
 
 
 CRASHED = "crashed: "
@@ -451,55 +229,71 @@ def judged(
     stream = first_stream(recording, readings, estimator)
     data, _ = stream.data_and_start(readings[1])
     joint = len(data.measured) == 2
-    parts = [
-        (
-            "pair" if joint else "frame",
-            truth[0 if joint else 1 :],
-            estimator,
-            data,
-            stream.push(readings[1])[1],
-        )
-    ]
+    _, step = stream.push(readings[1])
+    frame = SolvedPart(
+        "pair" if joint else "frame", truth if joint else truth[1:], estimator, data, step.solution
+    )
+    parts = [frame]
     if stream.baseline is not None:
         absolute = replace(estimator, terms=estimator.absolute_terms)
         blank = Stream(absolute, recording.scene, frame_period(recording), readings[0])
-        parts.insert(
-            0,
-            (
-                "baseline",
-                truth[:1],
-                absolute,
-                blank.data_and_start(blank.resting)[0],
-                stream.baseline,
-            ),
-        )
+        unloaded, _ = blank.data_and_start(blank.resting)
+        solution = stream.baseline.solution
+        parts.insert(0, SolvedPart("baseline", truth[:1], absolute, unloaded, solution))
     solves = []
-    for part, cells, fit, data, step in parts:
-        solution = step.solution
-        cost = fit.cost(recording.scene, len(data.measured), partial=data.partial)
-        about: dict[str, Any] = {
-            **vars(sample),
-            "method": name,
-            "formulation": fit.method.kind,
-            "part": part,
-        }
-        about |= study.named_values(solution, "solved", "iterations")
-        about |= {"status": solution.status.value, "residual": solution.kkt_residual}
+    for part in parts:
+        solution = part.solution
+        figures = study.named_values(solution, "solved", "iterations")
         if solution.solved:
-            estimate = solution.cell_resistance
-            costs = [
-                exact_cost(cost, data, point)
-                for point in (estimate, np.clip(cells, data.lower, data.upper))
-            ]
-            about["audited"] = (
-                exact_residual(cost, data, estimate) if estimate[0].size <= audit_cells else nan
+            figures |= _audit(part, recording.scene, audit_cells)
+        solves.append(
+            Solve(
+                **vars(sample),
+                method=name,
+                formulation=part.estimator.method.kind,
+                part=part.name,
+                status=solution.status.value,
+                residual=solution.kkt_residual,
+                **figures,
             )
-            about["excess"] = (costs[0] - costs[1]) / exact_scale(cost, data, estimate)
-            about["model_digits"] = correct_digits(
-                solution.reading, exact_two_point_resistance(estimate)
-            )
-        solves.append(Solve(**about))
+        )
     return solves
+
+
+class SolvedPart(NamedTuple):
+    """A solve of a scene, with what it is judged by.
+
+    Attributes
+    ----------
+    name : str
+        baseline, frame, or the pair of both.
+    truth : array, shape (frames, rows, columns)
+        Ohm.
+    estimator : Estimator
+    data : Data
+    solution : Solution
+    """
+
+    name: str
+    truth: Array
+    estimator: Estimator
+    data: Data
+    solution: Solution
+
+
+def _audit(part: SolvedPart, scene: Scene, audit_cells: int) -> dict[str, float]:
+    """Return the figures of a solved part by exact arithmetic, by their names in `Solve`."""
+    data = part.data
+    cost = part.estimator.cost(scene, len(data.measured), partial=data.partial)
+    estimate = part.solution.cell_resistance
+    truth = np.clip(part.truth, data.lower, data.upper)
+    excess = exact_cost(cost, data, estimate) - exact_cost(cost, data, truth)
+    is_small = estimate[0].size <= audit_cells
+    return {
+        "audited": exact_residual(cost, data, estimate) if is_small else nan,
+        "excess": excess / exact_scale(cost, data, estimate),
+        "model_digits": correct_digits(part.solution.reading, exact_two_point_resistance(estimate)),
+    }
 
 
 def _row(group: Sequence[Solve]) -> study.Row:

@@ -7,7 +7,7 @@ Therefore each estimate is evaluated with the same cost, given the previous fram
 by its second frame, given the reference's baseline.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count, product
 from operator import attrgetter
@@ -245,8 +245,9 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
         except ValueError as error:
             raise InputError(f"{path}: simulated: {error}") from error
     names = [recording.name for recording in recordings]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{path}: two recordings are called {twice[0]}")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: two recordings are called {name}")
     return Plan(settings, recordings)
 
 
@@ -277,22 +278,23 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
     done = count(1)
     measured = list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
-    pairs = [
-        (data, method)
-        for data in plan.recordings
-        for method in settings.methods(data.scene.panel.shape)
-    ]
-    fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
-    for recording, method in pairs:
+    timed = list[tuple[Recording, str]]()
+    for recording in plan.recordings:
+        methods = settings.methods(recording.scene.panel.shape)
+        timed += [(recording, method) for method in methods]
+    weighed = list[tuple[common.Shape, str]]()
+    for shape in first if settings.memory else ():
+        weighed += [(shape, rung) for rung in settings.rungs(shape)]
+    parts = len(timed) + len(weighed)
+    for recording, method in timed:
         measured += _measure(settings, recording, method)
-        on_step(next(done), len(pairs) + len(fresh))
+        on_step(next(done), parts)
     memory = {}
-    for shape, name in fresh:
-        estimator = settings.estimators[str(settings.memory)].estimator(
-            settings.ladder[name], settings.solver
-        )
-        memory[shape, name] = peak_memory(first[shape], estimator)
-        on_step(next(done), len(pairs) + len(fresh))
+    for shape, rung in weighed:
+        method_of_memory = settings.estimators[str(settings.memory)]
+        estimator = method_of_memory.estimator(settings.ladder[rung], settings.solver)
+        memory[shape, rung] = peak_memory(first[shape], estimator)
+        on_step(next(done), parts)
     return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
 
 
@@ -414,30 +416,34 @@ def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]
     return study.rows_by(attrgetter("shape", "solver", *names), _row)(frames)
 
 
+def _only(names: Sequence[str]) -> str:
+    """Return the name that all have, or 'all' for several."""
+    return names[0] if len(set(names)) == 1 else "all"
+
+
+def _median(errors: Sequence[float]) -> float | None:
+    """Return the median of the finite errors; None without any."""
+    finite = [error for error in errors if np.isfinite(error)]
+    return float(np.median(finite)) if finite else None
+
+
 def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
     """Return medians over frames.
 
     `first_ms` includes the baseline, `reached` is the share of gaps up to 1e-6.
     """
-    names = {name: {getattr(frame, name) for frame in measured} for name in ("recording", "method")}
-    errors = {
-        name: [getattr(frame, name) for frame in measured]
-        for name in ("cell_error", "changed_error")
-    }
-    known = {
-        name: [value for value in values if np.isfinite(value)] for name, values in errors.items()
-    }
+    first = [frame.baseline_s + frame.seconds for frame in measured if not frame.frame]
+    later = [frame.seconds for frame in measured if frame.frame]
     gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in measured]
     return study.Row(
         **study.named_values(measured[0], "rows", "columns"),
-        **{name: values.pop() if len(values) == 1 else "all" for name, values in names.items()},
+        recording=_only([frame.recording for frame in measured]),
+        method=_only([frame.method for frame in measured]),
         formulation=measured[0].solver,
-        first_ms=1e3
-        * float(
-            np.median([frame.baseline_s + frame.seconds for frame in measured if not frame.frame])
-        ),
-        frame_ms=1e3 * float(np.median([frame.seconds for frame in measured if frame.frame])),
-        **{name: float(np.median(values)) if values else None for name, values in known.items()},
+        first_ms=1e3 * float(np.median(first)),
+        frame_ms=1e3 * float(np.median(later)),
+        cell_error=_median([frame.cell_error for frame in measured]),
+        changed_error=_median([frame.changed_error for frame in measured]),
         gap=float(np.median(gaps)),
         worst_gap=max(gaps),
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
@@ -519,39 +525,52 @@ def _draw(
         if value is not None and np.isfinite(value):
             places[row.method][row.formulation] = row.frame_ms, max(value, MIN_GAP)
     first, *further = methods
-    points = list(places[first].values())
     for method, colour in zip(further, COLOURS, strict=False):
         if places[method]:
-            look: dict[str, Any] = {
-                "label": method,
-                "color": colour,
-                "ms": 2.8,
-                "mew": 0,
-                "alpha": 0.75,
-            }
-            axes.plot(*zip(*places[method].values(), strict=True), "o", **look)
-    if not points:
+            times, values = zip(*places[method].values(), strict=True)
+            axes.plot(times, values, "o", label=method, color=colour, ms=2.8, mew=0, alpha=0.75)
+    if not places[first]:
         axes.text(0.5, 0.5, "no truth", transform=axes.transAxes, ha="center", fontsize=TEXT_POINT)
         return
-    best = [points[index] for index in front(points)]
-    axes.step(
-        *zip(*best, strict=True), where="post", color="0.3", lw=0.9, label=f"{first}: Pareto front"
-    )
-    for rung, point in places[first].items():
-        fill, ink = ("black", "white") if point in best else ("white", "black")
-        axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
-        look = {
-            "color": ink,
-            "ha": "center",
-            "va": "center_baseline",
-            "zorder": 4,
-            "fontsize": SMALL_POINT - 1,
-        }
-        axes.annotate(str(rungs.index(rung) + 1), point, **look)
-    if min(value for _, value in points) <= MIN_GAP:
+    _draw_front(axes, places[first], rungs, first)
+    if min(value for _, value in places[first].values()) <= MIN_GAP:
         axes.axhline(MIN_GAP, color="0.5", lw=0.6, ls=":")
         axes.set_ylim(bottom=MIN_GAP / 30)
     axes.margins(0.12, 0.14)
+
+
+def _draw_front(
+    axes: Axes, places: Mapping[str, tuple[float, float]], rungs: list[str], method: str
+) -> None:
+    """Draw the Pareto front of a method, and the number of each rung; those of the front filled.
+
+    Parameters
+    ----------
+    axes : Axes
+    places : mapping
+        Rung → time and value.
+    rungs : list of str
+        All rungs in the order of their numbers.
+    method : str
+    """
+    points = list(places.values())
+    best = [points[index] for index in front(points)]
+    times, values = zip(*best, strict=True)
+    axes.step(times, values, where="post", color="0.3", lw=0.9, label=f"{method}: Pareto front")
+    for rung, point in places.items():
+        on_front = point in best
+        axes.plot(
+            *point, "o", ms=8, mfc="black" if on_front else "white", mec="black", mew=0.8, zorder=3
+        )
+        axes.annotate(
+            str(rungs.index(rung) + 1),
+            point,
+            color="white" if on_front else "black",
+            ha="center",
+            va="center_baseline",
+            zorder=4,
+            fontsize=SMALL_POINT - 1,
+        )
 
 
 STUDY: study.Study[Plan, list[TradeoffFrame]] = study.Study(
@@ -561,9 +580,9 @@ STUDY: study.Study[Plan, list[TradeoffFrame]] = study.Study(
     read_plan,
     run_tradeoff,
     rows=lambda frames: [
-        row
-        for names in ((), ("method",), ("method", "recording"))
-        for row in ladder_rows(frames, *names)
+        *ladder_rows(frames),
+        *ladder_rows(frames, "method"),
+        *ladder_rows(frames, "method", "recording"),
     ],
     sheets=lambda frames: [("", table_rows(frames), SCREEN)],
     form="tradeoff/2",

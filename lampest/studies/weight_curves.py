@@ -116,9 +116,7 @@ class WeightSubject:
             "1" if getattr(data_term, "weighting", "plain") == "noise" else data_term.unit,
             term.unit,
         )
-        misfit, penalty = (
-            "1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units
-        )
+        misfit, penalty = map(_squared, units)
         ratio = "1" if misfit == penalty else f"{misfit}/{penalty}"
         return {
             "misfit": "1" if self.data.noise_known else misfit,
@@ -283,12 +281,13 @@ class Curves:
 
     def best(self) -> CurvePoint | None:
         """Return the point of least true error."""
-        known = [point for point in self.points if np.isfinite(point.error)]
-        return min(known, key=lambda point: point.error, default=None)
+        compared = [point for point in self.points if np.isfinite(point.error)]
+        return min(compared, key=lambda point: point.error, default=None)
 
     def finer(self) -> "Curves":
         """Return the curves with half the spacing in log λ around the least true error."""
-        if (best := self.best()) is None:
+        best = self.best()
+        if best is None:
             return self
         index = self.points.index(best)
         near = self.values("weight")[max(index - 1, 0) :][:3]
@@ -335,28 +334,40 @@ def tune(subject: WeightSubject) -> Curves:
             "recording"
         )
     initial = subject.search.cost.terms[subject.penalty].weight
-    given = {} if initial == "auto" else {"given": float(initial)}
+    specified = {} if initial == "auto" else {"given": float(initial)}
     chosen = {
         name: _weight_of(subject, name) for name in get_args(Rule) if noisy or name != "evidence"
     }
-    curves = trace(subject, [*chosen.values(), *given.values()])
+    curves = trace(subject, [*chosen.values(), *specified.values()])
     solved = [point for point in curves.points if point.solved]
     weights: dict[str, float | None] = {
         **chosen,
         "Morozov": morozov(solved, subject.count) if noisy else None,
+        "L-curve": l_curve(solved),
+        **specified,
     }
-    weights |= {"L-curve": l_curve(solved), **given}
-    curves = (
-        curves.extended(weight for weight in weights.values() if weight is not None).finer().finer()
-    )
+    curves = curves.extended(weight for weight in weights.values() if weight is not None)
+    curves = curves.finer().finer()
     best = curves.best()
-    weights |= {} if best is None else {"best": best.weight}
+    if best is not None:
+        weights["best"] = best.weight
+    in_use = next(iter(specified), rule)
     choices = []
     for name, weight in weights.items():
-        error = np.nan if best is None or weight is None else curves.at(weight).error
-        known = (error, error / best.error) if best is not None and np.isfinite(error) else ()
-        choices.append(Choice(name, name == (*given, rule)[0], weight, *known))
+        choice = Choice(name, name == in_use, weight)
+        if best is not None and weight is not None:
+            error = curves.at(weight).error
+            if np.isfinite(error):
+                choice = Choice(name, name == in_use, weight, error, error / best.error)
+        choices.append(choice)
     return replace(curves, choices=tuple(choices))
+
+
+def _squared(unit: str) -> str:
+    """Return the square of a unit in ASCII."""
+    if unit == "1":
+        return "1"
+    return f"({unit})^2" if " " in unit else f"{unit}^2"
 
 
 def _weight_of(subject: WeightSubject, rule: Rule) -> float:

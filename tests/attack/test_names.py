@@ -42,8 +42,10 @@ def test_control_characters_in_names_and_contents_of_files_are_never_printed(
             for name, value in case.attrs.items():
                 if isinstance(value, bytes):
                     case.attrs[name] = np.bytes_(value + text.encode())
-            case.attrs["model_explains"], case.attrs["model_check"] = "no", f"no{text}"
-            case.attrs["noise_check"], case.attrs["numpy_version"] = f"noise{text}", text
+            case.attrs["model_explains"] = "no"
+            case.attrs["model_check"] = f"no{text}"
+            case.attrs["noise_check"] = f"noise{text}"
+            case.attrs["numpy_version"] = text
             case.copy(case, file["entry/small"], f"L{text.replace('/', '')}M")
         with h5py.File(work_folder / "small.h5", "a") as file:
             file["entry/start_time"] = np.bytes_(f"2026{text}".encode())

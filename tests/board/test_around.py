@@ -22,7 +22,9 @@ from lampest.recording.board.record import record
 README = (FIRMWARE / "README.md").read_text()
 OTHER_COMPILER = 0.05  # of a size, relative
 CLOCK_ERROR = 2e-2  # of a mean period over 40 frames
-ROUNDED_MS, ROUNDED_RATE = 0.051, 0.01  # half of the last digit of the table, and relative
+# half of the last digit of the table, and relative
+ROUNDED_MS = 0.051
+ROUNDED_RATE = 0.01
 ROWS_OF_TABLE = [
     (int(rows), int(columns), int(readings), float(period_ms), float(rate))
     for rows, columns, readings, period_ms, rate in re.findall(

@@ -31,7 +31,8 @@ from tests.netlist import impedance_of
 
 # Of 2,000 readings: three standard errors of their spread are 5 %; the mean of rounded codes is off
 # by a share of a code, too.
-MEAN_ERROR, SPREAD_ERROR = 0.1, 0.06
+MEAN_ERROR = 0.1
+SPREAD_ERROR = 0.06
 NOISE_ERROR_LSB = 0.04  # the same of 0.7 LSB
 CARRIED_CODES = 50  # e^-0.5 of a step between cells of 10 ohm and 1 kilohm is some 250
 MILLISECOND_S = 1e-3  # of the board's clock

@@ -5,6 +5,7 @@ That is damaged bytes, unplugging, resets, silence, a killed recorder, Ctrl-C.
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +20,16 @@ from lampest.recording.board.record import Progress, record
 from tests.bodies import frame_body
 
 NOISE_OF_CODES = 0.02  # relative, of readings of 10 bits
+
+
+def logged_frames(log: bytes) -> Iterator[tuple[Frame, bool]]:
+    """The frames of a bench's log, and whether all of their bytes arrived unharmed."""
+    pairs = np.frombuffer(log[: len(log) // 2 * 2], np.uint8).reshape(-1, 2)
+    for begin, end in pairwise(np.flatnonzero(pairs[:, 0] == 0)):
+        sent, harm = pairs[begin : end + 1].T
+        for item in Receiver().feed(sent.tobytes())[1]:
+            if isinstance(item, Frame):
+                yield item, not harm.any()
 
 
 @pytest.mark.parametrize(
@@ -57,12 +68,7 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
     accepted = recording.acquisition.sequence.tolist()
     assert not recording.acquisition.session.any(), "damage must not look like a restart"
     log = (tmp_path / "log").read_bytes()
-    sent = []
-    pairs = np.frombuffer(log[: len(log) // 2 * 2], np.uint8).reshape(-1, 2)
-    for begin, end in pairwise(np.flatnonzero(pairs[:, 0] == 0)):
-        for item in Receiver().feed(pairs[begin : end + 1, 0].tobytes())[1]:
-            if isinstance(item, Frame) and item.sequence <= last:
-                sent.append((item, not pairs[begin : end + 1, 1].any()))
+    sent = [(frame, unharmed) for frame, unharmed in logged_frames(log) if frame.sequence <= last]
     by_number = {frame.sequence: frame for frame, _ in sent}
     wrong = sum(
         frame_body(by_number[number]) != frame_body(Frame(20, number, device_ms, missed, sums))

@@ -34,7 +34,9 @@ CHANGE = np.log(CELLS / CELLS[0])
 MIN_LOG_CHANGE = -1.5  # of pressed cells
 MAX_ERROR = 0.03  # of log r by the board, with its noise; twice that where cells change in a scan
 MAX_DIFFERENCE_PERCENT = 2  # between the estimates of board and computer
-MAX_MEDIAN_SIGMA, MAX_SIGMA = 0.2, 3.0  # the same in standard deviations of a cell
+# the same in standard deviations of a cell
+MAX_MEDIAN_SIGMA = 0.2
+MAX_SIGMA = 3.0
 pytestmark = pytest.mark.slow
 KEYBOARD = "lampest_estimate/examples/keyboard/keyboard.ino"
 

@@ -43,7 +43,7 @@ def names(pattern: str, first: int = 0, sign: str = ",") -> str:
     )
 
 
-def given(
+def foreign_file(
     content: str | bytes | Iterable[str] | Callable[[Path], object],
     *notes: str,
     name: str = "m.csv",

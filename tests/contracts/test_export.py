@@ -42,7 +42,8 @@ def results(tmp_path: Path) -> Path:
     failing = invented_case("LSM", "mouth", (3, 4, 5), failed=(1,), start_time=START)
     bars = np.indices((3, 4, 5)).sum(axis=0) / 7
     flags = np.zeros((3, 4, 5), dtype=np.uint8)
-    bars[1], flags[0, 1, 2] = np.nan, 1
+    bars[1] = np.nan
+    flags[0, 1, 2] = 1
     maps = dict.fromkeys(
         ("cell_resistance_errors", "cell_resistance_lower", "pressure", "pressure_errors"), bars
     )

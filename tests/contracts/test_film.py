@@ -42,7 +42,9 @@ formulation: reduced
 """
 CONFIGS = Path(__file__).parents[2] / "configs"
 MAX_SHARE = 0.08  # of the largest pressure: 95 % of the errors while the film creeps
-MAX_KPA_AFTER, AFTER_LOAD = 0.3, 45  # error after the load, and a frame well after its release
+# error after the load, and a frame well after its release
+MAX_KPA_AFTER = 0.3
+AFTER_LOAD = 45
 LOADED = (15, 36)  # frames between which the rod lies, as SCENE says
 WRONG_LOADS = {
     "rod_1,4,6,10,,30,360": "loads.csv:2: loads.0: a foot needs x_mm and y_mm",

@@ -52,7 +52,10 @@ def recorded(path: Path, values: np.ndarray) -> Path:
 
 def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command) -> None:
     values = healthy(2)
-    values[2, 0, 1], values[2, 2, 2], values[3, 3], values[4] = np.nan, np.inf, np.nan, np.nan
+    values[2, 0, 1] = np.nan
+    values[2, 2, 2] = np.inf
+    values[3, 3] = np.nan
+    values[4] = np.nan
     recorded(tmp_path / "holes.h5", values)
     cut = recorded(tmp_path / "cut.h5", healthy(3))
     cut.write_bytes(cut.read_bytes()[:3000])
@@ -178,7 +181,8 @@ def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
     """
     unloaded = cells()
     loaded = cells()
-    loaded[1, 2], loaded[3, 3] = 9000.0, 300.0
+    loaded[1, 2] = 9000.0
+    loaded[3, 3] = 300.0
     recording = exactly(PLAIN, unloaded, loaded, loaded)
     assert all(
         status.startswith(OPTIMUM_AT_BOUNDS)

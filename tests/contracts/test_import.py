@@ -17,7 +17,7 @@ from contracts.imports import (
     LOADED,
     ROWS,
     VOLT_OF_CODES,
-    given,
+    foreign_file,
     lines,
     names,
 )
@@ -31,7 +31,7 @@ REFUSED: dict[str, SimpleNamespace] = {}
 
 
 def accept(name: str, content: Any, *notes: str, **options: Any) -> None:
-    TABLES[name] = given(content, *notes, **options)
+    TABLES[name] = foreign_file(content, *notes, **options)
 
 
 def codes(name: str, content: Any, *notes: str, **options: Any) -> None:
@@ -40,7 +40,7 @@ def codes(name: str, content: Any, *notes: str, **options: Any) -> None:
 
 
 def refuse(name: str, content: Any, *notes: str, **options: Any) -> None:
-    REFUSED[name] = given(content, *notes, **options)
+    REFUSED[name] = foreign_file(content, *notes, **options)
 
 
 def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:
@@ -495,7 +495,8 @@ for bad in (b"\xff", b"\x80", b"\0", b"\xc3"):
     gap = f"bytes that are no text: their fields in line {number + 1} are missing"
     codes(f"{bad!r} in a serial log", bytes(content), gap, expected=with_nan(FIVE, (number, 0, 0)))
     comma = content.index(b",", place)
-    content[place : place + 1], content[comma : comma + 1] = b"5", bad
+    content[place : place + 1] = b"5"
+    content[comma : comma + 1] = bad
     codes(
         f"{bad!r} in place of a comma",
         bytes(content),
@@ -812,7 +813,7 @@ def lines_with(line: int, field: int, text: str) -> str:
 
 
 REFUSED |= {
-    name: given(text, message, missing="refuse")
+    name: foreign_file(text, message, missing="refuse")
     for name, text, message in (
         (
             "two fields",

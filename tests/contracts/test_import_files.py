@@ -29,7 +29,7 @@ from contracts.imports import (
     ROWS,
     check_refused,
     check_taken,
-    given,
+    foreign_file,
     imported,
     lines,
     names,
@@ -61,14 +61,14 @@ GARBAGE = np.random.default_rng(3).bytes(4000)
 
 def array(values: Any, *notes: str, **options: Any) -> SimpleNamespace:
     """A .npy file."""
-    return given(lambda path: np.save(path, values), *notes, name="m.npy", **options)
+    return foreign_file(lambda path: np.save(path, values), *notes, name="m.npy", **options)
 
 
 def matrices(
     *notes: str, packed: bool = False, arrays: dict[str, Any], **options: Any
 ) -> SimpleNamespace:
     """A .mat file of level 5."""
-    return given(
+    return foreign_file(
         lambda path: scipy.io.savemat(path, arrays, do_compression=packed),
         *notes,
         name="m.mat",
@@ -80,7 +80,7 @@ def archive(
     save: Callable[..., None], *notes: str, arrays: dict[str, Any], **options: Any
 ) -> SimpleNamespace:
     """An .npz file."""
-    return given(lambda path: save(path, **arrays), *notes, name="m.npz", **options)
+    return foreign_file(lambda path: save(path, **arrays), *notes, name="m.npz", **options)
 
 
 def matlab(path: Path, **arrays: np.ndarray) -> None:
@@ -106,7 +106,7 @@ def book(
         sheet = workbook.create_sheet(name)
         for row in rows:
             sheet.append(list(row))
-    return given(workbook.save, *notes, name="m.xlsx", **options)
+    return foreign_file(workbook.save, *notes, name="m.xlsx", **options)
 
 
 def sheet_of(
@@ -230,7 +230,7 @@ FILES = {
 def records(value: Any, *notes: str, name: str = "m.json", **options: Any) -> SimpleNamespace:
     """A JSON file, or one with a value a line."""
     text = json.dumps(value) if name.endswith(".json") else "\n".join(map(json.dumps, value))
-    return given(text, *notes, name=name, **options)
+    return foreign_file(text, *notes, name=name, **options)
 
 
 def listed(values: np.ndarray) -> Any:
@@ -325,7 +325,7 @@ FILES |= {
         TIMED, "array data read as", name="m.jsonl", times=np.arange(4) / 2
     ),
     "JSON lines: a frame's cells": records(NAMED_RECORDS, name="m.jsonl", times=np.arange(4) / 4),
-    "JSON lines under the name of one value": given(
+    "JSON lines under the name of one value": foreign_file(
         "\n".join(map(json.dumps, TIMED)), name="m.json", times=np.arange(4) / 2
     ),
     "JSON lines: times by another name": records(
@@ -334,21 +334,21 @@ FILES |= {
         name="m.jsonl",
         times=np.arange(4) / 20,
     ),
-    "JSON lines that are cut": given(
+    "JSON lines that are cut": foreign_file(
         "\n".join(map(json.dumps, listed(FRAMES)))[:-9],
         "left out: line 4, the last one, which is cut off",
         name="m.jsonl",
         expected=FRAMES[:3],
     ),
-    "JSON lines of a table that are cut": given(
+    "JSON lines of a table that are cut": foreign_file(
         "\n".join(map(json.dumps, NAMED_RECORDS))[:-9],
         "left out: line 4, the last one, which is cut off",
         name="m.json",
         expected=FRAMES[:3],
         times=np.arange(3) / 4,
     ),
-    "Parquet": given(table_of, "cells by their names", name="m.parquet"),
-    "Parquet with dates": given(
+    "Parquet": foreign_file(table_of, "cells by their names", name="m.parquet"),
+    "Parquet with dates": foreign_file(
         lambda path: table_of(
             path, time=pandas.to_datetime([f"2025-01-31T12:00:0{n}" for n in range(4)])
         ),
@@ -356,28 +356,28 @@ FILES |= {
         times=np.arange(4),
         start="2025-01-31T12:00:00",
     ),
-    "Parquet of lists": given(
+    "Parquet of lists": foreign_file(
         lists_of, "array frame read as", name="m.parquet", times=np.arange(4) / 2
     ),
-    "Feather": given(lambda path: table_of(path, write="to_feather"), name="m.feather"),
-    "a folder of tables": given(
+    "Feather": foreign_file(lambda path: table_of(path, write="to_feather"), name="m.feather"),
+    "a folder of tables": foreign_file(
         folder(csv_of, ".csv"), "12 frames of 12 files", name="m", expected=TRIPLED
     ),
-    "a folder that a desktop has shown": given(
+    "a folder that a desktop has shown": foreign_file(
         shown, "12 frames of 12 files", name="m", expected=TRIPLED
     ),
-    "a folder in two encodings": given(
+    "a folder in two encodings": foreign_file(
         in_two_encodings,
         "frame7.csv: fields separated by comma, UTF-16",
         name="m",
         expected=TRIPLED,
     ),
-    "a folder of arrays": given(
+    "a folder of arrays": foreign_file(
         folder(np.save, ".npy"), "from frame0.npy to frame11.npy", name="m", expected=TRIPLED
     ),
 }
 for axes, values in (("last", FRAMES_LAST), ("first", FRAMES)):
-    FILES[f"MATLAB 7.3 with frames {axes}"] = given(
+    FILES[f"MATLAB 7.3 with frames {axes}"] = foreign_file(
         lambda path, values=values: matlab(path, R=values, t=np.arange(4.0)[None] / 2),
         name="m.mat",
         times=np.arange(4) / 2,
@@ -421,7 +421,8 @@ def claims(path: Path) -> None:
 
 def whole_sheet(path: Path) -> None:
     workbook = openpyxl.Workbook()
-    workbook.active["A1"], workbook.active["XFD1048576"] = 1, 2
+    workbook.active["A1"] = 1
+    workbook.active["XFD1048576"] = 2
     workbook.save(path)
 
 
@@ -451,72 +452,81 @@ def pickled(path: Path) -> None:
 
 REFUSED = [
     *(
-        given(pickled, "a pickle runs code when it is opened", name=f"m{end}")
+        foreign_file(pickled, "a pickle runs code when it is opened", name=f"m{end}")
         for end in (".pkl", ".pickle", ".p")
     ),
     *(
-        given(pickled, "a pickle, which runs code when it is opened", name=name)
+        foreign_file(pickled, "a pickle, which runs code when it is opened", name=name)
         for name in ("m.dat", "m.csv")
     ),
-    given(
+    foreign_file(
         b"\x81\x82\x83",
         "no text table (",
         ".parquet; `layout` names a layout of your own",
         name="m.dat",
     ),
-    given(b"\x89HDF\r\n", "no text table, but HDF5; save the array as .npy", name="m.dat"),
-    given(
+    foreign_file(b"\x89HDF\r\n", "no text table, but HDF5; save the array as .npy", name="m.dat"),
+    foreign_file(
         '{"t": 0, "R": [1, 2]}\n' * 3, "m.log:1: lines of JSON; save them as .jsonl", name="m.log"
     ),
-    given(b"PK", "unpack it first", name="m.zip"),
+    foreign_file(b"PK", "unpack it first", name="m.zip"),
     records([[1, 2], [3]], "m.json[1]: 1 values, where others have 2"),
     records(
         {"R": [["a", 2], ["b", 3]]},
         "m.json: R: its lists differ in length, or hold what is no number",
     ),
     records({"R": [1, 2]}, "no array fits 3 × 5 cells; the numeric arrays are: R (2)"),
-    given('{"R": [1, 2}', "no readable .json file", name="m.json"),
-    given("[1, 2]\n[1, 2\n[3]", "m.jsonl:2: no JSON", name="m.jsonl"),
-    given("[" * 100_000, "no readable .json file", name="m.json"),
-    given(GARBAGE, "no readable .parquet file", name="m.parquet"),
-    given(mixed, "a folder of frames holds files of one kind, not .csv, .txt", name="m"),
-    given(spoiled, "frame7.csv:1: 2 fields; 3 × 5 cells need", name="m"),
-    given(GARBAGE, "no text table", name="m.csv"),
-    given(b"1,2\n\xff\xfe,3", ":2: no text table", name="m.csv"),
-    given(b"1" * 2_000_000, ":1: longer than", name="m.csv"),
-    given(b"1,2\n" + b"9" * 900_000, "fields", name="m.csv"),
-    given(b"\xff\xfe1", "holds no values", name="m.csv"),
-    given(sparse, "more than 500000000 are not imported", name="m.csv"),
-    given(Path.mkdir, "no file in this folder", name="m.csv"),
-    given(lambda path: None, "No such file", name="m.csv"),
-    given(
+    foreign_file('{"R": [1, 2}', "no readable .json file", name="m.json"),
+    foreign_file("[1, 2]\n[1, 2\n[3]", "m.jsonl:2: no JSON", name="m.jsonl"),
+    foreign_file("[" * 100_000, "no readable .json file", name="m.json"),
+    foreign_file(GARBAGE, "no readable .parquet file", name="m.parquet"),
+    foreign_file(mixed, "a folder of frames holds files of one kind, not .csv, .txt", name="m"),
+    foreign_file(spoiled, "frame7.csv:1: 2 fields; 3 × 5 cells need", name="m"),
+    foreign_file(GARBAGE, "no text table", name="m.csv"),
+    foreign_file(b"1,2\n\xff\xfe,3", ":2: no text table", name="m.csv"),
+    foreign_file(b"1" * 2_000_000, ":1: longer than", name="m.csv"),
+    foreign_file(b"1,2\n" + b"9" * 900_000, "fields", name="m.csv"),
+    foreign_file(b"\xff\xfe1", "holds no values", name="m.csv"),
+    foreign_file(sparse, "more than 500000000 are not imported", name="m.csv"),
+    foreign_file(Path.mkdir, "no file in this folder", name="m.csv"),
+    foreign_file(lambda path: None, "No such file", name="m.csv"),
+    foreign_file(
         b"1," * 14 + b"1",
         "holds nothing by name",
         "`variable` is for .mat, .npz",
         variable="R",
         name="m.csv",
     ),
-    *(given(GARBAGE, f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "mat")),
-    *(given(b"", f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "mat", "xlsx")),
-    *(given(boastful, f"no readable .{kind} file", name=f"m.{kind}") for kind in ("npy", "xlsx")),
-    given(truncated, "no readable .npy file", name="m.npy"),
-    given(
+    *(
+        foreign_file(GARBAGE, f"no readable .{kind} file", name=f"m.{kind}")
+        for kind in ("npy", "mat")
+    ),
+    *(
+        foreign_file(b"", f"no readable .{kind} file", name=f"m.{kind}")
+        for kind in ("npy", "mat", "xlsx")
+    ),
+    *(
+        foreign_file(boastful, f"no readable .{kind} file", name=f"m.{kind}")
+        for kind in ("npy", "xlsx")
+    ),
+    foreign_file(truncated, "no readable .npy file", name="m.npy"),
+    foreign_file(
         lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True),
         "pickled objects",
         name="m.npy",
     ),
-    given(boastful, "values, more than 62500000 are not imported", name="m.npz"),
-    given(b"PK\x03\x04 no zip", "no readable .npz file", name="m.npz"),
+    foreign_file(boastful, "values, more than 62500000 are not imported", name="m.npz"),
+    foreign_file(b"PK\x03\x04 no zip", "no readable .npz file", name="m.npz"),
     *(
-        given(bomb, "unpacks to 600000000 bytes, more than 500000000", name=f"m.{kind}")
+        foreign_file(bomb, "unpacks to 600000000 bytes, more than 500000000", name=f"m.{kind}")
         for kind in ("npz", "xlsx")
     ),
-    given(b"MATLAB 7.3 MAT-file".ljust(600), "save it with the option -v7", name="m.mat"),
-    given(claims, "claims", name="m.mat"),
-    given(b"\xd0\xcf", "save it as .xlsx", name="m.xls"),
-    given(b"", ".h5 files are not read; save the array as .npy", name="m.h5"),
+    foreign_file(b"MATLAB 7.3 MAT-file".ljust(600), "save it with the option -v7", name="m.mat"),
+    foreign_file(claims, "claims", name="m.mat"),
+    foreign_file(b"\xd0\xcf", "save it as .xlsx", name="m.xls"),
+    foreign_file(b"", ".h5 files are not read; save the array as .npy", name="m.h5"),
     book({"A": [*MEAN, ["mean", *MEAN[1][1:]]]}, "A!A6: 'mean' is no time"),
-    given(whole_sheet, "Sheet!1048576: 1 field; 3 × 5 cells need", name="m.xlsx"),
+    foreign_file(whole_sheet, "Sheet!1048576: 1 field; 3 × 5 cells need", name="m.xlsx"),
     array(FRAMES.astype(complex), "no plain array of real numbers"),
     array(FRAMES.transpose(0, 2, 1), "with `transpose` it would"),
     array(FRAMES[:, :2], "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
@@ -548,7 +558,7 @@ REFUSED = [
     array(FRAMES, "; did you mean ohm?", unit="ohn", absent="m.npy"),
     array(FRAMES, "5 baseline frames asked for, but the file holds 4 frames", baseline_frames=5),
     array(FRAMES, "a panel needs at least one row", rows=0, columns=3, absent="m.npy"),
-    given(
+    foreign_file(
         lines(with_value(VOLTS, 5.5, 2, 1, 3)),
         "m.csv:3:9: ",
         "lies outside 0 to 5 V",

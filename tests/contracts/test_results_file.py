@@ -99,7 +99,7 @@ def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
-def test_xarray_opens_it_unchanged(written: Path, engine: str) -> None:
+def test_xarray_opens_a_results_file_unchanged(written: Path, engine: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what the libraries say of each other at import
         xarray = pytest.importorskip("xarray")

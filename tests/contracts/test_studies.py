@@ -20,9 +20,13 @@ Command = Callable[..., SimpleNamespace]
 Row = dict[str, str]
 ROOT = Path(__file__).parents[2]
 MIN_COVERAGE_PERCENT = 80  # of 95 % intervals of 180 cells
-LOUD, QUIET = 5, 2  # χ² over its degrees of freedom, with threefold noise and without
+# χ² over its degrees of freedom, with threefold noise and without
+LOUD = 5
+QUIET = 2
 WRITTEN = 1e-4  # relative, of a share in the table
-MAX_DATA_ERROR, PUBLISHED_DATA_ERROR = 0.05, 1.33  # percent, of plain least squares
+# percent, of plain least squares
+MAX_DATA_ERROR = 0.05
+PUBLISHED_DATA_ERROR = 1.33
 
 BENCH = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\nlimits: {nodal: 3}\n"
 EXTREMES = "schema: 1\ngrid: {sizes: [[2, 3]], decades: [1], noise: [0]}\nstructured: {sizes: []}\n"

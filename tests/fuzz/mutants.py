@@ -51,6 +51,7 @@ KINDS = {
     "arrays": (".npz", ("bytes", "parts")),
     "matlab_hdf5": (".mat", ("bytes",)),
 }
+Shape = tuple[int, ...]
 IMPORTED = ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5")
 DOCUMENTS = """
 run:
@@ -546,107 +547,143 @@ def _values(file: Any, name: str) -> Any:
 def changed_node(file: Any, name: str, rng: np.random.Generator) -> None:
     """Change one group or dataset, or an attribute of it or of a group that holds it."""
     node = file[name]
-    kind = rng.integers(10)
+    kind = int(rng.integers(10))
     shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
-    if kind == 0:  # the same numbers as another type, or as something that is no number
-        values = _values(file, name)
-        types = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
-        dtype = choose(types, rng)
-        _replaced(
-            file, name, values.astype(dtype) if dtype != "V8" else np.zeros(values.shape, dtype)
-        )
-    elif kind == 1:  # one axis more, less, longer or empty; a scalar; nothing at all
-        values = _values(file, name)
-        shapes = (
-            values[None],
-            values[:0],
-            values.ravel()[:1].reshape(()),
-            np.concatenate([values, values]),
-            values.T,
-        )
-        _replaced(file, name, choose((*shapes, values[..., 0], h5py.Empty("f8")), rng))
-    elif kind == 2:  # a thousand million frames that are not there
-        shape = (10 ** int(rng.integers(3, 13)), *shape[1:])
-        dtype = choose(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else node.dtype
-        _replaced(
-            file,
-            name,
-            shape=shape,
-            dtype=dtype,
-            chunks=(1024, *shape[1:]),
-            compression="gzip",
-            fillvalue=1,
-        )
-    elif (
-        kind == 3 and node.size <= MAX_VALUES_READ
-    ):  # no number, infinite, zero, negative, huge or tiny: once or everywhere
-        value = choose((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
-        index = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
-        node[index] = np.asarray(value).astype(node.dtype)
-    elif kind == 4:  # a text: of variable length, long, not ASCII, nested YAML
-        options = (
-            "text",
-            "é" * 10,
-            "x" * 100_000,
-            "\n",
-            "{" * 1000,
-            "a: &a [*a]",
-            json.dumps(SCENE),
-        )
-        chosen = choose(
-            (*options, "!!python/object:os.system {}", choose(NASTY_TEXTS, rng).replace("\0", "")),
-            rng,
-        )
-        _replaced(
-            file,
-            name,
-            chosen if rng.random() < 0.5 else np.bytes_(chosen.encode("utf-8", "replace")),
-        )
-    # a link to nowhere, to itself, to an ancestor, to another file or to the machine's files
-    elif kind == 5:
-        layout = h5py.VirtualLayout(shape=shape, dtype="f8")
-        layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
-        outside = h5py.ExternalLink(
-            choose(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}"
-        )
-        soft = map(h5py.SoftLink, ("/nowhere", f"/{name}", "/"))
-        target = choose(
-            (*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng
-        )
-        if target is None:
-            _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
-            return
+    if kind == 3 and node.size > MAX_VALUES_READ:
+        _change_attribute(file, name, rng)
+    elif kind < len(NODE_CHANGES):
+        NODE_CHANGES[kind](file, name, shape, rng)
+    else:
+        _change_attribute(file, name, rng)
+
+
+def _change_type(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Store the same numbers as another type, or as something that is no number."""
+    values = _values(file, name)
+    types = ("f2", "f4", "f8", "g", "i1", "u8", ">f8", "S8", "c16", "b1", "V8")
+    dtype = choose(types, rng)
+    _replaced(file, name, np.zeros(values.shape, dtype) if dtype == "V8" else values.astype(dtype))
+
+
+def _change_shape(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Store one axis more or less, a longer or an empty one; a scalar; or nothing at all."""
+    values = _values(file, name)
+    shapes = (
+        values[None],
+        values[:0],
+        values.ravel()[:1].reshape(()),
+        np.concatenate([values, values]),
+        values.T,
+    )
+    _replaced(file, name, choose((*shapes, values[..., 0], h5py.Empty("f8")), rng))
+
+
+def _claim_frames(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Claim up to a million million frames that are not there."""
+    claimed = (10 ** int(rng.integers(3, 13)), *shape[1:])
+    dtype = choose(("f8", "S16", "u1"), rng) if rng.random() < 0.3 else file[name].dtype
+    _replaced(
+        file,
+        name,
+        shape=claimed,
+        dtype=dtype,
+        chunks=(1024, *shape[1:]),
+        compression="gzip",
+        fillvalue=1,
+    )
+
+
+def _change_value(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Store no number, an infinite, zero, negative, huge or tiny one: once or everywhere."""
+    node = file[name]
+    value = choose((np.nan, np.inf, -np.inf, 0, -1, 1e308, 5e-324, 2**63), rng)
+    index = ... if rng.random() < 0.3 else tuple(int(rng.integers(size)) for size in shape)
+    node[index] = np.asarray(value).astype(node.dtype)
+
+
+def _store_text(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Store a text: of variable length, long, not ASCII, nested YAML."""
+    texts = (
+        "text",
+        "é" * 10,
+        "x" * 100_000,
+        "\n",
+        "{" * 1000,
+        "a: &a [*a]",
+        json.dumps(SCENE),
+        "!!python/object:os.system {}",
+        choose(NASTY_TEXTS, rng).replace("\0", ""),
+    )
+    text = choose(texts, rng)
+    is_variable = rng.random() < 0.5
+    _replaced(file, name, text if is_variable else np.bytes_(text.encode("utf-8", "replace")))
+
+
+def _store_link(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Link to nowhere, to itself, to an ancestor, to another file or to the machine's files."""
+    layout = h5py.VirtualLayout(shape=shape, dtype="f8")
+    layout[...] = h5py.VirtualSource("small.h5", "/entry/two_point/resistance", shape=shape)
+    outside = h5py.ExternalLink(choose(("/etc/passwd", "/dev/zero", "small.h5"), rng), f"/{name}")
+    soft = map(h5py.SoftLink, ("/nowhere", f"/{name}", "/"))
+    target = choose((*soft, h5py.ExternalLink("small.h5", "/entry"), outside, layout, None), rng)
+    if target is None:
+        _replaced(file, name, shape=shape, dtype="f8", external=[("/dev/zero", 0, 10**6)])
+        return
+    del file[name]
+    if target is layout:
+        file.create_virtual_dataset(name, layout)
+    else:
+        file[name] = target
+
+
+def _exchange_kind(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Store a group in place of a dataset, or a number in place of a group."""
+    is_dataset = isinstance(file[name], h5py.Dataset)
+    del file[name]
+    if is_dataset:
+        file.create_group(name)
+    else:
+        file.create_dataset(name, data=5.0)
+
+
+def _remove_or_rename(file: Any, name: str, shape: Shape, rng: np.random.Generator) -> None:
+    """Remove a node, or move it to a name that is no usual one."""
+    if rng.random() < 0.5:
         del file[name]
-        if target is layout:
-            file.create_virtual_dataset(name, layout)
-        else:
-            file[name] = target
-    elif kind == 6:  # a group in place of a dataset, or a number in place of a group
-        del file[name]
-        file.create_group(name) if isinstance(node, h5py.Dataset) else file.create_dataset(
-            name, data=5.0
-        )
-    elif kind == 7 and rng.random() < 0.5:
-        del file[name]
-    elif kind == 7:
-        new_name = choose(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
-        file.move(name, f"{name.rpartition('/')[0]}/{new_name}")
-    else:  # an attribute that is gone, or something else
-        parts = name.split("/")
-        holder = choose(
-            [file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng
-        )
-        further = (
-            "readings",
-            "order",
-            "published",
-            "lampest_unfinished",
-            "lampest_format",
-            "joint_start",
-        )
-        chosen = choose([*holder.attrs, *further], rng)
-        value = choose(ATTRIBUTES, rng)
-        if value is None:
-            del holder.attrs[chosen]
-        else:
-            holder.attrs[chosen] = value
+        return
+    new_name = choose(("..", ".", "a\nb", "x" * 300, "é", " ", "recording", "\x1b[31m"), rng)
+    file.move(name, f"{name.rpartition('/')[0]}/{new_name}")
+
+
+def _change_attribute(file: Any, name: str, rng: np.random.Generator) -> None:
+    """Remove an attribute of a node or of a group that holds it, or give it another value."""
+    parts = name.split("/")
+    holder = choose(
+        [file, *(file["/".join(parts[: depth + 1])] for depth in range(len(parts)))], rng
+    )
+    further = (
+        "readings",
+        "order",
+        "published",
+        "lampest_unfinished",
+        "lampest_format",
+        "joint_start",
+    )
+    attribute = choose([*holder.attrs, *further], rng)
+    value = choose(ATTRIBUTES, rng)
+    if value is None:
+        del holder.attrs[attribute]
+    else:
+        holder.attrs[attribute] = value
+
+
+NODE_CHANGES = (
+    _change_type,
+    _change_shape,
+    _claim_frames,
+    _change_value,
+    _store_text,
+    _store_link,
+    _exchange_kind,
+    _remove_or_rename,
+)

@@ -24,7 +24,7 @@ from lampest.files.errors import InputError
 from lampest.recording.foreign import lines as foreign_lines
 from lampest.report.info import understood_lines
 from lampest.runs import executors
-from lampest.studies import bench, extremes, tradeoff
+from lampest.studies import bench, extreme_scenes, tradeoff
 
 # Foreign files
 
@@ -423,7 +423,7 @@ def configurations() -> dict[str, Any]:
         executors.Processes(),
         executors.Dask(),
         bench.BenchFile(1, (3,)),
-        extremes.Grid((3,)),
+        extreme_scenes.Grid((3,)),
         tradeoff.TradeoffFile(1, ("a.h5",)),
     )
     return known | {type(example).__name__: example for example in examples}

@@ -25,7 +25,7 @@ import lampest as lp
 from lampest.estimate.estimator import Estimator
 from lampest.runs import config
 from lampest.solvers.solution import Status
-from lampest.studies import bench, common, extremes, paper, tradeoff, weights
+from lampest.studies import bench, common, extreme_scenes, extremes, paper, tradeoff, weights
 from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
 from lampest.studies.certified import (
     correct_digits,
@@ -133,7 +133,7 @@ def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
 def judged_solves() -> list[extremes.Solve]:
     """Solves that are verified, doubtful, worse than the truth, refused and crashed."""
     known = {
-        "case": extremes.GRID,
+        "case": extreme_scenes.GRID,
         "rows": 3,
         "columns": 4,
         "decades": 6.0,
@@ -362,15 +362,19 @@ def budgeted_row() -> list[Any]:
 
 
 def extremes_row(case: str) -> dict[str, Any]:
-    shape = (extremes.CASES[case].shapes or ((3, 4),))[0]
-    sample = extremes.AtlasSample(case, *shape, 5.0 * extremes.CASES[case].contrasted, 0.01, 3)
-    recording, cells = extremes.recording_of(sample)
+    shape = (extreme_scenes.CASES[case].shapes or ((3, 4),))[0]
+    sample = extreme_scenes.AtlasSample(
+        case, *shape, 5.0 * extreme_scenes.CASES[case].contrasted, 0.01, 3
+    )
+    recording, cells = extreme_scenes.recording_of(sample)
     if shape[0] * shape[1] > 20:
         return {"recorded": recording.recorded, "cells": cells}
     method = {
         "mine": StudyMethod(config.Terms(misfit=lp.Misfit(), gradient=lp.Gradient(weight=1e-3)))
     }
-    atlas = extremes.AtlasFile(1, extremes.Grid((3,)), extremes.Grid(()), estimators=method)
+    atlas = extremes.AtlasFile(
+        1, extreme_scenes.Grid((3,)), extreme_scenes.Grid(()), estimators=method
+    )
     solves = extremes.solves_of(atlas, sample)
     outcomes = [
         (
@@ -406,7 +410,7 @@ def tuned_curves() -> Curves:
 
 
 SIDES = ((10, 9), (11, 3), (3, 16), (16, 16), (17, 3), (4, 17), (1000, 1000), (1001, 1))
-NO_GRID = extremes.Grid(())
+NO_GRID = extreme_scenes.Grid(())
 REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], ...]], ...] = (
     (tradeoff.TradeoffFile, (1,), ({},)),
     (
@@ -452,7 +456,7 @@ REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], 
         ),
     ),
     (
-        extremes.Grid,
+        extreme_scenes.Grid,
         (),
         (
             {"sizes": (0,)},
@@ -466,7 +470,7 @@ REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], 
         (1,),
         (
             {"grid": NO_GRID, "structured": NO_GRID},
-            {"grid": extremes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
+            {"grid": extreme_scenes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
         ),
     ),
 )
@@ -477,9 +481,9 @@ def settings_row() -> dict[str, Any]:
     file = tradeoff.TradeoffFile(1, ("a.h5",))
     atlas = extremes.AtlasFile(
         1,
-        extremes.Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2),
-        extremes.Grid((3,), (6.0,), (1.0,)),
-        nodal=extremes.Grid((2, 3), (1.0,), (0.0, 1.0)),
+        extreme_scenes.Grid((2, (3, 4)), (1.0, 9.0), (0.0, 10.0), seeds=2),
+        extreme_scenes.Grid((3,), (6.0,), (1.0,)),
+        nodal=extreme_scenes.Grid((2, 3), (1.0,), (0.0, 1.0)),
     )
     scenes = tradeoff.Simulated(sizes=(8, (9, 10)), diameter_mm=28.0, seed=5).simulations(2)
     return {
@@ -603,7 +607,7 @@ def paper_row() -> dict[str, Any]:
 
 
 def of_studies() -> Rows:
-    rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extremes.CASES}
+    rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extreme_scenes.CASES}
     rows |= {f"files of {name}": partial(study_files_row, name) for name in MEASURED}
     rows |= {
         "bench": bench_row,

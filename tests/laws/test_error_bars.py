@@ -152,9 +152,11 @@ def test_the_interval_of_a_change_is_mirrored_with_its_sign(shape: tuple[int, ..
     Errors that both share cancel: of an estimate from itself nothing remains.
     """
     rng = np.random.default_rng(shape)
-    frame, baseline = certainty_of(rng, shape), certainty_of(rng, shape)
+    frame = certainty_of(rng, shape)
+    baseline = certainty_of(rng, shape)
     shared = rng.uniform(0, 0.2, shape) * np.minimum(frame.deviation, baseline.deviation) ** 2
-    forth, back = frame.less(baseline, shared), baseline.less(frame, shared)
+    forth = frame.less(baseline, shared)
+    back = baseline.less(frame, shared)
     assert_allclose(forth.deviation, back.deviation, rtol=ROUNDING)
     assert_allclose(forth.below, back.above, rtol=ROUNDING)
     assert_allclose(forth.above, back.below, rtol=ROUNDING)

@@ -83,7 +83,8 @@ def test_a_one_sided_interval_is_that_of_the_truncated_density(deviations: float
 def test_a_one_sided_interval_scales_and_is_continuous_where_its_tail_is_exponential() -> None:
     """Slope/c and variance·c² stretch it by c."""
     rng = np.random.default_rng(3)
-    slope, variance = rng.uniform(0, 9, 30), rng.uniform(0.1, 4, 30)
+    slope = rng.uniform(0, 9, 30)
+    variance = rng.uniform(0.1, 4, 30)
     for factor in (1e-3, 7.0, 1e4):
         assert_allclose(
             one_sided(slope / factor, variance * factor**2),

@@ -82,7 +82,7 @@ def test_the_inverse_is_symmetric_and_positive_definite(
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("kind", Preconditioner.__subclasses__(), ids=lambda kind: kind.__name__)
-def test_conjugate_gradients_take_no_more_products_with_it_than_without(
+def test_conjugate_gradients_with_a_preconditioner_take_no_more_products(
     kind: type[Preconditioner], cost: str
 ) -> None:
     hessian = hessian_of(COSTS[cost])

@@ -62,7 +62,8 @@ def test_components_do_not_depend_on_the_order_of_frames_and_lines(
 ) -> None:
     deviation, loudness = deviations_of(shape)
     rng = np.random.default_rng(1)
-    frames, lines = rng.permutation(shape[0]), rng.permutation(shape[1])
+    frames = rng.permutation(shape[0])
+    lines = rng.permutation(shape[1])
     assert_equal_components(
         scatter(deviation[np.ix_(frames, lines)], loudness[lines], shape[0] - 1),
         scatter(deviation, loudness, shape[0] - 1),

@@ -59,7 +59,9 @@ LOADS = 8
 SPREAD = 5.0
 SPECIFIED_ERRORS = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
 POWER_RESPONSE = PowerResponse(exponent=0.8, scale_kpa=2.0)
-MAX_SHARE, MAX_OHM = 0.02, 2.0  # σ of a line that resistors of 0.1 % determine; measured a tenth
+# σ of a line that resistors of 0.1 % determine; measured a tenth
+MAX_SHARE = 0.02
+MAX_OHM = 2.0
 WRITTEN = 0.001  # ohm: a scene is written with some digits; measured 0.0002
 MIN_WITHIN = 0.88  # of 95 % intervals: numbers of a board share errors; measured 0.93
 SCORES_ERROR = 0.3  # of the scores' standard deviation; measured 0.19

@@ -40,7 +40,9 @@ RMS_ERROR = 0.1  # measured 0.014
 MIN_COVERAGE = 0.85  # with a penalty that does not suit the cells; measured 0.98
 PENALISED = 0.9  # resolution, below which the penalty tells much of a cell; measured 0.77
 NEARLY = 1e-3  # relative
-MAX_UNSOLVED, MIN_AT_RAILS = 2, 20  # of 12 recordings, and readings; measured 1 and 46
+# of 12 recordings, and readings; measured 1 and 46
+MAX_UNSOLVED = 2
+MIN_AT_RAILS = 20
 MIN_COVERAGE_AT_RAILS = 0.9  # of 46 intervals; measured all
 
 

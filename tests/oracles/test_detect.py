@@ -35,7 +35,7 @@ from lampest.loads.recognition.fit import (
     SD,
     Verdict,
     field_fit,
-    paid,
+    potts_cost,
     prior,
     states,
 )
@@ -295,7 +295,9 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(
         frame.residual()
     )
-    constant = cells * np.log(2 * np.pi) / 2 - paid(PANEL, states(PANEL, np.zeros(PANEL.shape)))
+    constant = cells * np.log(2 * np.pi) / 2 - potts_cost(
+        PANEL, states(PANEL, np.zeros(PANEL.shape))
+    )
     assert fit.evidence == pytest.approx(expected + constant, abs=0.5)
 
 

@@ -31,9 +31,13 @@ PLAY_WIDTH = 0.025  # of the gap: a loop of several plays is not smooth; measure
 ELEMENTS_ERROR = 3e-3  # relative, of a logarithm by several relaxations; measured 1.2e-3
 FADED_ERROR = 0.1  # relative, of the remaining creep; measured 0.09
 MAX_ERROR = 0.02  # of the largest pressure; measured 0.7 %
-MAX_ERROR_AFTER, UNCORRECTED = 0.05, 0.15  # kPa, after the load; measured 0.003 and 0.26
+# kPa, after the load; measured 0.003 and 0.26
+MAX_ERROR_AFTER = 0.05
+UNCORRECTED = 0.15
 NEAR_KPA = 0.05
-MIN_COVERAGE, MAX_COVERAGE = 0.88, 0.995  # of 95 % intervals, over 12 films
+# of 95 % intervals, over 12 films
+MIN_COVERAGE = 0.88
+MAX_COVERAGE = 0.995
 NEARLY_PRIOR = 0.05  # relative; measured 0.02
 NOISE = 0.01  # of ln(r/r0) in each of a hundred frames; a mean is known far better
 LAMPREY = OralDisc(
@@ -282,7 +286,9 @@ def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
     A small load later presses.
     """
     ratio = np.full((30, 3, 3), 0.3)
-    ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
+    ratio[:3] = 1.0
+    ratio[10:25] = 0.3**stays
+    ratio[25:] = 0.3 ** (0.02 + 0.2)
     pressed = pressures(ratio, OPEN_FILM, np.arange(30.0), sure=0.002)
     assert (
         pressed.pressing[3:10].all()

@@ -10,7 +10,9 @@ from lampest.report.strongest import strongest_readings
 from tests.panels import Plan, recorded
 
 PLANS = range(150)
-MIN_FRAMES, MIN_DETECTED = 10, 0.8  # of frames with a lost code; measured 31 and 0.87
+# of frames with a lost code; measured 31 and 0.87
+MIN_FRAMES = 10
+MIN_DETECTED = 0.8
 ROUNDING = 1e-12  # relative
 # Of the converter from a cell to the next one, below which a displaced frame hardly differs.
 MIN_STEPS = 12.0

@@ -19,7 +19,9 @@ from tests.panels import Plan, recorded
 CLEAN_SEEDS = [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)]
 PLANS = range(60)
 MIN_UNEVEN = 20  # of 120 films
-MIN_CUT_NOTICED, MIN_ORDER_NOTICED = 0.6, 0.75  # of loaded recordings
+# of loaded recordings
+MIN_CUT_NOTICED = 0.6
+MIN_ORDER_NOTICED = 0.75
 
 
 def health(plan: Plan, codes: np.ndarray | None = None) -> Health:

@@ -36,7 +36,9 @@ from tests.estimates import recording_of
 
 SHAPE = (5, 7)
 CELLS = 3000 * np.exp(np.random.default_rng(4).standard_normal(SHAPE))
-NOISE, ROUNDING = 1e-4, 1e-6  # of a reading, relative
+# of a reading, relative
+NOISE = 1e-4
+ROUNDING = 1e-6
 FAR_BEYOND = 1000  # σ; measured 10,000
 MEMORY_ERROR = 0.15  # relative
 

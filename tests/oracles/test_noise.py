@@ -39,7 +39,9 @@ DRAWS = 400
 MAX_BIAS = 0.12  # relative: three standard errors of sizes by one sample, 3 · 0.76/√DRAWS
 # Of means over simulated recordings, relative to the simulated size.
 OWN_ERROR = 0.02  # own noise: two standard errors of 60 recordings with 90 degrees of freedom
-GAIN_ERROR, RIPPLE_ERROR = 0.25, 0.2  # of 20 recordings; measured 0.1 and 0.03
+# of 20 recordings; measured 0.1 and 0.03
+GAIN_ERROR = 0.25
+RIPPLE_ERROR = 0.2
 COMMON_RIPPLE_ERROR = 0.5  # of 20 recordings; measured 0.09
 # Of single recordings, relative.
 SIZE_ERROR = 0.2  # of noise; measured 0.08, and 0.11 where it was specified wrong
@@ -148,7 +150,8 @@ def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None
     recording = Recording.load(Path(__file__).parents[2] / "data" / "lamprey_35mm.h5", slice(9))
     frozen = recording.recorded.copy()
     missing = recording.recorded.copy()
-    frozen[:, 4, 5], missing[:, 4, 5] = factor * recording.recorded[0, 4, 5], np.nan
+    frozen[:, 4, 5] = factor * recording.recorded[0, 4, 5]
+    missing[:, 4, 5] = np.nan
     froze, missed = (
         Prepared(replace(recording, recorded=values, raw_sums=None)) for values in (frozen, missing)
     )

@@ -131,10 +131,8 @@ def test_detect_uses_frames_without_the_leak() -> None:
 
 @pytest.mark.slow
 def test_estimates_of_modules_are_corrected_and_their_detection_is_not() -> None:
-    leaking, sound = (
-        panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED),
-        panel(2, **ESTIMATED),
-    )
+    leaking = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3, **ESTIMATED)
+    sound = panel(2, **ESTIMATED)
     layout = Modules(1, 2, EachModule(ROWS, COLUMNS), 4.0)
     recording = replace(
         leaking,

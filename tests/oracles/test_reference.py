@@ -31,7 +31,9 @@ from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
 STATIC = 0.07  # error of each reading in all frames
-MIN_SCALE, MAX_SCALE = 8, 32  # around 13 and 23, in steps of two; measured 16
+# around 13 and 23, in steps of two; measured 16
+MIN_SCALE = 8
+MAX_SCALE = 32
 CLEAR_GAIN = 6  # log probability: e^6 to one; measured at least 29
 TAIL_ERROR = 0.6  # of the tail's 95 % over that of the errors; measured 0.3 to 0.47 less
 RMS_ERROR = 0.3  # of the scores of 64 cells; three standard errors, 3/√(2n), are 0.27
@@ -40,7 +42,9 @@ MAX_CLEAN_ERROR = 0.07  # the same without a static error; limit: twice the valu
 MAX_FACTOR = 60  # of the noise; STATIC/NOISE is 23, measured 26
 MIN_RATIO = 10  # of a reading's σ over its noise; measured 30
 MIN_COVERAGE = 0.9  # of 95 % intervals, over frames whose readings share their errors
-MIN_WITHHELD, MAX_INSIDE = 300, 0.98  # readings, and the share that may lie within; measured 0.93
+# readings, and the share that may lie within; measured 0.93
+MIN_WITHHELD = 300
+MAX_INSIDE = 0.98
 MIN_OF_TWELVE = 0.8  # of two readings in six frames: 95 % less 2.4 standard deviations
 CONVERGED = 1e-5  # relative, of cells at the end of a solve
 NO_SMALLER = 0.999  # than the σ of a given weight, but for rounding in solves

@@ -65,7 +65,8 @@ def test_small_changes_of_a_uniform_panel_are_recovered(shape: tuple[int, int]) 
     assert likely_change(readings[1:], readings[0]) == pytest.approx(change, abs=30 * CHANGE**2)
     value = np.full((1, 4, 4), 300.0)
     resting = np.full((4, 4), 600.0)
-    value[0, 1], value[0, 2, 2] = np.nan, np.nan
+    value[0, 1] = np.nan
+    value[0, 2, 2] = np.nan
     likely = likely_change(value, resting)[0]  # what says nothing leaves the rest
     assert np.isnan(likely[1]).all() and np.isnan(likely[2, 2]) and np.isfinite(likely).sum() == 11
     assert likely[np.isfinite(likely)] == pytest.approx(np.log(0.5))

@@ -41,15 +41,24 @@ MAX_BYTES = 200_000  # of a shipped file; measured 53,000
 MAX_FORCE_ERROR = 2e-3  # of the force of contact: patches of 0.5 mm at edges
 STRAIGHT = 1e-3  # of an edge of 10 m radius over 6 mm
 MAX_DECAY = 1e-3  # of the suction in the 0.01 s before a pump; measured 1e-4
-PUBLISHED_MIN, PUBLISHED_MAX = -82.6, -1.8  # percent; paper, figure 8-a
-NEAR_MIN, NEAR_MAX = 3.4, 2.0  # percentage points; measured 3.1 and 1.2
+# percent; paper, figure 8-a
+PUBLISHED_MIN = -82.6
+PUBLISHED_MAX = -1.8
+# percentage points; measured 3.1 and 1.2
+NEAR_MIN = 3.4
+NEAR_MAX = 2.0
 OUTLIER_PERCENT = 2.0  # above the largest published change
-SUCKED_PERCENT, PRESSED_PERCENT = 100.0, -85.0  # of cells well within the mouth, and of its rim
+# of cells well within the mouth, and of its rim
+SUCKED_PERCENT = 100.0
+PRESSED_PERCENT = -85.0
 CODE_ROUNDING = 2e-6  # relative: codes of 24 bits, 6e-8 of full scale, of small readings
 SIZE_ERROR = 0.1  # of a standard deviation of 1,200 readings; three standard errors are 6 %
 FRAMES_ERROR = 0.6  # of one of twelve frames; three standard errors, 3/√(2 · 12)
 CELLS_ERROR = 0.2  # of one of a hundred readings; three standard errors, 3/√(2 · 100)
-MIN_MM, MAX_MM, SPACING_MM = 20, 45, 5  # of the mouths of the cohort, as its file has them
+# of the mouths of the cohort, as its file has them
+MIN_MM = 20
+MAX_MM = 45
+SPACING_MM = 5
 MIN_READING_ERROR = 0.03  # of a real panel, as its files have it
 SIMULATED = sorted(
     path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole")

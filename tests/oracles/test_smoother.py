@@ -41,6 +41,7 @@ ROBUST = (Misfit(weighting="noise", loss=Student(corner=CORNER)),)
 RESTING = 3
 FRAMES = 12
 ROUNDING = 1e-12  # relative
+DIFFERENCE = 1e-5  # of central differences
 DIFFERENCE_ERROR = 1e-5  # relative, of derivatives by differences; measured 4e-7
 MAX_KKT = 1e-7  # at the end of a solve; measured 8e-11
 MAX_EXCESS = 1e-6  # share of the cost that another method may save
@@ -93,14 +94,15 @@ def test_the_stiffness_is_the_slope_of_the_cost_of_a_walk() -> None:
     assert_allclose(Walk(0.01, 3.0).stiffness(squares).ravel(), slope, rtol=DIFFERENCE_ERROR)
 
 
-@pytest.mark.parametrize("chance", [0, 2])
-def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> None:
-    """The residuals of which Φ is the sum of squares, and their derivatives by differences.
+SHARED_ERRORS = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 
-    Three frames of squares, with errors that one frame shares, off the end of Φ and far from its
-    anchor.
+
+def unsolved_joint(chance: int) -> Joint:
+    """Three frames of four cells with errors that a frame shares, off the minimum of Φ.
+
+    The cells are far from their anchor, and `chance` random errors of each frame are free.
     """
-    recording = panel(3, 2, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    recording = panel(3, 2, SHARED_ERRORS)
     rng = np.random.default_rng(2)
     estimator = Estimator((Misfit(weighting="noise"),), "reduced")
     readings = recording.readings()
@@ -121,37 +123,46 @@ def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> 
     joint = replace(
         initial, anchor=anchor, drawn=drawn, position=position, stiffness=stiffness
     ).sharing()
-    joint = replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
+    return replace(joint, shift=0.1 * rng.standard_normal(len(joint.shift)))
+
+
+def residuals(joint: Joint, point: Array) -> Array:
+    """The residuals of which Φ is the sum of squares, at a point of position and shift."""
     size = joint.position.size
     sharing = joint.shared.shape[2]
-
-    def residuals(point: Array) -> Array:
-        trial = replace(
-            joint, position=point[:size].reshape(joint.position.shape), shift=point[size:]
-        )
-        strayed = trial.log_cells - joint.anchor
-        common = trial.shift[sharing:]
-        steps = np.diff(trial.log_cells, axis=0) - common[:, None]
-        misfit = [
-            (at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in trial.at
-        ]
-        parts = (
-            *misfit,
-            trial.chance,
-            trial.shift[:sharing],
-            common / 0.1,
-            1e-2 * strayed,
-            joint.stiffness**0.5 * steps,
-        )
-        return np.concatenate([np.ravel(part) for part in parts])
-
-    current = np.concatenate([joint.position.ravel(), joint.shift])
-    assert joint.value == pytest.approx(np.sum(residuals(current) ** 2), rel=ROUNDING)
-    units = 1e-5 * np.eye(len(current))
-    slopes = np.stack(
-        [(residuals(current + unit) - residuals(current - unit)) / 2e-5 for unit in units], axis=1
+    trial = replace(joint, position=point[:size].reshape(joint.position.shape), shift=point[size:])
+    strayed = trial.log_cells - joint.anchor
+    common = trial.shift[sharing:]
+    steps = np.diff(trial.log_cells, axis=0) - common[:, None]
+    misfit = [(at.reading - at.data.measured).ravel() / at.data.sigma.ravel() for at in trial.at]
+    parts = (
+        *misfit,
+        trial.chance,
+        trial.shift[:sharing],
+        common / 0.1,
+        1e-2 * strayed,
+        joint.stiffness**0.5 * steps,
     )
-    gradient = slopes.T @ residuals(current)
+    return np.concatenate([np.ravel(part) for part in parts])
+
+
+@pytest.mark.parametrize("chance", [0, 2])
+def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> None:
+    """Derivatives of the residuals are by differences."""
+    joint = unsolved_joint(chance)
+    size = joint.position.size
+    sharing = joint.shared.shape[2]
+    current = np.concatenate([joint.position.ravel(), joint.shift])
+    assert joint.value == pytest.approx(np.sum(residuals(joint, current) ** 2), rel=ROUNDING)
+    units = DIFFERENCE * np.eye(len(current))
+    slopes = np.stack(
+        [
+            (residuals(joint, current + unit) - residuals(joint, current - unit)) / (2 * DIFFERENCE)
+            for unit in units
+        ],
+        axis=1,
+    )
+    gradient = slopes.T @ residuals(joint, current)
     assert_allclose(
         joint.gradient.ravel(), gradient[:size], rtol=1e-5, atol=1e-5 * np.abs(gradient).max()
     )
@@ -176,7 +187,7 @@ def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
 
     It is minimised by BFGS from the end and beside it.
     """
-    recording = panel(3, 3, Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0))
+    recording = panel(3, 3, SHARED_ERRORS)
     estimator = Estimator(ROBUST, "smoother")
     readings = recording.readings()
     data = [
@@ -188,31 +199,21 @@ def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
         [estimator.cost(recording.scene, 1)] * len(data), data, Shared.of(recording.scene), start
     )
     joint, _ = smoothed(initial, Walk(0.2, 3.0), Settings(tolerance=1e-10))
-    shared = joint.shared
-    shift = joint.shift
     free = start.size
-    sharing = shared.shape[2]
+    sharing = joint.shared.shape[2]
+    measured = np.stack([frame_data.given.measured.ravel() for frame_data in data])
+    sigma = np.stack([frame_data.given.sigma.ravel() for frame_data in data])
 
     def stated(point: Array) -> float:
-        log_cells = point[:free]
+        log_cells = point[:free].reshape(len(data), -1)
         offsets = point[free : free + sharing]
         common = point[free + sharing :]
-        model = np.stack(
-            [
-                two_point_resistances(cells).ravel()
-                for cells in np.exp(log_cells).reshape(len(data), 3, 3)
-            ]
-        )
-        measured, sigma = (
-            np.stack([getattr(frame_data.given, name).ravel() for frame_data in data])
-            for name in ("measured", "sigma")
-        )
-        misfit = (
-            CORNER**2
-            * np.log1p(((model + shared @ offsets - measured) / sigma / CORNER) ** 2).sum()
-        )
-        steps = np.diff(log_cells.reshape(len(data), -1), axis=0) - common[:, None]
-        misfit += 1e-4 * np.sum((log_cells - start.ravel()) ** 2)
+        frames = np.exp(log_cells).reshape(len(data), 3, 3)
+        model = np.stack([two_point_resistances(cells).ravel() for cells in frames])
+        deviation = (model + joint.shared @ offsets - measured) / sigma
+        misfit = CORNER**2 * np.log1p((deviation / CORNER) ** 2).sum()
+        steps = np.diff(log_cells, axis=0) - common[:, None]
+        misfit += 1e-4 * np.sum((log_cells - start) ** 2)
         return float(
             misfit
             + offsets @ offsets
@@ -220,7 +221,7 @@ def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
             + np.sum(joint.stiffness * steps**2)
         )
 
-    current = np.concatenate([joint.position.ravel(), shift])
+    current = np.concatenate([joint.position.ravel(), joint.shift])
     assert not joint.pressed.any() and joint.kkt_residual.max() < MAX_KKT
     assert stated(current) == pytest.approx(joint.value, rel=100 * ROUNDING)
     rng = np.random.default_rng(0)

@@ -123,9 +123,11 @@ def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
     first = rng.uniform(1e3, 1e4, (3, 4))
     second = rng.uniform(1e3, 1e4, (2, 3)) * scale
     cells = np.full((6, 7), np.inf)
-    cells[:3, :4], cells[3:5, 4:] = first, second
+    cells[:3, :4] = first
+    cells[3:5, 4:] = second
     expected = np.full((6, 7), np.inf)
-    expected[:3, :4], expected[3:5, 4:] = in_digits(first), in_digits(second)
+    expected[:3, :4] = in_digits(first)
+    expected[3:5, 4:] = in_digits(second)
     rows = rng.permutation(6)
     columns = rng.permutation(7)
     for forward in (exact_two_point_resistance, two_point_resistance):

@@ -56,8 +56,12 @@ MIN_GAIN_OF_MEMORY = 3  # the same for the converter's memory of 3 %; measured 8
 RMS_ERROR = 0.3  # of the scores of 63 cells; three standard errors, 3/√(2n), are 0.27
 RMS_ERROR_OF_FRAMES = 0.25  # of 48 cells in each of several frames; of one frame 0.22
 RMS_ERROR_OF_CONTACTS = 0.25  # of 11 lines in 15 panels, which share cells; measured 0.13
-MAX_RMS, MAX_MEDIAN_SCORE = 2.0, 1.5  # of error bars that hold; measured 0.83 and 1.05
-MAX_BAR, MAX_BAR_WITH_WIRE = 0.03, 0.3  # of cells on lines that touch no other, relative
+# of error bars that hold; measured 0.83 and 1.05
+MAX_RMS = 2.0
+MAX_MEDIAN_SCORE = 1.5
+# of cells on lines that touch no other, relative
+MAX_BAR = 0.03
+MAX_BAR_WITH_WIRE = 0.3
 MOSTLY_WIRE = 15  # reading over cell at the far end of the wire; measured 22
 MAX_ITERATIONS = 200  # where straight steps took many hundreds; measured 47
 NARROWER = 0.04  # error of a change over that of a cell, which has its contacts'; measured 0.012

@@ -6,7 +6,6 @@ No time is asserted.
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,9 +34,13 @@ from lampest.studies.common import StudyMethod, paper_methods
 from lampest.studies.study import page, read_settings
 
 ROOT = Path(__file__).parents[2]
-SAME_COST, NEAR_COST = 1e-6, 1e-3  # gap to the least cost, of own solvers and of any verified one
+# gap to the least cost, of own solvers and of any verified one
+SAME_COST = 1e-6
+NEAR_COST = 1e-3
 ROUNDING = 1e-12  # relative
-CONVERGED, STOPPED = 1e-5, 1e-2  # error of cells and readings, where solvers end without noise
+# error of cells and readings, where solvers end without noise
+CONVERGED = 1e-5
+STOPPED = 1e-2
 OF_NOISE = 0.1  # error of cells by 1 % of noise
 read_bench = read_settings(SolversFile)
 SOLVERS = SolverLimits().solvers
@@ -54,24 +57,23 @@ def timed(
     side: int, times: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0
 ) -> Frames:
     """Frames in sequence that took so many s."""
-    known: dict[str, Any] = {
-        "rows": side,
-        "columns": side,
-        "recording": str(number),
-        "method": method,
-    }
-    known |= {
-        "solver": solver,
-        "objective": 1.0,
-        "gap": 0.0,
-        "iterations": 1,
-        "solved": True,
-        "inverse_s": 1e-6,
-    }
-    known["status"] = "optimum verified"
-    kinds = ["first", *["later"] * len(times)]
     return [
-        BenchFrame(**known, frame=frame, seconds=seconds, kind=kinds[frame])
+        BenchFrame(
+            rows=side,
+            columns=side,
+            recording=str(number),
+            method=method,
+            solver=solver,
+            frame=frame,
+            seconds=seconds,
+            kind="later" if frame else "first",
+            status="optimum verified",
+            objective=1.0,
+            gap=0.0,
+            iterations=1,
+            solved=True,
+            inverse_s=1e-6,
+        )
         for frame, seconds in enumerate(times)
     ]
 
@@ -90,7 +92,8 @@ def test_all_solvers_agree_on_solved_frames() -> None:
     }
     for frame in tiny.frames:
         paired = frame.method in ("LSR-dCR", "LSR-gdCR") and frame.shape == (3, 3)
-        assert frame.kind == ("later" if frame.frame else "pair" if paired else "first")
+        first = "pair" if paired else "first"
+        assert frame.kind == ("later" if frame.frame else first)
         if frame.solver in ("reduced", "nodal"):
             assert frame.solved and (not frame.frame or frame.gap < SAME_COST), frame
         assert not frame.verified or 0 <= frame.gap < NEAR_COST, frame

@@ -126,7 +126,7 @@ def test_a_body_beside_makes_swings_of_the_rim_likelier() -> None:
     assert window(own=0.08, seed=1, adjoins=True).suction > 0.95
 
 
-def test_a_body_is_told_from_cells_of_the_rim() -> None:
+def test_a_body_is_distinguished_from_cells_of_the_rim() -> None:
     panel = Panel(6, 6)
     load, rim, body, far = np.zeros((4, 6, 6), dtype=bool)
     load[1:3, 1:3] = rim[3, 1] = body[1, 4] = far[5, 5] = True

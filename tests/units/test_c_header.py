@@ -22,7 +22,8 @@ def array_of(text: str, field: str) -> lampest.Array:
 def test_series_resistances_of_lines_add_up_to_those_of_the_readings() -> None:
     """A reading has the sum of its row's and its column's resistance."""
     rng = np.random.default_rng(5)
-    rows, columns = 4, 3
+    rows = 4
+    columns = 3
     lines = lampest.SeriesPerLine(
         rows=tuple(rng.uniform(50, 90, rows)), columns=tuple(rng.uniform(10, 40, columns))
     )

@@ -99,15 +99,15 @@ def test_another_preconditioner_gives_the_same_cells(monkeypatch: pytest.MonkeyP
         Scene(Panel(5, 6), TwoPointReadout(**NOISE)), two_point_resistance(cells_of((3, 5, 6))), 1
     )
     usual = lampest.reconstruct(recording, SMOOTH, formulation="reduced")
-    made = list[object]()
+    calls = list[object]()
 
-    def other(hessian: Hessian, free: object) -> TwoLevel:
-        made.append(free)
+    def two_level(hessian: Hessian, free: object) -> TwoLevel:
+        calls.append(free)
         return TwoLevel.of(hessian)
 
-    monkeypatch.setattr(direction, "preconditioner", other)
+    monkeypatch.setattr(direction, "preconditioner", two_level)
     changed = lampest.reconstruct(recording, SMOOTH, formulation="reduced")
-    assert made and changed.status == usual.status
+    assert calls and changed.status == usual.status
     assert_allclose(changed.cell_resistance, usual.cell_resistance, rtol=1e-6)
 
 
@@ -132,9 +132,9 @@ def test_pressures_of_a_scene_without_a_film_follow_no_memory(
         monkeypatch.setattr(FilmMemory, name, refuse)
     ratio = np.exp(-np.random.default_rng(1).uniform(0, 1, (5, 3, 4)))
     scene = Scene(Panel(3, 4), response=PUBLISHED)
-    found = pressure_of(ratio, 0.9 * ratio, 1.1 * ratio, scene, np.arange(5.0))
+    pressures = pressure_of(ratio, 0.9 * ratio, 1.1 * ratio, scene, np.arange(5.0))
     alone = pressure_of(ratio[3:4], 0.9 * ratio[3:4], 1.1 * ratio[3:4], scene)
-    assert_array_equal(found.pressure[3], alone.pressure[0])
+    assert_array_equal(pressures.pressure[3], alone.pressure[0])
     with pytest.raises(AssertionError, match="has a film"):
         pressure_of(
             ratio,
@@ -215,9 +215,8 @@ def test_a_run_of_unreadable_recordings_solves_nothing(tmp_path: Path, lampest: 
 
 
 def test_an_import_refuses_a_date_whose_day_may_be_its_month(tmp_path: Path) -> None:
-    (path := tmp_path / "m.csv").write_text(
-        "time,r0c0,r0c1\n1/2/2025 12:00,500,600\n1/3/2025 12:00,510,620\n"
-    )
+    path = tmp_path / "m.csv"
+    path.write_text("time,r0c0,r0c1\n1/2/2025 12:00,500,600\n1/3/2025 12:00,510,620\n")
     with pytest.raises(InputError, match=r"day/month/year or month/day/year"):
         lampest.import_file(path, 1, 2, unit="ohm")
     path.write_text(path.read_text().replace("1/3/2025", "1/31/2025"))
@@ -289,7 +288,8 @@ def test_nothing_sucks_on_cells_as_uneven_as_under_loads_or_where_none_may_rise(
     (place,) = suctions(resting(0.1))
     assert place.cells[3, 3] and place.cells.sum() == 1
     assert may_suck(resting(0.1, hidden=True)) and not suctions(resting(0.1, hidden=True))
-    uneven, hidden = resting(1.5), resting(1.5, hidden=True)
+    uneven = resting(1.5)
+    hidden = resting(1.5, hidden=True)
     assert not suctions(uneven) and not may_suck(hidden)
     pressed = resting(0.1)
     pressed.free_map[3, 3] = -1.0

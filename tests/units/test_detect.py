@@ -29,6 +29,7 @@ from lampest import (
     write_results,
 )
 from lampest.estimate.prepared import Prepared
+from lampest.loads.shapes import AnyShape
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate
@@ -50,22 +51,28 @@ from lampest.runs.starter import write_starter
 
 PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
+TANK = Scene(PANEL, TwoPointReadout(noise_lsb=0.7), 140.0)
 MAT = Scene(
     Panel(12, 12, 10.0),
     LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4),
     purpose="mat",
 )
+MAT_CELLS = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
 ELL = (
     Block(centre_mm=(25, 40), length_mm=60, width_mm=20, angle_deg=90, mass_g=800),
     Block(centre_mm=(45, 60), length_mm=30, width_mm=20, mass_g=400),
 )
 
 
-def recorded(seed: int = 2, **known: Any) -> Recording:
+def recorded(
+    seed: int = 2,
+    scene: Scene = TANK,
+    frames: int = 6,
+    loads: tuple[AnyShape, ...] = (MOUTH,),
+    **options: Any,
+) -> Recording:
     """A mouth on a panel, three unloaded frames before."""
-    given: dict[str, Any] = {"frames": 6, "loads": (MOUTH,)} | known
-    scene = given.pop("scene", Scene(PANEL, TwoPointReadout(noise_lsb=0.7), 140.0))
-    return simulate(Simulation(1, seed, scene, **given))
+    return simulate(Simulation(1, seed, scene, frames=frames, loads=loads, **options))
 
 
 @pytest.mark.slow
@@ -74,10 +81,7 @@ def test_pumps_identify_a_mouth_without_visible_breath() -> None:
 
     A cup that leaks as fast, without pumps, stays something that sucks.
     """
-    known: dict[str, Any] = {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5, "seed": 5}
-    known |= {"scene": Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0)}
-    known |= {"loads": (replace(MOUTH, centre_mm=(26, 24)),)}
-    course = Course(
+    pumping = Course(
         start_s=3,
         approach_s=0.5,
         attachment_s=1,
@@ -86,8 +90,21 @@ def test_pumps_identify_a_mouth_without_visible_breath() -> None:
         release_at_s=290,
         pull_off=0.5,
     )
-    leak = replace(course, pump_s=300.0, pump_loss=0.5)
-    pumped, leaked = (answered(recorded(course=each, **known)) for each in (course, leak))
+    leaking = replace(pumping, pump_s=300.0, pump_loss=0.5)
+    pumped, leaked = (
+        answered(
+            recorded(
+                seed=5,
+                scene=Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0),
+                frames=300,
+                loads=(replace(MOUTH, centre_mm=(26, 24)),),
+                course=course,
+                frame_period_s=1.0,
+                baseline_frames=5,
+            )
+        )
+        for course in (pumping, leaking)
+    )
     assert (pumped.answer, leaked.answer, len(pumped.attachments)) == (LAMPREY, SUCKS, 1)
     assert "pumping up its suction" in pumped.sentence and "breathing" not in pumped.sentence
     assert "whether suction is pumped up again shows within minutes" in leaked.sentence
@@ -116,10 +133,9 @@ def test_frame_noise_survives_its_arrays(readout: Any) -> None:
 @pytest.mark.slow
 def test_detect_of_a_mat_reports_two_contacts_with_place_and_area() -> None:
     """An L and a disc; then a mouth."""
-    cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
     disc = Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600)
     two, mouth = (
-        answered(recorded(scene=MAT, cells=cells, frame_period_s=0.25, loads=loads))
+        answered(recorded(scene=MAT, cells=MAT_CELLS, frame_period_s=0.25, loads=loads))
         for loads in ((*ELL, disc), (MOUTH,))
     )
     assert two.answer == mouth.answer == PRESSES and len(two.attachments) == 2
@@ -133,18 +149,24 @@ def test_detect_of_a_mat_reports_two_contacts_with_place_and_area() -> None:
 
 @pytest.mark.slow
 def test_a_short_press_is_a_contact_of_a_mat_and_mentioned_otherwise() -> None:
-    scene = replace(MAT, panel=Panel(7, 7, 10.0))
-    cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
+    period_s = 0.05
     course = Course(start_s=0.4, release_at_s=0.7)
-    known: dict[str, Any] = {"cells": cells, "course": course, "frame_period_s": 0.05, "frames": 24}
-    known |= {"loads": (Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=500),)}
     mat, unspecified = (
-        answered(recorded(scene=replace(scene, purpose=purpose), **known))
+        answered(
+            recorded(
+                scene=replace(MAT, panel=Panel(7, 7, 10.0), purpose=purpose),
+                frames=24,
+                loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=500),),
+                cells=MAT_CELLS,
+                course=course,
+                frame_period_s=period_s,
+            )
+        )
         for purpose in ("mat", None)
     )
     (press,) = mat.attachments
-    touched_s = 3 * 0.05 + course.start_s
-    released_s = 3 * 0.05 + 0.7
+    touched_s = 3 * period_s + course.start_s
+    released_s = 3 * period_s + 0.7
     assert (press.since_s, press.until_s) == pytest.approx((touched_s, released_s), abs=0.11)
     assert press.place == pytest.approx((30, 30), abs=4)
     assert (
@@ -155,12 +177,11 @@ def test_a_short_press_is_a_contact_of_a_mat_and_mentioned_otherwise() -> None:
 
 def test_cells_of_lower_conductance_are_neither_a_contact_nor_explained() -> None:
     scene = replace(MAT, panel=Panel(7, 7, 10.0))
-    known: dict[str, Any] = {
-        "cells": Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6),
-        "frame_period_s": 0.25,
-    }
     loaded = recorded(
-        scene=scene, loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),), **known
+        scene=scene,
+        loads=(Rod(centre_mm=(30, 30), diameter_mm=25, mass_g=30),),
+        cells=MAT_CELLS,
+        frame_period_s=0.25,
     )
     order = np.r_[3:9, 3, 0:3, 0:3]  # the load first, as if it were the unloaded panel
     recorded_again = loaded.recorded[order]
@@ -178,12 +199,12 @@ def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> 
     recording = recorded(scene=scene, loads=(load,), unmodelled=Unmodelled(reading_error=0.1))
     named = replace(scene, gain="estimated", systematic=Systematic(reading_error="estimated"))
     recording = replace(recording, scene=named)
-    found = reconstruct(
+    estimate = reconstruct(
         recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False
     )
-    assert found.noise.error_in_sigma and found.noise.sigma_factor == 1
-    write_results(tmp_path / "results.h5", [found.result("changes")])
-    known = known_of(found.prepared)
+    assert estimate.noise.error_in_sigma and estimate.noise.sigma_factor == 1
+    write_results(tmp_path / "results.h5", [estimate.result("changes")])
+    known = known_of(estimate.prepared)
     again, frames = known_of_case(read_results(tmp_path / "results.h5").cases[0])
     assert isinstance(known, Known)
     assert (known.explained, known.begin) == (again.explained, again.begin)
@@ -201,10 +222,10 @@ def test_a_mouth_on_a_panel_with_pull_ups_sucks_in_the_recording_and_in_its_resu
 ) -> None:
     write_starter(tmp_path / "mine", "pull_ups", 10, 10)
     recording = Recording.load(tmp_path / "mine" / "example.h5")
-    found = reconstruct(
+    estimate = reconstruct(
         recording, [Misfit(weighting="noise"), LogRatio(weight=1.0)], error_bars=False
     )
-    (of_results,) = detect_results(Results((found.result("changes"),)))
+    (of_results,) = detect_results(Results((estimate.result("changes"),)))
     assert of_results.answer == SUCKS
     assert of_results.sentence == detect_recording(tmp_path / "mine" / "example.h5").sentence
 
@@ -216,7 +237,7 @@ def test_a_single_frame_shows_no_change(tmp_path: Path) -> None:
     assert answer.answer == CANNOT_SAY and "one frame" in answer.why
     scene = Scene(PANEL)
     values = np.full((3, 8, 10), 500.0)
-    for frames, known in ((2, False), (3, True)):
+    for frames, shows_noise in ((2, False), (3, True)):
         recording = Recording(
             scene,
             values[:frames],
@@ -224,11 +245,10 @@ def test_a_single_frame_shows_no_change(tmp_path: Path) -> None:
             (np.arange(frames) > 0).astype(np.uint8),
         )
         known_or_answer = known_of(Prepared(recording))
-        assert (
-            isinstance(known_or_answer, Known)
-            if known
-            else known_or_answer.why == "the noise is unknown, and too few frames show it"
-        )
+        if shows_noise:
+            assert isinstance(known_or_answer, Known)
+        else:
+            assert known_or_answer.why == "the noise is unknown, and too few frames show it"
 
 
 def test_detect_refuses_files_other_than_recordings_and_results(tmp_path: Path) -> None:

@@ -95,7 +95,8 @@ def test_second_derivatives_are_factored_once_and_reused(
     solver = estimator.problem(stream.scene, len(data.measured), 1.0, partial=data.partial)
     solver.prepare()
     for owner, name in ((Evaluation, "elsewhere"), (Hessian, "product"), (Cholesky, "of")):
-        counts[name], usual = 0, getattr(owner, name)
+        counts[name] = 0
+        usual = getattr(owner, name)
 
         def called(*arguments: object, name: str = name, usual: Any = usual) -> object:
             counts[name] += 1

@@ -24,15 +24,8 @@ from lampest.runs.executors import Serial
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
 from lampest.studies import common, tradeoff
-from lampest.studies.extremes import (
-    AtlasFile,
-    AtlasSample,
-    Grid,
-    atlas_remarks,
-    recording_of,
-    run_atlas,
-    solves_of,
-)
+from lampest.studies.extreme_scenes import AtlasSample, Grid, recording_of
+from lampest.studies.extremes import AtlasFile, atlas_remarks, run_atlas, solves_of
 from lampest.studies.paper import FILE, Side, read_published
 from lampest.studies.study import read_settings
 from lampest.studies.tradeoff import Plan, read_plan, run_tradeoff

@@ -11,7 +11,8 @@ from lampest.estimate.memory import memory_gain
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.solvers.multistart import evaluated
 
-ROWS, COLUMNS = 3, 4
+ROWS = 3
+COLUMNS = 4
 
 
 def recording_of(scene: lampest.Scene, recorded: lampest.Array) -> lampest.Recording:
@@ -36,8 +37,8 @@ def test_a_stage_that_is_not_estimated_leaves_the_recording_as_it_is(
     assert with_saturated_stage(grounded) is grounded
     scene = grounded.scene
     readout = replace(scene.circuit, passes_volt="estimated")
-    asked = replace(grounded, scene=replace(scene, readout=readout))
-    assert with_saturated_stage(asked).scene.circuit.passes_volt is None
+    requested = replace(grounded, scene=replace(scene, readout=readout))
+    assert with_saturated_stage(requested).scene.circuit.passes_volt is None
 
 
 def test_readings_without_a_converter_show_no_memory() -> None:

@@ -277,12 +277,12 @@ def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
 def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
     for last_ms in (5_520, 100, 2**31):
         run, samples = run_of((0, 500), (1, 510), (2, last_ms))
-        samples += run.rest()
+        samples += run.last_sample()
         assert places(samples) == complete_frames(3) and samples[-1].events == (CLOCK_JUMPED,)
-        assert samples[-1].time == pytest.approx(0.02) and not run.rest()
+        assert samples[-1].time == pytest.approx(0.02) and not run.last_sample()
     for last in ((1, 510), (0, 500), (900, 515)):
         run, samples = run_of((0, 500), (1, 510), last)
-        assert not run.rest() and places(samples) == complete_frames(2), (
+        assert not run.last_sample() and places(samples) == complete_frames(2), (
             "repeated and foreign frames are none"
         )
 
@@ -855,11 +855,9 @@ def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
     sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
     sums[30:] += 800
     sums[50:] += np.arange(0, 1000, 100, dtype=np.uint16)[:, None, None]
-    sums[::2, 0, 0], sums[::2, 0, 1], sums[1::2, 0, :2] = (
-        2 * readings,
-        1021 * readings,
-        500 * readings,
-    )
+    sums[::2, 0, 0] = 2 * readings
+    sums[::2, 0, 1] = 1021 * readings
+    sums[1::2, 0, :2] = 500 * readings
     codes = sums[:50].reshape(50, 6)[:, 2:] / readings
     differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
     numbers = np.arange(frames)

@@ -96,7 +96,7 @@ class Attachment:
     def suction_kpa(self) -> Pair | None:
         """Typical suction, the median over all recognitions, kPa, and its standard deviation.
 
-        The latter is the median of their standard deviations.
+        The standard deviation is the median of theirs.
         """
         if not self.suctions:
             return None
@@ -107,7 +107,7 @@ class Attachment:
     def strongest_kpa(self) -> Pair | None:
         """Strongest suction, kPa, and its standard deviation.
 
-        It is that which all but its error exceeds all others.
+        It is the suction that exceeds all others by more than its error.
         """
         return min(self.suctions, key=lambda pair: pair[0] + pair[1], default=None)
 
@@ -143,7 +143,7 @@ class Attachment:
     def lives(self) -> float:
         """Probability that it is a mouth, given that it sucks.
 
-        It is given by the product of the odds of breath and of pumps.
+        Its odds are the product of those of breath and of pumps.
         """
         # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln
         # odds of pumps add
@@ -194,22 +194,25 @@ class Attachment:
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
         # a move: farther than three standard deviations of the distance, and than 3 mm
-        far = NOISE_REACH * max(
-            1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1])
-        )
-        moves = self.distance(later.place) > far and later.since_s > self.placed_s
-        moved, placed = (
-            ((*self.moved_s, later.since_s), later.since_s)
-            if moves
-            else (self.moved_s, self.placed_s)
-        )
-        began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        earlier = replace(
-            later, since_s=self.since_s, breath=self.breath, track=self.track, placed_s=placed
-        )
+        distance_sd = max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
+        is_far = self.distance(later.place) > NOISE_REACH * distance_sd
+        moved_s = self.moved_s
+        placed_s = self.placed_s
+        if is_far and later.since_s > self.placed_s:
+            moved_s = (*moved_s, later.since_s)
+            placed_s = later.since_s
+        begins_to_suck = self.sucks_s is None and later.sucks > 0.5
         suctions = (*self.suctions, *later.suctions)
-        thinned = suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions
-        return replace(earlier, sucks_s=began, moved_s=moved, suctions=thinned)
+        return replace(
+            later,
+            since_s=self.since_s,
+            sucks_s=later.since_s if begins_to_suck else self.sucks_s,
+            moved_s=moved_s,
+            placed_s=placed_s,
+            suctions=suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions,
+            breath=self.breath,
+            track=self.track,
+        )
 
     def listened(
         self,
@@ -264,18 +267,16 @@ class Attachment:
         track = self.track
         moves = len(self.moved_s)
         time = frames[-1][0]
-        begin = (
-            max(self.placed_s, frames[0][0])
-            if track is None or track.moves != moves
-            else track.since_s
-        )
+        current = track if track is not None and track.moves == moves else None
+        begin = max(self.placed_s, frames[0][0]) if current is None else current.since_s
         block = np.array([logarithm for at, logarithm in frames if at > begin])
         if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
             return self
-        if track is None or track.moves != moves:
+        if current is None:
             weights = self.patterns.suction_weights(whitening)
-            track = Pumping.begin(weights, np.log(frame.measured.ravel()), begin, moves, track)
-        return replace(self, track=track.after(block, time))
+            reference = np.log(frame.measured.ravel())
+            current = Pumping.begin(weights, reference, begin, moves, track)
+        return replace(self, track=current.after(block, time))
 
 
 def attachments_of(
@@ -297,46 +298,51 @@ def attachments_of(
     attachments = list[Attachment]()
     first = 0
     change = frame.free_map
-    sd = frame.free_sd
-    moved = np.abs(change) > NOISE_REACH * np.hypot(
-        sd, frame.baseline.model_errors.resting_sd(frame.seconds)
-    )
+    moved = np.abs(change) > NOISE_REACH * _cell_sd(frame)
     # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
     resting = np.exp(-frame.baseline.logarithm)
     more = resting * np.expm1(-change)
-    errors = resting * np.exp(-change) * sd
+    errors = resting * np.exp(-change) * frame.free_sd
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
     for (candidate, parameters), effects in zip_longest(best.loads, patterns):
         disc = candidate.disc(parameters)
         after = first + len(parameters)
         covariance = best.covariance[first:after, first:after]
         first = after
-        known: dict[str, Any] = {
-            "sucks": verdict.sucks_at(disc),
-            "since_s": since,
-            "placed_s": since,
-            "clear": clear,
-            "patterns": effects,
-        }
+        sucks = verdict.sucks_at(disc)
+        shape: dict[str, Any] = {}
         if disc is None:
             groups = _contacts(frame, more, errors)
         else:
             groups = [moved & under(frame.panel, disc)]
             half_pitch = frame.panel.pitch_mm / 2
-            known |= {"x_mm": (disc.x_mm, half_pitch), "y_mm": (disc.y_mm, half_pitch)}
-            known["sucks_s"] = since if known["sucks"] > 0.5 else None
+            shape["x_mm"] = (disc.x_mm, half_pitch)
+            shape["y_mm"] = (disc.y_mm, half_pitch)
+            shape["sucks_s"] = since if sucks > 0.5 else None
             # σ² = sᵀ C s, with s the derivative of the quantity by φ
-            reported = {
-                name: (value, float(np.sqrt(slopes @ covariance @ slopes)))
-                for name, (value, slopes) in candidate.report(parameters).items()
-            }
-            known["suctions"] = (reported.pop("suction_kpa"),) if "suction_kpa" in reported else ()
-            known |= reported
+            for name, (value, slopes) in candidate.report(parameters).items():
+                shape[name] = (value, float(np.sqrt(slopes @ covariance @ slopes)))
+            suction = shape.pop("suction_kpa", None)
+            shape["suctions"] = () if suction is None else (suction,)
         for group in groups:
             conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
-            touched = _touched(frame.panel, group, change)
-            attachments.append(Attachment(**touched | known, conductance_s=conductance))
+            attachment = Attachment(
+                sucks=sucks,
+                since_s=since,
+                placed_s=since,
+                clear=clear,
+                patterns=effects,
+                conductance_s=conductance,
+                **_touched(frame.panel, group, change) | shape,
+            )
+            attachments.append(attachment)
     return attachments
+
+
+def _cell_sd(frame: Observation) -> Array:
+    """Return the standard deviation of ln r/r0 of the free cells, drift included."""
+    drift = frame.baseline.model_errors.resting_sd(frame.seconds)
+    return np.asarray(np.hypot(frame.free_sd, drift))
 
 
 def _contacts(frame: Observation, more: Array, errors: Array) -> list[NDArray[np.bool_]]:
@@ -344,8 +350,7 @@ def _contacts(frame: Observation, more: Array, errors: Array) -> list[NDArray[np
 
     It rose by `more` siemens with the `errors`.
     """
-    sd = np.hypot(frame.free_sd, frame.baseline.model_errors.resting_sd(frame.seconds))
-    groups = contacts_of(frame.panel, frame.free_map, sd)
+    groups = contacts_of(frame.panel, frame.free_map, _cell_sd(frame))
     return [
         group
         for group in groups
@@ -388,28 +393,30 @@ def continued_by(
         parts of another load.
     """
     attachments = list(before)
-    left = [number for number, load in enumerate(before) if load.present]
+    unmatched = [number for number, load in enumerate(before) if load.present]
     # Greedy matching: the load with the nearest attachment first, within the larger diameter of
     # both.
     distances = [
-        min((attachments[number].distance(load.place) for number in left), default=inf)
+        min((attachments[number].distance(load.place) for number in unmatched), default=inf)
         for load in loads
     ]
     for load in (loads[number] for number in np.argsort(distances, kind="stable")):
-        near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
+        near = min(
+            unmatched, key=lambda number: attachments[number].distance(load.place), default=None
+        )
         if near is not None and attachments[near].distance(load.place) < max(
             attachments[near].size, load.size
         ):
             attachments[near] = attachments[near].continued(load)
-            left.remove(near)
+            unmatched.remove(near)
         else:
             attachments.append(load)
     if again:
         return tuple(
             load
             for number, load in enumerate(attachments)
-            if number not in left or load.since_s < time
+            if number not in unmatched or load.since_s < time
         )
-    for number in left:
+    for number in unmatched:
         attachments[number] = attachments[number].ended(time)
     return tuple(attachments)

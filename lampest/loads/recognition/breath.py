@@ -32,6 +32,7 @@ PRIOR_ODDS = 10.0
 # The same of a load that another one, or a body, adjoins and may move: of 25 cups beside a body
 # that beats, five were taken for lampreys with PRIOR_ODDS (docs/studies/mouths.md).
 ADJOINED_ODDS = 0.1
+RATE_STEP = 0.25  # over the duration: distance of the rates that are compared
 LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
 MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
 MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and as many again
@@ -47,11 +48,9 @@ def too_slow(rate: float) -> str:
 
     '' where it suffices.
     """
-    return (
-        ""
-        if rate >= MIN_RATE_HZ
-        else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
-    )
+    if rate >= MIN_RATE_HZ:
+        return ""
+    return f"breathing shows at four frames a second or more, here there are {rate:.3g}"
 
 
 @dataclass(frozen=True)
@@ -96,9 +95,9 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
         _steady_breath(interval.only(span), changes[span], patterns, suction[span])
         for span in spans
     ]
-    known = [steady for steady in breaths if steady is not None]
-    best = max(known, key=attrgetter("odds"), default=None)
-    return None if best is None else replace(best, odds=best.odds - log(len(known)))
+    determined = [steady for steady in breaths if steady is not None]
+    best = max(determined, key=attrgetter("odds"), default=None)
+    return None if best is None else replace(best, odds=best.odds - log(len(determined)))
 
 
 def _steady_breath(
@@ -126,18 +125,27 @@ def _steady_breath(
     lasted = float(times[-1] - times[0])
     trend = interval.trend()
     own_patterns, changes = patterns.beside_others(_without(trend, recorded))
-    hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), 0.25 / lasted)
+    highest_hz = min(RATES_HZ[1], MAX_RATE_SHARE * rate)
+    hertz = np.arange(RATES_HZ[0], highest_hz, RATE_STEP / lasted)
     even_waves = _waves(hertz, times)
     waves = _without(trend, suction[:, None] * even_waves)
     axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
     axes = np.swapaxes(axes, 1, 2)
     level = changes @ own_patterns.weights(MAX_SWINGS["own"], 1.0, EDGE_SD)
-    if pulled := interval.pulled(level, axes):
-        parts, left = interval.parted(pulled)
-        return breath(parts, recorded[left], patterns)
+    pulls = interval.pulled(level, axes)
+    if pulls:
+        parts, remaining = interval.parted(pulls)
+        return breath(parts, recorded[remaining], patterns)
     within = (times - times[0]) / lasted
     window = _Window(
-        times, hertz, waves, axes, sizes**2, _tapered(even_waves, within), changes, own_patterns
+        times=times,
+        hertz=hertz,
+        waves=waves,
+        axes=axes,
+        gain=sizes**2,
+        tapered=_tapered(even_waves, within),
+        changes=changes,
+        patterns=own_patterns,
     )
     freedom = len(times) - trend.shape[1]
     breaths = [window.breath(*rates, freedom) for rates in window.rates(level, rate)]
@@ -202,10 +210,10 @@ class _Window(NamedTuple):
             Frames per second.
         """
         strongest = int(np.argmax((self.swings**2).sum(axis=(1, 2))))
-        far = np.abs(self.hertz - self.hertz[strongest]) > self.distance
-        rates = [(strongest, np.ones(len(self.hertz), dtype=bool), far)]
-        if far.any():
-            second = int(np.argmax(far * ((self.axes @ level) ** 2).sum(axis=1)))
+        elsewhere = np.abs(self.hertz - self.hertz[strongest]) > self.distance
+        rates = [(strongest, np.ones(len(self.hertz), dtype=bool), elsewhere)]
+        if elsewhere.any():
+            second = int(np.argmax(elsewhere * ((self.axes @ level) ** 2).sum(axis=1)))
             hertz = self.hertz[second]
             halves = np.array([hertz, hertz / 2, (rate - hertz) / 2])
             apart = np.abs(self.hertz[:, None] - halves) > self.distance
@@ -213,7 +221,7 @@ class _Window(NamedTuple):
         return rates
 
     def breath(
-        self, centre: int, near: NDArray[np.bool_], far: NDArray[np.bool_], freedom: int
+        self, centre: int, near: NDArray[np.bool_], background: NDArray[np.bool_], freedom: int
     ) -> Breath:
         """Return the breath at one of the rates `near`, each as probable as any rate of all.
 
@@ -221,8 +229,8 @@ class _Window(NamedTuple):
         ----------
         centre : int
             Number of the rate without which the background is estimated.
-        near, far : boolean arrays, shape (rates,)
-            Rates of the breath, and of the background.
+        near, background : boolean arrays, shape (rates,)
+            Rates of the breath, and of its background.
         freedom : int
             Degrees of freedom of a series in the window.
         """
@@ -230,9 +238,9 @@ class _Window(NamedTuple):
         mean_gain = float(self.gain.mean())
         swings = self.swings
         # without the wave itself, which gaps between the parts of a window spread over all rates
-        others = self.changes - self.axes[centre].T @ swings[centre]
-        whitening = _whitening(self.tapered[far] @ others)
-        steadied = self.patterns.seen_by(whitening)
+        without_wave = self.changes - self.axes[centre].T @ swings[centre]
+        whitening = _whitening(self.tapered[background] @ without_wave)
+        steadied = self.patterns.whitened(whitening)
         # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against
         # A = TREMBLE_SD.
         series = self.changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / mean_gain)
@@ -249,11 +257,13 @@ class _Window(NamedTuple):
         spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
         loud = _background(swings)  # with what the wave leaks into other rates
         within = (self.times - self.times[0]) / lasted
+        # a rate is uniform within a step of the grid
+        hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
         return Breath(
-            float(breathing - steady + np.log(near.mean())),
-            _suction(steadied, swings @ whitening.T, 1.0, mean_gain),
-            (float(self.hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-            _depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
+            odds=float(breathing - steady + np.log(near.mean())),
+            suction=_suction(steadied, swings @ whitening.T, 1.0, mean_gain),
+            hertz=(float(self.hertz[best]), hertz_sd),
+            depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
         )
 
 
@@ -285,17 +295,19 @@ def _background(swings: Array) -> float:
 
     It is the lower quartile, and at least the noise.
     """
-    return max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25))) if len(swings) else 1.0
+    if not len(swings):
+        return 1.0
+    return max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))
 
 
-def _whitening(others: Array) -> Array:
+def _whitening(swings: Array) -> Array:
     """Return the whitening of movements at all rates, and of noise, (readings, readings).
 
-    `others` (rates, 2, readings) are the readings' swings at rates that the strongest one does not
+    `swings` (rates, 2, readings) are those of the readings at rates that the strongest one does not
     leak into.
     """
-    samples = others.reshape(-1, others.shape[2])
-    noise = _background(others) * np.eye(samples.shape[1])
+    samples = swings.reshape(-1, swings.shape[2])
+    noise = _background(swings) * np.eye(samples.shape[1])
     root = cholesky(noise + samples.T @ samples / max(len(samples), 1), lower=True)
     return np.asarray(solve_triangular(root, np.eye(len(root)), lower=True))
 
@@ -341,9 +353,9 @@ def _depth(
         # amplitudes with the prior N(0, MAX_SWINGS²), which near half the frame rate alone decides
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
         residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
-        left = max(float(residual @ residual) / freedom, 1e-12)
-        covariance = np.linalg.inv(square / left + np.eye(4) / MAX_SWINGS["own"] ** 2)
-        coefficients = covariance @ (basis.T @ series) / left
+        variance_left = max(float(residual @ residual) / freedom, 1e-12)
+        covariance = np.linalg.inv(square / variance_left + np.eye(4) / MAX_SWINGS["own"] ** 2)
+        coefficients = covariance @ (basis.T @ series) / variance_left
         variances = np.diag(covariance)
         # A² from all four coefficients, less the noise of the two of linear change
         depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
@@ -396,9 +408,9 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
         Square of the swings at unit amplitude.
     """
     causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
-    suction, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
+    suction, *movements = (_explained(root, most, swings, noise).max() for root, most in causes)
     # 1/w = 1 + Σ_causes (E_cause/E_own)^½/PRIOR_ODDS
-    odds = EVIDENCE_SHARE * (suction - np.array(others))
+    odds = EVIDENCE_SHARE * (suction - np.array(movements))
     odds += np.log(ADJOINED_ODDS if patterns.adjoins else PRIOR_ODDS)
     return float(expit(-logsumexp(-odds)))
 

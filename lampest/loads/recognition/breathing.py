@@ -73,26 +73,28 @@ class Breathing:
         causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
         return replace(self, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
 
-    def after(self, seen: Breath | None, time: float, *, full: bool) -> "Breathing":
+    def after(self, breath: Breath | None, time: float, *, full: bool) -> "Breathing":
         """Return the breath after a window that ends at a time in s.
 
-        Of a full one the odds are kept. Assumptions: one mouth in twenty never shows its breath,
+        The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
         because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
         The odds of full windows multiply. Of incomplete windows, two successive ones have to agree
         that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
         lampreys for a second (docs/studies/mouths.md).
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
-        return judged if seen is None else judged._weighed(seen, full=full)
+        return judged if breath is None else judged._with_window(breath, full=full)
 
-    def _weighed(self, seen: Breath, *, full: bool) -> "Breathing":
+    def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
+        """Return the breath with that of one more window."""
         # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
-        window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + seen.odds)
+        window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + breath.odds)
         odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
         breathing = replace(self, odds=odds, previous_odds=odds if full else self.previous_odds)
-        if self.hertz is not None and (seen.odds <= 0 or (self.previous_odds != 0 and not full)):
+        follows_full_window = self.previous_odds != 0 and not full
+        if self.hertz is not None and (breath.odds <= 0 or follows_full_window):
             return breathing
-        described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
+        described = replace(breathing, hertz=breath.hertz, depth=breath.depth, last=breath.suction)
         if not full:
-            return replace(described, suction=min(seen.suction, self.last))
-        return described._caused(seen.suction)
+            return replace(described, suction=min(breath.suction, self.last))
+        return described._caused(breath.suction)

@@ -63,9 +63,8 @@ class Several(Candidate):
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """Return the sum of the parts' pressures, and the derivatives by all φ."""
         parts = [part.pressure(panel, patch_mm, values) for part, values in self.loads(parameters)]
-        return np.sum([pressure for pressure, _ in parts], axis=0), np.concatenate(
-            [slopes for _, slopes in parts]
-        )
+        total = np.sum([pressure for pressure, _ in parts], axis=0)
+        return total, np.concatenate([slopes for _, slopes in parts])
 
     def start(self, disc: Disc) -> Array:
         return np.concatenate([part.start(disc) for part in self.parts])
@@ -95,7 +94,7 @@ class Uniform(Candidate):
         return np.zeros(len(self.numbers))
 
 
-NOTHING, FLAT = UNIFORM = Uniform(label="nothing"), Uniform(label="flat load", numbers=("flat",))
+UNIFORM = (Uniform(label="nothing"), Uniform(label="flat load", numbers=("flat",)))
 LOADS: tuple[Candidate, ...] = tuple(
     shape.candidate for shape in shape_types() if shape.candidate is not None
 )

@@ -96,7 +96,8 @@ class Detector:
         is then fitted with a load that sucks, and cells beside it are free. Where nothing sucks,
         the loads that press are compared.
         """
-        if (undisturbed := self.calm(frame)) is not None:
+        undisturbed = self.calm(frame)
+        if undisturbed is not None:
             return self._judged(undisturbed, ())
         field, without = field_fit(frame)
         if self.any_form:
@@ -244,14 +245,15 @@ class Detector:
         for _ in range(SHARPENED):
             whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
             fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
-            far = self._contradicting(frame, fit)
-            if far.tolist() == dropped:
+            contradicting = self._contradicting(frame, fit)
+            if contradicting.tolist() == dropped:
                 break
-            calm = frame.without(far)
-            dropped = far.tolist()
+            calm = frame.without(contradicting)
+            dropped = contradicting.tolist()
         return calm, fit
 
     def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
+        """Return the numbers of outliers if the fit is poor; none otherwise."""
         whitening = self.fitting(fit.candidate, frame).errors(fit, fit.scatter)
         errors = whitening @ fit.residual
         suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
@@ -393,8 +395,8 @@ class Detector:
             *(under(frame.panel, disc) for disc in verdict.best.discs),
         ]
         # states 2 and 3 of the field outside the loads: changes of a few kPa and more
-        left = np.where(np.any(explained, axis=0), 0.0, field.change)
-        return bool(states(frame.panel, left).max() > 1)
+        unexplained = np.where(np.any(explained, axis=0), 0.0, field.change)
+        return bool(states(frame.panel, unexplained).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
         """Return the verdict with a single best load's full uncertainty of diameter and suction."""

@@ -104,9 +104,8 @@ class Fit:
     @property
     def discs(self) -> list[Disc]:
         """Discs of all round loads."""
-        return [
-            disc for part, parameters in self.loads if (disc := part.disc(parameters)) is not None
-        ]
+        discs = (part.disc(parameters) for part, parameters in self.loads)
+        return [disc for disc in discs if disc is not None]
 
 
 class CellLikelihood(NamedTuple):
@@ -235,16 +234,20 @@ class Fitting:
         covariance, width = inverse_beside_prior(squares.normal, sd)
         covariance += np.diag(self.candidate.blind(parameters) ** 2)
         errors = whitening @ likelihood.residual
-        # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the
-        # Gauss-Newton matrix H
-        known = parameters, covariance, self.effect(parameters)[0], likelihood.residual
-        likely = (
-            float(errors @ errors),
-            squares.cost,
-            whitening.volume,
-            -width - squares.cost - whitening.volume,
+        return Fit(
+            candidate=self.candidate,
+            parameters=parameters,
+            covariance=covariance,
+            change=self.effect(parameters)[0],
+            residual=likelihood.residual,
+            chi2=float(errors @ errors),
+            cost=squares.cost,
+            volume=whitening.volume,
+            # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the
+            # Gauss-Newton matrix H
+            evidence=-width - squares.cost - whitening.volume,
+            scatter=whitening.scatter,
         )
-        return Fit(self.candidate, *known, *likely, whitening.scatter)
 
     @cached_property
     def _priors(self) -> Mapping[str, Prior]:
@@ -338,20 +341,7 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     place = names.index("diameter")
     sd = fitting.candidate.sd(fitting.frame.panel)
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
-    points = [(fit.parameters, fitting.at(fit.parameters, likelihood))]
-    # Profile: step ln d in both directions, ever farther, until P(δ) is negligible; all other
-    # parameters are fitted.
-    # As points of a patch are.
-    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
-    for step in (1, -1) * np.array(max(spacing, fit.covariance[place, place] ** 0.5)):
-        position, squares = points[0]
-        number = 0
-        while squares.cost < points[0][1].cost + NEGLIGIBLE and number < MAX_PROFILE:
-            begin = position + FARTHER**number * step * np.eye(len(names))[place]
-            position, squares = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
-            points.append((position, squares))
-            number += 1
-    points.sort(key=lambda point: float(point[0][place]))
+    points = _profile(fitting, fit, likelihood, place)
     steps = np.gradient([position[place] for position, _ in points])
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other
     # patches.
@@ -376,6 +366,32 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     covariance[remaining] += np.tensordot(share, inverses, 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit
+
+
+def _profile(
+    fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int
+) -> list[tuple[Array, SumOfSquares]]:
+    """Return the profile of a fit along the parameter number `place`, in its order.
+
+    The parameter ln d is stepped in both directions, ever farther, until P(δ) is negligible; all
+    other parameters are fitted.
+    """
+    best = fitting.at(fit.parameters, likelihood)
+    points = [(fit.parameters, best)]
+    direction = np.eye(len(fit.parameters))[place]
+    # at least the distance of the points of a patch
+    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
+    first_step = max(spacing, fit.covariance[place, place] ** 0.5)
+    for step in (first_step, -first_step):
+        position = fit.parameters
+        squares = best
+        number = 0
+        while squares.cost < best.cost + NEGLIGIBLE and number < MAX_PROFILE:
+            begin = position + FARTHER**number * step * direction
+            position, squares = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
+            points.append((position, squares))
+            number += 1
+    return sorted(points, key=lambda point: float(point[0][place]))
 
 
 # Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of
@@ -408,23 +424,27 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     `start` is also the start.
     """
     of_cells = states(frame.panel, start)
-    none = np.zeros(0)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
     change = most_probable.state.reshape(start.shape)
     whitening = most_probable.whitening
     errors = whitening @ most_probable.apart
-    left = frame.residual(change)
-    misfit = Whitening.about(frame, change) @ left
+    residual = frame.residual(change)
+    misfit = Whitening.about(frame, change) @ residual
     cost = float(errors @ errors) / 2
-    # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of the
-    # Potts field
-    likely = (
-        float(misfit @ misfit),
-        cost,
-        whitening.volume,
-        -cost - whitening.volume - paid(frame.panel, of_cells),
+    fit = Fit(
+        candidate=FIELD,
+        parameters=np.zeros(0),
+        covariance=np.zeros((0, 0)),
+        change=change,
+        residual=residual,
+        chi2=float(misfit @ misfit),
+        cost=cost,
+        volume=whitening.volume,
+        # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of
+        # the Potts field
+        evidence=-cost - whitening.volume - potts_cost(frame.panel, of_cells),
     )
-    return Fit(FIELD, none, none.reshape(0, 0), change, left, *likely), most_probable
+    return fit, most_probable
 
 
 def prior(frame: Observation, sd: Array) -> Array:
@@ -455,8 +475,8 @@ def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * near), limits)).reshape(change.shape)
 
 
-def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
-    """Return −ln P of the states.
+def potts_cost(panel: Panel, of_cells: NDArray[np.intp]) -> float:
+    """Return −ln P of the states in the Potts field.
 
     It is 1 for each pair of unlike neighbours (an assumption), and a normalising constant.
     """
@@ -551,7 +571,9 @@ class Verdict:
         total = 0.0
         for fit, share in zip(self.fits, self.shares, strict=True):
             discs = [part.disc(values) for part, values in fit.loads if part.sucks]
-            total += share * any(one is not None and near(one.x_mm, one.y_mm) for one in discs)
+            total += share * any(
+                sucking is not None and near(sucking.x_mm, sucking.y_mm) for sucking in discs
+            )
         return total / max(1 - self.nothing, 1e-9)
 
 

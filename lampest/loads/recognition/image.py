@@ -57,12 +57,14 @@ class ImageWatch:
         modules = dict[int, Watch]()
         for number, module_scene in enumerate(setup.scene.of_modules):
             cells = layout_of(setup.scene.panel).cells(number)
-            if (read := np.isfinite(sigma[cells]) & np.isfinite(measured[cells])).any():
-                part = replace(setup, scene=module_scene, water=setup.water[cells])
-                at_rest = np.where(read, measured[cells], np.median(measured[cells][read]))
-                modules[number] = Watch.begin(
-                    part, at_rest, sigma[cells], unloaded[(..., *cells)], time
-                )
+            finite = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
+            if not finite.any():
+                continue
+            part = replace(setup, scene=module_scene, water=setup.water[cells])
+            at_rest = np.where(finite, measured[cells], np.median(measured[cells][finite]))
+            modules[number] = Watch.begin(
+                part, at_rest, sigma[cells], unloaded[(..., *cells)], time
+            )
         return cls(setup, modules)
 
     @ONE_BLAS_THREAD
@@ -126,9 +128,9 @@ class ImageWatch:
         image = np.zeros(self.setup.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
-                known = image[window.cells]
+                covered = image[window.cells]
                 image[window.cells] = np.where(
-                    np.abs(watch.change) > np.abs(known), watch.change, known
+                    np.abs(watch.change) > np.abs(covered), watch.change, covered
                 )
         return image if image.any() else None
 
@@ -193,21 +195,24 @@ class ImageWatch:
         Their modules take over the states.
         """
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
+        calm = tuple(opening for opening in self.opened if time - opening[2] >= CALM_S)
+        covered = under_windows(opened)
         modules = dict(self.modules)
-        for window, watch, _ in (opening for opening in self.opened if time - opening[2] >= CALM_S):
+        for window, watch, _ in calm:
             layout = layout_of(window.scene.panel)
-            images = np.reshape(
-                [watch.rest.mean, watch.level.mean, *watch.recent], (4, *layout.shape)
-            )
-            for number, levels in zip(
-                window.numbers, np.swapaxes(layout.split(images), 0, 1), strict=True
-            ):
-                if number in modules and number not in under_windows(opened):
+            levels_of_window = watch.rest.mean, watch.level.mean, *watch.recent
+            images = np.reshape(levels_of_window, (4, *layout.shape))
+            of_modules = np.swapaxes(layout.split(images), 0, 1)
+            for number, levels in zip(window.numbers, of_modules, strict=True):
+                if number in modules and number not in covered:
                     baseline, mean, *recent = levels.reshape(4, -1)
-                    rest = replace(watch.rest, mean=baseline)
-                    level = replace(watch.level, mean=mean)
-                    module = replace(modules[number], rest=rest, level=level, recent=tuple(recent))
-                    modules[number] = replace(module, history=watch.history)
+                    modules[number] = replace(
+                        modules[number],
+                        rest=replace(watch.rest, mean=baseline),
+                        level=replace(watch.level, mean=mean),
+                        recent=tuple(recent),
+                        history=watch.history,
+                    )
         return replace(self, modules=modules, opened=opened)
 
     def _merged(self) -> tuple[Attachment, ...]:
@@ -215,23 +220,18 @@ class ImageWatch:
 
         A load in two windows is taken from the nearer middle.
         """
-        loads = [
-            (window, replace(load, x_mm=(x + window.x_mm, x_sd), y_mm=(y + window.y_mm, y_sd)))
-            for window, watch, _ in self.opened
-            for load in watch.attachments
-            for (x, x_sd), (y, y_sd) in [(load.x_mm, load.y_mm)]
-        ]
+        loads = list[tuple[Window, Attachment]]()
+        for window, watch, _ in self.opened:
+            loads += [(window, window.in_image(load)) for load in watch.attachments]
         # nearest to its window's middle first; equal loads of other windows are dropped
+        loads.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
         merged = list[tuple[Window, Attachment]]()
-        for window, load in sorted(
-            loads, key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1]))
-        ):
-            if not any(
-                window is not neighbour and _same_load(load, seen) for neighbour, seen in merged
-            ):
+        for window, load in loads:
+            elsewhere = [nearer for neighbour, nearer in merged if neighbour is not window]
+            if not any(_same_load(load, nearer) for nearer in elsewhere):
                 merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
-        past = [load for load in ended if not any(_same_load(load, seen) for _, seen in merged)]
+        past = [load for load in ended if not any(_same_load(load, late) for _, late in merged)]
         return tuple(sorted([*past, *(load for _, load in merged)], key=lambda load: load.since_s))
 
 

@@ -105,10 +105,7 @@ class ModelErrors:
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
-        """Return the standard deviation of each cell's own drift of ln r.
-
-        It is that `seconds` after the baseline.
-        """
+        """Return the standard deviation of each cell's drift, seconds after the baseline."""
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
 
     def resting_covariance(self, seconds: float, cells: int) -> Array:
@@ -135,19 +132,23 @@ class ModelErrors:
         layout = scene.panel.modules
         rows, columns = measured.shape
         row, column = np.indices(measured.shape)
+        row_channel = row
+        column_channel = column
         if layout is not None:
             # every module has channels of its own: number its lines separately
-            row, column = (
-                row + rows * (column // layout.each.columns),
-                column + columns * (row // layout.each.rows),
-            )
+            row_channel = row + rows * (column // layout.each.columns)
+            column_channel = column + columns * (row // layout.each.rows)
         in_ohm = scene.circuit.unit == "ohm"
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
-        lines = [line.reshape(-1, 1) == np.unique(line) for line in (row, column)] if in_ohm else []
-        by_reading = [np.diag(self.reading_error * total[:, 0])] if self.reading_error else []
-        return np.hstack(
-            [*(self.channel_ohm * line for line in lines), self.reference * total, *by_reading]
-        )
+        effects = list[Array]()
+        if in_ohm:
+            for channel in (row_channel, column_channel):
+                on_channel = channel.reshape(-1, 1) == np.unique(channel)
+                effects.append(self.channel_ohm * on_channel)
+        effects.append(self.reference * total)
+        if self.reading_error:
+            effects.append(np.diag(self.reading_error * total[:, 0]))
+        return np.hstack(effects)
 
 
 # Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open
@@ -407,17 +408,17 @@ class Observation:
 
         |x| is at most MAX_LOG_CHANGE.
         """
-        # kPa, for a central difference: F has corners
         response = self.baseline.response
+        # kPa, for a central difference: F has corners
         step = 1e-3
         # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
         change, up, down = response.gains * (
             response.logarithm(near) - response.logarithm(self.water)
         )
-        return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), (up - down) / (2 * step) * (
-            np.abs(change) < MAX_LOG_CHANGE
-        )
+        within = np.abs(change) < MAX_LOG_CHANGE
+        slope = (up - down) / (2 * step) * within
+        return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), slope
 
     def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings, (cells, cells).
@@ -564,18 +565,19 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     inverse = whitening @ np.eye(len(residual))
     precision = inverse.T @ inverse
     pull = precision @ residual
-    left = np.ones(len(residual), dtype=bool)
+    fitting = np.ones(len(residual), dtype=bool)
     for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
-        score = np.divide(pull**2, np.diag(precision), out=np.zeros(len(pull)), where=left)  # z²
+        # z²
+        score = np.divide(pull**2, np.diag(precision), out=np.zeros(len(pull)), where=fitting)
         worst = int(np.argmax(score))
         if score[worst] <= SIGNIFICANT**2:
             break
-        left[worst] = False
+        fitting[worst] = False
         # marginalise reading w: C⁻¹ ← C⁻¹ − C⁻¹_·w C⁻¹_w·/C⁻¹_ww
         column = precision[:, worst] / precision[worst, worst]
         pull = pull - column * pull[worst]
         precision = precision - np.outer(column, precision[worst])
-    return np.flatnonzero(~left)
+    return np.flatnonzero(~fitting)
 
 
 def alone(panel: Panel, cells: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -64,6 +64,8 @@ HYPOTHESES = 8  # times of the last jump that are kept for each combination
 HIDDEN_SHARE = 0.2
 # Least duration of the frames whose median is one sample, without outliers and most of the breath.
 BLOCK_S = 3.0
+# Numbers of kinds, leaks, noises, drifts and hypotheses.
+GRID = (len(KINDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
 # Lower limit of ln odds, so that a mouth that rested for hours is recognised soon after it begins
 # to pump.
 MIN_LOG_ODDS = -5.0
@@ -119,20 +121,22 @@ class Pumping:
 
         `before` is that of the same attachment in its previous place.
         """
-        kinds = np.broadcast_to(np.log(OF_KINDS.share), GRID)
-        known = (
-            kinds
-            if before is None
-            else np.broadcast_to(logsumexp(before.logarithm, axis=-1, keepdims=True), GRID)
-        )
+        logarithm = np.asarray(np.log(OF_KINDS.share))
+        if before is not None:
+            logarithm = np.asarray(logsumexp(before.logarithm, axis=-1, keepdims=True))
         track = cls(
-            weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID)
+            weights=weights,
+            reference=reference,
+            since_s=time,
+            moves=moves,
+            logarithm=np.broadcast_to(logarithm, GRID),
+            mean=np.zeros(GRID),
+            variance=np.ones(GRID),
+            age_s=np.zeros(GRID),
         )
-        return (
-            track
-            if before is None
-            else replace(track, observed_s=before.observed_s, pumps=before.pumps)
-        )
+        if before is None:
+            return track
+        return replace(track, observed_s=before.observed_s, pumps=before.pumps)
 
     def after(self, logarithms: Array, time: float) -> "Pumping":
         """Return the state after one more sample at a time in s.
@@ -141,57 +145,68 @@ class Pumping:
         """
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
+        updated = self._predicted(seconds)._updated(sample)._limited()
+        updated = replace(updated, since_s=time, observed_s=self.observed_s + seconds)
+        return updated._counted(time, seconds)
+
+    def _predicted(self, seconds: float) -> "Pumping":
+        """Return the state after an interval in s, with one more hypothesis: a jump within it.
+
+        u decays by λ Δt, and its variance grows by q² Δt. A jump has the probability
+        1 − e^(−rate Δt).
+        """
         leak = LEAKS[:, None, None, None]
-        noise = NOISES[:, None, None]
         drift = DRIFTS[:, None]
         rate = np.where(self.age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
-        # Prediction: u decays by λ Δt, its variance grows by q² Δt; a jump occurs with probability
-        # 1 − e^(−rate Δt).
         mean = self.mean - leak * seconds
         variance = self.variance + drift**2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
         stays = self.logarithm - rate * seconds
-        # The new hypothesis of a jump merges all leaks and all earlier hypotheses by their mean and
+        # The hypothesis of a jump merges all leaks and all earlier hypotheses by their mean and
         # variance.
         total = logsumexp(jumps, axis=(1, 4), keepdims=True)
         share = np.exp(jumps - total)
         middle = (share * mean).sum(axis=(1, 4), keepdims=True)
         spread = (share * (variance + (mean - middle) ** 2)).sum(axis=(1, 4), keepdims=True)
-        start = (
-            total - np.log(len(LEAKS)),
-            middle + OF_KINDS.jump,
-            spread + OF_KINDS.jump_sd**2,
-            np.zeros_like(total),
+        return replace(
+            self,
+            logarithm=_with_hypothesis(total - np.log(len(LEAKS)), stays),
+            mean=_with_hypothesis(middle + OF_KINDS.jump, mean),
+            variance=_with_hypothesis(spread + OF_KINDS.jump_sd**2, variance),
+            age_s=_with_hypothesis(np.zeros_like(total), self.age_s + seconds),
         )
-        logarithm, mean, variance, age = (
-            np.concatenate([np.broadcast_to(new, (*GRID[:-1], 1)), old], axis=-1)
-            for new, old in zip(start, (stays, mean, variance, self.age_s + seconds), strict=True)
-        )
-        # Update by the sample s ~ N(mean, variance + σ²): probability, then the Kalman step of mean
-        # and variance.
-        wide = variance + noise**2
-        logarithm = logarithm - 0.5 * ((sample - mean) ** 2 / wide + np.log(wide))
+
+    def _updated(self, sample: float) -> "Pumping":
+        """Return the state with a sample s ~ N(mean, variance + σ²), and the best hypotheses.
+
+        Mean and variance are updated by a Kalman step.
+        """
+        noise = NOISES[:, None, None]
+        wide: Array = self.variance + noise**2
+        misfit = (sample - self.mean) ** 2 / wide + np.log(wide)
+        logarithm: Array = self.logarithm - 0.5 * misfit
         best = np.argsort(-logarithm, axis=-1)[..., :HYPOTHESES]
         logarithm, mean, variance, age, wide = (
             np.take_along_axis(values, best, axis=-1)
-            for values in (logarithm, mean, variance, age, wide)
+            for values in (logarithm, self.mean, self.variance, self.age_s, wide)
         )
-        updated = replace(
+        return replace(
             self,
-            since_s=time,
             logarithm=logarithm - logsumexp(logarithm),
             mean=mean + variance / wide * (sample - mean),
             variance=variance * (1 - variance / wide),
             age_s=age,
         )
-        # Noise, drift and leak may change, so no combination becomes much less probable than the
-        # best.
-        least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
-        logarithm = np.maximum(updated.logarithm, least)
-        logarithm[-1] += max(0.0, MIN_LOG_ODDS - updated._kinds)
-        return replace(updated, logarithm=logarithm, observed_s=self.observed_s + seconds)._counted(
-            time, seconds
-        )
+
+    def _limited(self) -> "Pumping":
+        """Return the state in which no combination is much less probable than the best.
+
+        Noise, drift and leak may change, and a mouth that rested may pump again.
+        """
+        least = self.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
+        logarithm = np.maximum(self.logarithm, least)
+        logarithm[-1] += max(0.0, MIN_LOG_ODDS - self._kinds)
+        return replace(self, logarithm=logarithm)
 
     def _counted(self, time: float, seconds: float) -> "Pumping":
         """Return the state with one more pump where there probably was one.
@@ -223,4 +238,6 @@ class Pumping:
         return float(np.logaddexp(np.log(HIDDEN_SHARE), np.log(1 - HIDDEN_SHARE) + self._kinds))
 
 
-GRID = (len(KINDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
+def _with_hypothesis(new: Array, values: Array) -> Array:
+    """Return values along the hypotheses with one more before them, (..., 1 + hypotheses)."""
+    return np.concatenate([np.broadcast_to(new, (*GRID[:-1], 1)), values], axis=-1)

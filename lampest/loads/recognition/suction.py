@@ -99,8 +99,8 @@ def suctions(frame: Observation) -> list[Suction]:
 def may_suck(frame: Observation) -> bool:
     """Return whether cells may hide a suction.
 
-    They may because cells around them have fallen so far that they do not show. Their standard
-    deviation is above MIN_RISE, and within NOISE_REACH of them they have risen by it.
+    Cells around them may have fallen so far that these do not show. The standard deviation of such
+    a cell is above MIN_RISE, and the cell may have risen by MIN_RISE within NOISE_REACH of it.
     """
     change = frame.free_map
     sd = frame.free_sd
@@ -155,11 +155,11 @@ def around(panel: Panel, group: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _merged(panel: Panel, places: list[Suction]) -> list[Suction]:
     """Return the places without those that are nearer to a larger one than two mouths can be."""
-    kept = list[Suction]()
+    separate = list[Suction]()
     for place in places:
-        distances = [
-            np.hypot(place.x_mm - one.x_mm, place.y_mm - one.y_mm) / panel.pitch_mm for one in kept
+        distances_mm = [
+            np.hypot(place.x_mm - larger.x_mm, place.y_mm - larger.y_mm) for larger in separate
         ]
-        if min(distances, default=np.inf) > APART_PITCHES:
-            kept.append(place)
-    return kept
+        if min(distances_mm, default=np.inf) / panel.pitch_mm > APART_PITCHES:
+            separate.append(place)
+    return separate

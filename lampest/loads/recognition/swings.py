@@ -119,16 +119,20 @@ class Patterns(NamedTuple):
         They are projected on the complement of `others`.
         """
         span = np.linalg.qr(self.others)[0]
-        suction, rim, moves, left = (
+        suction, rim, moves, remaining = (
             pattern - span @ (span.T @ pattern)
             for pattern in (self.own, self.rim, self.moves, changes.T)
         )
-        return self._replace(own=suction, rim=rim, moves=moves), left.T
+        return self._replace(own=suction, rim=rim, moves=moves), remaining.T
 
-    def seen_by(self, whitening: Array) -> "Patterns":
+    def whitened(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that are whitened once more, by (readings, readings)."""
-        own, rim, moves, others = (whitening @ pattern for pattern in self[:4])
-        return self._replace(own=own, rim=rim, moves=moves, others=others)
+        return self._replace(
+            own=whitening @ self.own,
+            rim=whitening @ self.rim,
+            moves=whitening @ self.moves,
+            others=whitening @ self.others,
+        )
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction.
@@ -201,19 +205,25 @@ def patterns_of(
         if part.sucks:
             sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]
             moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
-            others = np.column_stack([whitening.sum(axis=1), by_cell[:, changed & ~under]])
-            own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
-            known = Patterns.of(*own_cells, moves, others, curve=curve)
-            beside = adjoin(panel, changed & ~under, under)
-            patterns[number] = known._replace(adjoins=beside)
+            beside = changed & ~under
+            pattern = Patterns.of(
+                by_cell=by_cell[:, under],
+                rise=rise.ravel()[under],
+                slopes=slopes[:, under],
+                spread=spread[under],
+                moves=moves,
+                others=np.column_stack([whitening.sum(axis=1), by_cell[:, beside]]),
+                curve=curve,
+            )
+            patterns[number] = pattern._replace(adjoins=adjoin(panel, beside, under))
         first += len(own)
     return patterns
 
 
-def adjoin(panel: Panel, some: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
-    """Return whether one of some cells, (cells,), is within ADJOINS_PITCHES of others."""
+def adjoin(panel: Panel, body: NDArray[np.bool_], load: NDArray[np.bool_]) -> bool:
+    """Return whether one of a body's cells, (cells,), is within ADJOINS_PITCHES of a load's."""
     x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
-    distance = np.hypot(x[some, None] - x[others], y[some, None] - y[others])
+    distance = np.hypot(x[body, None] - x[load], y[body, None] - y[load])
     nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
     least, most = ADJOINS_PITCHES
     return bool(np.any((nearest > least) & (nearest < most)))

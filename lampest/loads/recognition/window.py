@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.recognition_scene import RecognitionNetwork, RecognitionScene
 from lampest.loads.recognition.step_test import NEAR_PITCHES
 from lampest.panel.panel import Array, Modules, Panel
@@ -158,6 +159,12 @@ class Window:
         places = scene.panel.places_mm[:, *cells]
         x, y = places[:, 0, 0]
         return cls(window_scene, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
+
+    def in_image(self, load: Attachment) -> Attachment:
+        """Return an attachment with its place in the image instead of the window."""
+        x, x_sd = load.x_mm
+        y, y_sd = load.y_mm
+        return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
 
 
 def layout_of(panel: Panel) -> Modules:

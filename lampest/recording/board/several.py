@@ -8,10 +8,11 @@ missing from the image until it returns.
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from copy import copy
 from dataclasses import replace
+from itertools import chain
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
 from time import time
@@ -24,6 +25,7 @@ from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
 from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
+POLL_SECONDS = 0.02  # s between looks whether a recording ends
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
 Stamped = tuple[float, Sample]  # start of the scan in s on the host's clock, and the sample
 # board, and its sample, state, error or end
@@ -106,15 +108,15 @@ class Alignment:
         self.shown: list[Stamped | None] = [None] * boards
         self.delays = [deque[float](maxlen=50) for _ in range(boards)]
 
-    def _known(self, board: int) -> list[Stamped]:
+    def _frames_of(self, board: int) -> list[Stamped]:
         """Return the last shown frame of a board, if any, and those that wait."""
         return [*filter(None, [self.shown[board]]), *self.waiting[board]]
 
     def take(self, board: int, sample: Sample) -> None:
         """Take a frame of a board; its delays begin anew after a restart."""
-        known = self._known(board)
+        frames = self._frames_of(board)
         delays = self.delays[board]
-        if not known or known[-1][1].session != sample.session:
+        if not frames or frames[-1][1].session != sample.session:
             delays.clear()
         delays.append(sample.host_time - sample.time)
         self.waiting[board].append((sample.time + min(delays), sample))
@@ -132,14 +134,14 @@ class Alignment:
         late = now > at + 1.5 * period + LATE_SECONDS
         parts = dict[int, Stamped]()
         for board in range(self.boards):
-            known = self._known(board)
-            newest = known[-1][0] if known else -np.inf
+            frames = self._frames_of(board)
+            newest = frames[-1][0] if frames else -np.inf
             # A missing board is waited for as soon as it sends again: its next frame may be the
             # nearer one.
             silent = board in self.missing and newest < at - 1.5 * period
             if not (late or silent) and newest < at - period / 2:
                 return None
-            nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
+            nearest = min(frames, key=lambda stamped: abs(stamped[0] - at), default=None)
             # Half a period, plus the jitter of clocks.
             if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
                 parts[board] = nearest
@@ -201,21 +203,12 @@ def _images(
     arrived = Arrived()
     states = [""] * len(numbers)
     listening = set(range(len(numbers)))
-    boards = zip(
-        range(len(numbers)), ports, map(scene.of_modules.__getitem__, numbers), strict=True
-    )
-    threads = [
-        Thread(target=_listen, args=(*board, period, arrived, ended), daemon=True)
-        for board in boards
-    ]
-    for thread in threads:
-        thread.start()
-    try:
+    with _listeners(scene, numbers, ports, period, arrived, ended):
         while listening or not arrived.empty():
             if ending():
                 ended.set()
             with suppress(Empty):
-                board, item = arrived.get(timeout=0.02)
+                board, item = arrived.get(timeout=POLL_SECONDS)
                 if isinstance(item, Sample):
                     current.take(board, item)
                     states[board] = ""
@@ -226,23 +219,55 @@ def _images(
                     listening.discard(board)
                 else:
                     states[board] = item
-            made = list[Sample]()
-            before = copy(current)
-            while (parts := current.frame(time() if listening else np.inf)) is not None:
-                made.append(_image(scene, numbers, parts, before, current))
-                before = copy(current)
-            yield tuple(made)
-            if made and current.missing:
+            images = _new_images(scene, numbers, current, waits=bool(listening))
+            yield images
+            if images and current.missing:
                 gone = (
                     f"module {places[board]} at {ports[board]}: {states[board] or 'no frame came'}"
                     for board in current.missing
                 )
                 on_state("; ".join(gone))
                 yield ()
+
+
+@contextmanager
+def _listeners(
+    scene: Scene,
+    numbers: Sequence[int],
+    ports: Sequence[str],
+    period: float | None,
+    arrived: Arrived,
+    ended: Event,
+) -> Iterator[None]:
+    """Listen to each board in a thread; end and join the threads on exit."""
+    threads = list[Thread]()
+    for board, (number, port) in enumerate(zip(numbers, ports, strict=True)):
+        arguments = (board, port, scene.of_modules[number], period, arrived, ended)
+        threads.append(Thread(target=_listen, args=arguments, daemon=True))
+    for thread in threads:
+        thread.start()
+    try:
+        yield
     finally:
         ended.set()
         for thread in threads:
             thread.join()
+
+
+def _new_images(
+    scene: Scene, numbers: Sequence[int], current: Alignment, *, waits: bool
+) -> tuple[Sample, ...]:
+    """Advance an alignment as far as its frames allow, and return the new images.
+
+    `waits` states whether boards may still send; without any, nothing is waited for.
+    """
+    images = list[Sample]()
+    while True:
+        before = copy(current)
+        parts = current.frame(time() if waits else np.inf)
+        if parts is None:
+            return tuple(images)
+        images.append(_image(scene, numbers, parts, before, current))
 
 
 def _image(
@@ -266,29 +291,30 @@ def _image(
         sums[numbers[board]] = sample.frame.sums
     missed = max(sample.frame.missed for sample in parts.values())
     fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
-    events = [event for sample in fresh for event in sample.events]
+    events = list(chain.from_iterable(sample.events for sample in fresh))
     for word, inside, outside in (
         ("gone", after.missing, before.missing),
         ("back", before.missing, after.missing),
     ):
         places = [layout.place(numbers[board]) for board in inside if board not in outside]
         events += [f"{word}: {','.join(map(str, place))}" for place in places]
+    frame = replace(
+        first.frame,
+        sequence=before.frames,
+        missed=missed,
+        sums=layout.joined(sums),
+        log_change=None,
+    )
     return Sample(
-        replace(
-            first.frame,
-            sequence=before.frames,
-            missed=missed,
-            sums=layout.joined(sums),
-            log_change=None,
-        ),
-        replace(first.hello, rows=rows, columns=columns, estimates=False),
-        scene,
-        after.elapsed,
-        max(sample.host_time for sample in parts.values()),
-        min(sample.lost for sample in fresh) if before.frames else 0,
-        sum(last[1].session for last in after.shown if last is not None),
-        tuple(dict.fromkeys(events)),
-        len(after.missing),
+        frame=frame,
+        hello=replace(first.hello, rows=rows, columns=columns, estimates=False),
+        scene=scene,
+        time=after.elapsed,
+        host_time=max(sample.host_time for sample in parts.values()),
+        lost=min(sample.lost for sample in fresh) if before.frames else 0,
+        session=sum(last[1].session for last in after.shown if last is not None),
+        events=tuple(dict.fromkeys(events)),
+        missing=len(after.missing),
     )
 
 
@@ -308,7 +334,7 @@ def _listen(
                 port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set
             )
             with closing(samples) as batches:
-                for sample in (sample for batch in batches for sample in batch):
+                for sample in chain.from_iterable(batches):
                     sessions = before + sample.session + 1
                     arrived.put((board, replace(sample, session=sessions - 1)))
         except InputError as error:

@@ -71,14 +71,16 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
     """Return the readout that a board declares in its HELLO."""
     reference = hello.reference_milliohm / 1000
     drive = hello.drive_milliohm / 1000
-    known: dict[str, Any] = {
+    converter: dict[str, Any] = {
         "supply_volt": hello.supply_millivolt / 1000,
         "adc_bits": hello.adc_bits,
+        "readings": hello.readings,
     }
-    known["readings"] = hello.readings
     if hello.wiring == "loaded_columns":
-        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **known)
-    return TwoPointReadout(reference_ohm=reference, measured_across=hello.measured_across, **known)
+        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **converter)
+    return TwoPointReadout(
+        reference_ohm=reference, measured_across=hello.measured_across, **converter
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,26 +192,24 @@ class Scanning:
                 self.before = newest
                 at = newest.time + elapsed_ms / 1000
                 between = self._between(newest, frame, at)
-                known = 0 if not between else _since(newest.frame, between[0].frame)[0]
-                return (*between, self._accept(self._sample(frame, at, steps - 1 - known)))
+                steps_between = _since(newest.frame, between[0].frame)[0] if between else 0
+                sample = self._sample(frame, at, steps - 1 - steps_between)
+                return (*between, self._accept(sample))
         # Two consecutive frames that follow each other: the clock has jumped, or the numbers have
         # restarted.
-        stray = self.stray
-        if (
-            stray
-            and _since(stray, frame)[0] == 1
-            and (first := self._resumed(stray, frame)) is not None
-        ):
-            return (self._accept(first), *self.take(frame))
+        if self.stray is not None and _since(self.stray, frame)[0] == 1:
+            resumed = self._resumed(self.stray, frame)
+            if resumed is not None:
+                return (self._accept(resumed), *self.take(frame))
         self.stray = frame
         self.stray_host_time = time.time()
         return ()
 
     def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
-        """Return the stray frame as a sample, if its number lies between two others.
+        """Return the stray frame as a sample, if its number is between those of its neighbours.
 
-        These are those of a sample and of the next frame. Its clock has jumped for it alone. `at`
-        is the time of the next frame in s.
+        The neighbours are a sample and the next frame, which is at the time `at` in s. The clock
+        has jumped for the stray frame alone.
         """
         stray = self.stray
         if stray is None or self.last is not newest or not at > newest.time:
@@ -218,25 +218,21 @@ class Scanning:
         all_steps = _since(newest.frame, frame)[0]
         if not 0 < steps < all_steps:
             return ()
-        moved = newest.time + steps / all_steps * (at - newest.time)
         sample = Sample(
-            stray,
-            self.hello,
-            self.scene,
-            moved,
-            self.stray_host_time,
-            steps - 1,
-            self.session,
-            (CLOCK_JUMPED,),
+            frame=stray,
+            hello=self.hello,
+            scene=self.scene,
+            time=newest.time + steps / all_steps * (at - newest.time),
+            host_time=self.stray_host_time,
+            lost=steps - 1,
+            session=self.session,
+            events=(CLOCK_JUMPED,),
         )
         self.last = sample
         return (sample,)
 
-    def rest(self) -> tuple[Sample, ...]:
-        """Return the last frame of a run as a sample, if only its clock does not follow.
-
-        Its number follows and its clock alone does not.
-        """
+    def last_sample(self) -> tuple[Sample, ...]:
+        """Return the last frame of a run as a sample, if its clock alone does not follow."""
         if (
             self.stray is None
             or self.before is None
@@ -472,7 +468,7 @@ class _Line:
             ending = self._ending()
             samples, over = self._taken(run, board.stop() if ending else board.messages())
             if over or ending:
-                samples += run.rest()
+                samples += run.last_sample()
             if samples:
                 heard = time.monotonic()
             yield samples

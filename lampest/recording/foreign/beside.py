@@ -65,18 +65,18 @@ def _joined(
 ) -> ReadingsTable:
     """Return the table with texts in the first of the fields, and without the others."""
     first = fields[0]
-    kept = [field for field in range(table.width) if field not in fields[1:]]
-    held = table.fields.copy()
+    columns = [field for field in range(table.width) if field not in fields[1:]]
+    joined = table.fields.copy()
     values = table.values.copy()
-    held[:, first] = texts
+    joined[:, first] = texts
     values[:, first] = np.nan
-    names = tuple(name if field == first else old for field, old in enumerate(table.names))
-    joined = (
-        f"{', '.join(table.names[field] or f'field {field + 1}' for field in fields)} are one "
-        f"{name}"
+    names = list(table.names)
+    names[first] = name
+    parts = ", ".join(table.names[field] or f"field {field + 1}" for field in fields)
+    notes = (*table.notes, f"{parts} are one {name}")
+    return replace(table, fields=joined, values=values, names=tuple(names), notes=notes).only(
+        columns=columns
     )
-    notes = (*table.notes, joined)
-    return replace(table, fields=held, values=values, names=names, notes=notes).only(columns=kept)
 
 
 def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
@@ -98,7 +98,7 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
         for trailing in range(extra + 1):
             lead = range(extra - trailing)
             end = range(table.width - trailing, table.width)
-            names = _told(table, [*lead, *end], len(lead), rows, marks)
+            names = _names_beside(table, [*lead, *end], len(lead), rows, marks)
             if names is None:
                 continue
             alone = len(names) == 1 and names != [SKIPPED] and not trailing
@@ -119,18 +119,22 @@ def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTab
         *range(table.width - trailing, table.width),
         *range(lead, table.width - trailing),
     ]
-    said = [f"field {order[at] + 1} {name}" for at, name in enumerate(names) if name != SKIPPED]
+    named = [f"field {order[at] + 1} {name}" for at, name in enumerate(names) if name != SKIPPED]
     marks = [f"field {order[at] + 1}" for at, name in enumerate(names) if name == SKIPPED]
-    notes = [f"no header: {', '.join(said)}; `layout` says otherwise"] if said else []
-    notes += [f"{', '.join(marks)} left out: beside the readings, and no time"] if marks else []
+    notes = list[str]()
+    if named:
+        notes.append(f"no header: {', '.join(named)}; `layout` says otherwise")
+    if marks:
+        notes.append(f"{', '.join(marks)} left out: beside the readings, and no time")
     every = (*names, *[""] * (table.width - len(names)))
     table = replace(table.only(columns=order), names=every, notes=(*table.notes, *notes))
     clock = [field for field, name in enumerate(names) if name in CLOCK]
-    table = _joined(table, clock, _clock_texts(table, clock), "time") if clock else table
+    if clock:
+        table = _joined(table, clock, _clock_texts(table, clock), "time")
     return table.only(columns=[field for field, name in enumerate(table.names) if name != SKIPPED])
 
 
-def _told(
+def _names_beside(
     table: ReadingsTable, fields: Sequence[int], lead: int, rows: int, marks: NDArray[np.bool_]
 ) -> list[str] | None:
     """Return names of the fields beside the readings; None if one is unclear.
@@ -148,15 +152,18 @@ def _told(
         if _is_clock(table.values[:, fields[at : at + 3]]):
             names[at : at + 3] = CLOCK
             break
-    numbered = lead == 0 or (lead == 1 and names[0] == SKIPPED) or "row" in names
-    if None in names or (rows > 1 and len(fields) > 1 and not numbered):
+    if None in names:
         return None
-    known = [name or SKIPPED for name in names]
-    first = "hour" if "hour" in known else "time"
-    return [
-        SKIPPED if name == "time" and (first == "hour" or at != known.index("time")) else name
-        for at, name in enumerate(known)
-    ]
+    only_mark_leads = lead == 1 and names[0] == SKIPPED
+    rows_are_clear = lead == 0 or only_mark_leads or "row" in names
+    if rows > 1 and len(fields) > 1 and not rows_are_clear:
+        return None
+    complete = [name or SKIPPED for name in names]
+    # A file has one clock: that of hour, minute and second, or its first time.
+    if "hour" in complete:
+        return [SKIPPED if name == "time" else name for name in complete]
+    first = complete.index("time") if "time" in complete else len(complete)
+    return [SKIPPED if name == "time" and at > first else name for at, name in enumerate(complete)]
 
 
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
@@ -166,14 +173,13 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
     """
     texts = table.fields[:, field]
     values = table.values[:, field]
-    if (
-        all(is_stamp(text) for text in set(texts[table.words[:, field]]))
-        and table.words[:, field].all()
-    ):
+    words = table.words[:, field]
+    if all(is_stamp(text) for text in set(texts[words])) and words.all():
         return "time"
     if mark:
         return SKIPPED
-    steps = np.diff(values)
+    with np.errstate(invalid="ignore"):  # of two infinite numbers: no step that grows
+        steps = np.diff(values)
     if rows > 1 and np.all(steps >= 0):
         return "frame" if set(steps) <= {0.0, 1.0} and not np.all(steps == 1) else "time"
     if grows(values):

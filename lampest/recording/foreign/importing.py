@@ -130,23 +130,35 @@ def import_file(  # noqa: PLR0913 # the options of a command
         )
     panel = panel_of(rows, columns, scene)
     check_unit(unit, scene, path)
-    layouts = (*LAYOUTS, *installed("lampest.layouts", Layout))
-    by_name = {name: known for known in layouts for name in (known.kind, *known.suffixes)}
-    if isinstance(layout, str) and layout not in by_name and (hint := meant(layout, by_name)):
-        raise InputError(f"`layout='{layout}'` is no import format{hint}")
-    layout = (
-        by_name.get(path.suffix.lower()) if layout is None else by_name.get(str(layout), layout)
-    )
+    layout = _layout_of(path, layout)
     frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
-    rest = None
+    subtracted = None
     if resting is not None:
-        rest = (
-            Path(resting),
-            _frames(Path(resting), panel, transpose=False, variable=None, layout=layout),
-        )
+        file = Path(resting)
+        subtracted = (file, _frames(file, panel, transpose=False, variable=None, layout=layout))
     return _recording(
-        path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, rest
+        path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, subtracted
     )
+
+
+def _layout_of(path: Path, layout: str | Layout | None) -> str | Layout | None:
+    """Return the layout of a kind or, by default, of the file's suffix; names of columns as is.
+
+    Raises InputError for a name that resembles the kind of a layout.
+    """
+    by_name: dict[str, Layout] = {}
+    for candidate in (*LAYOUTS, *installed("lampest.layouts", Layout)):
+        by_name |= dict.fromkeys((candidate.kind, *candidate.suffixes), candidate)
+    if layout is None:
+        return by_name.get(path.suffix.lower())
+    if isinstance(layout, Layout):
+        return layout
+    if layout in by_name:
+        return by_name[layout]
+    hint = meant(layout, by_name)
+    if hint:
+        raise InputError(f"`layout='{layout}'` is no import format{hint}")
+    return layout
 
 
 def _recording(  # noqa: PLR0913 # the options of an import
@@ -179,7 +191,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
     reason = f"unit {unit}, as specified"
     if kind is None:
         kind, reason = understood_unit(values, named_units(frames, path), scene, path)
-    given = scene is not None
+    scene_specified = scene is not None
     scene = scene or Scene(panel)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     if resting is not None or scene.baseline == "subtracted":
@@ -195,7 +207,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
         *frames.notes,
         reason,
         clock.sentence,
-        _assumed(scene, given=given),
+        _assumed(scene, specified=scene_specified),
         gaps,
         *_summary(recording),
     )
@@ -372,11 +384,11 @@ def _of_desktop(name: str) -> bool:
     return name.startswith(".") or name.lower() in ("thumbs.db", "desktop.ini")
 
 
-def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None) -> Frames:
+def _of_sheets(path: Path, shape: Shape, sheet: str | None, layout: str | None) -> Frames:
     """Return the frames of the only sheet that fits; if none fits, raise the error of the first."""
     fitting: dict[str, Frames] = {}
     wrong = [InputError(f"{path}: holds no values")]
-    for title, lines in lines_of_sheets(path, wanted).items():
+    for title, lines in lines_of_sheets(path, sheet).items():
         try:
             fitting[title] = frames_of(readings_table(lines, layout), shape)
         except InputError as error:
@@ -436,17 +448,13 @@ def _without_missing(
     return ~gaps, f"{note}: these frames are left out"
 
 
-def _assumed(scene: Scene, *, given: bool) -> str:
-    """Return a note on the numbers of the scene that affect the recording.
-
-    It is also on those that are assumed.
-    """
+def _assumed(scene: Scene, *, specified: bool) -> str:
+    """Return a note on the numbers of the scene that affect the recording, and on assumed ones."""
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
     values = " and ".join(filter(None, (series, pitch)))
-    origin = (
-        values and f"{values}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
-    )
+    source = "by the scene" if specified else "assumed; a scene says otherwise"
+    origin = values and f"{values}, {source}"
     assumed = scene.assumed_text and f"{scene.assumed_text} assumed: the scene does not say"
     return "; ".join(filter(None, (origin, assumed)))
 

@@ -76,11 +76,11 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
 
     None without such names.
     """
-    named = {
-        field: cell
-        for field, name in enumerate(names)
-        if (cell := cell_of(name)) and not role_of(name)
-    }
+    named: dict[int, tuple[int, int]] = {}
+    for field, name in enumerate(names):
+        cell = cell_of(name)
+        if cell is not None and not role_of(name):
+            named[field] = cell
     if not named:
         return None
     first = min(1, *map(min, named.values()))
@@ -107,11 +107,11 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
 
     A sentence is returned with the cells.
     """
-    lines = {
-        field: line
-        for field, name in enumerate(names)
-        if (line := line_of(name)) and not role_of(name)
-    }
+    lines: dict[int, tuple[str, int]] = {}
+    for field, name in enumerate(names):
+        line = line_of(name)
+        if line is not None and not role_of(name):
+            lines[field] = line
     first = min((number for _, number in lines.values()), default=0)
     one_word = len({word for word, _ in lines.values()}) == 1
     ways = {
@@ -179,14 +179,12 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
             roles[short.index("r")] = "row"
             roles[short.index("c")] = "column"
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
-        return (
-            order
-            if "value" in order and ({"row", "column"} <= set(order) or "cell" in order)
-            else None
-        )
+        has_place = {"row", "column"} <= set(order) or "cell" in order
+        return order if "value" in order and has_place else None
     if table.width == 2 and shape[1] > 2 and _count_cells(table, cells):
         return {"cell": 0, "value": 1}
-    if counter := _counter_before_cells(table, shape):
+    counter = _counter_before_cells(table, shape)
+    if counter:
         return {counter: 0, "row": 1, "column": 2, "value": 3}
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
         return None
@@ -415,20 +413,18 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
     The columns are found by numbers in the names of the fields or in their order.
     """
     names = table.names[extra:]
-    lines = [line for name in names if (line := line_of(name))]
+    lines = list(filter(None, map(line_of, names)))
     numbers = [number for _, number in lines]
-    if len(names) != columns or sorted(numbers) not in (
-        list(range(columns)),
-        list(range(1, columns + 1)),
-    ):
+    from_zero = list(range(columns))
+    from_one = list(range(1, columns + 1))
+    if len(names) != columns or sorted(numbers) not in (from_zero, from_one):
         return list(range(columns)), "columns from left to right"
     if any(re.fullmatch(ROW, word) for word, _ in lines):
         raise InputError(
             f"{table.source.source}: the header's {names[0]!r} names a row; `transpose` swaps"
         )
-    return [
-        number - min(numbers) for number in numbers
-    ], f"columns by their names from {min(numbers)}"
+    first = min(numbers)
+    return [number - first for number in numbers], f"columns by their names from {first}"
 
 
 def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], str, str | None]:
@@ -462,14 +458,12 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
             frame[lines] = len(begins) + np.arange(len(lines)) // rows
             row[lines] = np.arange(len(lines)) % rows
             begins += lines[::rows]
-    passed = [
-        item
-        for before in table.before[1:]
-        for item in before.items()
-        if title is not None and item[0]
-    ]
-    skipped = [place for text, place in passed if kind_of(text) != title]
-    notes += [f"skipped between rows: {', '.join(skipped)}"] if skipped else []
+    skipped: list[str] = []
+    if title is not None:
+        for before in table.before[1:]:
+            skipped += [place for text, place in before.items() if text and kind_of(text) != title]
+    if skipped:
+        notes.append(f"skipped between rows: {', '.join(skipped)}")
     return frame, row, begins, "".join(f"; {sentence}" for sentence in notes), title
 
 

@@ -156,17 +156,12 @@ def lines_of_text(path: Path) -> FieldLines:
         if len(line) > 1_000_000:
             raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
         stamped = STAMPED.match(line)
-        content = line[stamped.end() :] if stamped else line.strip(" ")
-        content = re.sub(r"[\[\]{}()]", " ", content) if LISTED.match(content) else content
-        if labelled := LABELLED.match(content):  # the name becomes a field
-            sign = next((sign for sign in DELIMITERS if sign in content[labelled.end() :]), " ")
-            content = f"{labelled[1]}{sign}{content[labelled.end() :]}"
+        content = _plain_content(line[stamped.end() :] if stamped else line.strip(" "))
         if content.strip().strip(" \t;,"):
             read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
     contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
-    if contents and 2 * sum(content.lstrip().startswith('{"') for content in contents) > len(
-        contents
-    ):
+    records = sum(content.lstrip().startswith('{"') for content in contents)
+    if 2 * records > len(contents):
         stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
         raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
     delimiter = _delimiter(contents)
@@ -200,21 +195,31 @@ def lines_of_text(path: Path) -> FieldLines:
     return lines
 
 
+def _plain_content(content: str) -> str:
+    """Return a line without the brackets of a list, and with its label as a field."""
+    if LISTED.match(content):
+        content = re.sub(r"[\[\]{}()]", " ", content)
+    labelled = LABELLED.match(content)
+    if labelled is None:
+        return content
+    values = content[labelled.end() :]
+    sign = next((sign for sign in DELIMITERS if sign in values), " ")
+    return f"{labelled[1]}{sign}{values}"
+
+
 def _decoded(path: Path) -> tuple[str, list[str]]:
     """Return the text of a file in UTF-8 or UTF-16, and notes on the encoding.
 
     UTF-16 is recognised by its mark or its zero bytes.
     """
     data = path.read_bytes()
-    if kind := next((kind for mark, kind in MARKS.items() if data.startswith(mark)), ""):
-        raise InputError(f"{path}: no text table, but {kind}")
+    for mark, kind in MARKS.items():
+        if data.startswith(mark):
+            raise InputError(f"{path}: no text table, but {kind}")
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > MAX_FIELDS:
         raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
-    marks = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
-    encoding = marks.get(data[:2]) or (
-        "utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else ""
-    )
+    encoding = _utf16_of(data)
     data = data[: len(data) // 2 * 2] if encoding else data
     text = (
         data.decode(encoding or "utf-8", errors="replace")
@@ -231,6 +236,17 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
             f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}"
         )
     return text, ["UTF-16"] if encoding else []
+
+
+def _utf16_of(data: bytes) -> str:
+    """Return the byte order of UTF-16 by its mark or its zero bytes; '' for another encoding."""
+    if data[:2] == b"\xff\xfe":
+        return "utf-16-le"
+    if data[:2] == b"\xfe\xff":
+        return "utf-16-be"
+    if data[1:2] == b"\0":
+        return "utf-16-le"
+    return "utf-16-be" if data[:1] == b"\0" else ""
 
 
 def _delimiter(lines: Sequence[str]) -> str:
@@ -278,8 +294,8 @@ def _split(place: str, line: str, delimiter: str) -> list[str]:
     return [text.strip() for text in fields]
 
 
-def lines_of_sheets(path: Path, wanted: str | None) -> dict[str, FieldLines]:
-    """Return the lines of every nonempty sheet, or of the wanted one, by name in the file's order.
+def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:
+    """Return the lines of every nonempty sheet, or of the named one, by name in the file's order.
 
     Sheets are read row by row, because a few bytes may claim 10¹⁰ cells. Raises
     InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too
@@ -294,12 +310,10 @@ def lines_of_sheets(path: Path, wanted: str | None) -> dict[str, FieldLines]:
         closing(openpyxl.load_workbook(stream, read_only=True, data_only=True)) as book,
     ):
         sheets = {str(sheet.title): sheet for sheet in book.worksheets}
-        if wanted is not None and wanted not in sheets:
-            raise InputError(
-                f"{path}: no sheet '{wanted}'; there are {', '.join(sheets) or 'none'}"
-            )
+        if name is not None and name not in sheets:
+            raise InputError(f"{path}: no sheet '{name}'; there are {', '.join(sheets) or 'none'}")
         tables: dict[str, FieldLines] = {}
-        for title in sheets if wanted is None else [wanted]:
+        for title in sheets if name is None else [name]:
 
             def at(number: int, field: int | None, title: str = title) -> str:
                 letters = "" if field is None else openpyxl.utils.get_column_letter(field + 1)
@@ -327,8 +341,7 @@ def _text_of_cell(value: Any) -> str:
     """Return a cell as the text of a text file, with all digits of a number."""
     if isinstance(value, datetime.datetime) and value.time() == datetime.time():
         value = value.date()  # the time of day may be in the next cell
-    return (
-        ""
-        if value is None
-        else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
-    )
+    if value is None:
+        return ""
+    text = str(value).strip()
+    return text.removesuffix(".0") if isinstance(value, float) else text

@@ -173,10 +173,10 @@ class ReadingsTable:
 
     @property
     def stated_pressures(self) -> list[str]:
-        """Units of pressure that lines without readings state."""
-        others = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
-        texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in others.tolist())
-        return [unit for text in texts if (unit := pressures_in(text))][:1]
+        """First unit of pressure that lines without readings state; empty without any."""
+        outside = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
+        texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in outside.tolist())
+        return list(filter(None, map(pressures_in, texts)))[:1]
 
     def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
         """Raise InputError with the place of the first bad line.
@@ -196,16 +196,15 @@ class ReadingsTable:
         """
         if not columns:
             stamps = [self.source.lines[self.lines[line]].stamp for line in lines]
-            return (
-                self._timing(stamps, "", lines, None, "the terminal's, ") if all(stamps) else None
-            )
+            if not all(stamps):
+                return None
+            return self._timing(stamps, "", lines, None, "the terminal's, ")
         dates = [column for column in columns if role_of(self.names[column]) == "date"]
         chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
         texts = [" ".join(self.fields[line, chosen]) for line in lines]
         name = self.names[chosen[-1]]
-        return self._timing(
-            texts, name, lines, chosen[-1], f"column {name!r} in " if name else "first field in "
-        )
+        origin = f"column {name!r} in " if name else "first field in "
+        return self._timing(texts, name, lines, chosen[-1], origin)
 
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
         """Return the times of frames from titles of a kind before each block.
@@ -333,7 +332,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     # readings.
     header = _header_line(fields, data, width)
     titles = np.zeros(len(data), dtype=bool)
-    units = False
+    has_units_line = False
     names = [""] * width
     if header is None:
         data[: int(np.argmax(data & complete))] = False  # a terminal opened in the middle of a line
@@ -343,31 +342,40 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         data &= ~titles
     _check_widths(source, fields, data, width)
     if header is not None:
-        names, units = _names(fields[:, :width], header)
-        titles[header - units] = True
+        names, has_units_line = _names(fields[:, :width], header)
+        titles[header - 1 if has_units_line else header] = True
     excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
     notes = (
         ", ".join((*source.notes, *(["decimal commas"] if comma else []))),
-        _header_note(source, header, units=units),
+        _header_note(source, header, units=has_units_line),
         _damage_note(source, data & damaged),
         _excluded_note(source, fields, excluded),
     )
-    if layout is not None:
-        names = _layout_names(source, layout, width)
-    places = np.arange(len(data)), np.arange(fields.shape[1]), fields, parsed.values, parsed.words
-    blank = ("",) * fields.shape[1]
-    table = ReadingsTable(source, *places, comma, blank, tuple(filter(None, notes))).only(
-        data, slice(width)
+    table = ReadingsTable(
+        source=source,
+        lines=np.arange(len(data)),
+        columns=np.arange(fields.shape[1]),
+        fields=fields,
+        values=parsed.values,
+        words=parsed.words,
+        comma=comma,
+        names=("",) * fields.shape[1],
+        notes=tuple(filter(None, notes)),
     )
+    table = replace(table.only(data, slice(width)), names=tuple(names))
+    return table if layout is None else _laid_out(table, layout)
+
+
+def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
+    """Return the table with the columns that a layout lists, without those named '-'."""
+    names = _layout_names(table.source, layout, table.width)
     table = replace(table, names=tuple(names))
-    skipped = (
-        [field for field, name in enumerate(names) if name == "-"] if layout is not None else []
-    )
+    skipped = [field for field, name in enumerate(names) if name == "-"]
     if not skipped:
         return table
     note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
-    kept = [field for field in range(width) if field not in skipped]
-    return replace(table.only(columns=kept), notes=(*table.notes, note))
+    named = [field for field in range(table.width) if field not in skipped]
+    return replace(table.only(columns=named), notes=(*table.notes, note))
 
 
 def _usual_count(counts: Index) -> int:
@@ -435,9 +443,9 @@ def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: NDArray[n
         return ""
     shown = " ".join(fields[lines[0]]).strip()[:40]
     named = first_and_more([source.lines[line].number for line in lines.tolist()])
-    called = (
-        f"lines {named} (the first: {shown!r})" if len(lines) > 1 else f"line {named} ({shown!r})"
-    )
+    called = f"line {named} ({shown!r})"
+    if len(lines) > 1:
+        called = f"lines {named} (the first: {shown!r})"
     return f"left out: {called.replace('line', source.word)}, no readings or cut off"
 
 
@@ -463,10 +471,9 @@ def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
     names = [text.lstrip("#% ") for text in fields[header]]
     above = fields[header - 1] if header else np.full(len(names), "")
     named = not np.any((above == "") & (fields[header] != ""))
-    units = named and all(parted(f"x {name}")[1] for name in names if name)
-    return [
-        f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)
-    ] if units else names, units
+    if not named or not all(parted(f"x {unit}")[1] for unit in names if unit):
+        return names, False
+    return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)], True
 
 
 def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 It is specified, named in the header, or the only one that values and scene permit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -51,14 +51,7 @@ def understood_unit(
     fits, or several.
     """
     readout = None if scene is None else scene.readout
-    possible = (
-        RESISTANCES
-        if readout is None
-        else tuple(FACTORS)
-        if readout.unit == "ohm"
-        else ("volt", "mV", "code")
-    )
-    allowed = [unit for unit in possible if not named or unit in named]
+    allowed = [unit for unit in _possible_units(readout) if not named or unit in named]
     if len(named) == 1 or not allowed:
         check_unit(named[0], scene, source)
         return named[0], f"unit {named[0]}, as the header says"
@@ -71,11 +64,9 @@ def understood_unit(
     else:
         fitting, reason = _explaining(finite, allowed, readout)
     if not fitting:
-        scene_text = (
-            ""
-            if readout is None
-            else f" in this scene, whose converter ends at {readout.full_scale_volt:g} V"
-        )
+        scene_text = ""
+        if readout is not None:
+            scene_text = f" in this scene, whose converter ends at {readout.full_scale_volt:g} V"
         none = f"{span} fit none of {', '.join(allowed)}{scene_text}{reason}"
         raise InputError(f"{source}: {none}; `unit` says what they are")
     if len(fitting) > 1:
@@ -85,6 +76,13 @@ def understood_unit(
         )
     how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
     return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"
+
+
+def _possible_units(readout: Readout | None) -> Sequence[str]:
+    """Return the units in which a readout's values may be stored."""
+    if readout is None:
+        return RESISTANCES
+    return tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
 
 
 def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
@@ -111,37 +109,60 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
         fits[unit] = MIN_USED <= share <= 1 - MIN_USED
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1:
-        certain = [unit for unit in units if in_steps[unit] is True]
-        if len(certain) == 1:
-            return certain, "as such they lie on the converter's steps"
-        if whole and "code" in units and not set(RESISTANCES) & set(units):
-            also = "; whole mV would look alike" if "mV" in units and in_steps["mV"] is None else ""
-            also += (
-                "; most are 0, as of open cells or in pressures, which are no readings"
-                if middle == 0
-                else ""
-            )
-            return [
-                "code"
-            ], f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter{also}"
-        expected = (
-            "whole numbers"
-            if readout.readings == 1
-            else f"means of {readout.readings} whole numbers"
-        )
-        return (
-            units,
-            "" if counted or "code" not in units else f" (codes would be {expected}, by the scene)",
-        )
+        return _preferred(units, finite, in_steps, readout, counted=counted)
+    if units:
+        reasons = {
+            "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
+            "volt": f"within the converter's range of {supply:g} V",
+            "mV": f"within the converter's range of {1000 * supply:g} mV",
+        }
+        return units, reasons.get(units[0], "the divider can tell such resistances")
     least, most = readout.rails()
-    if not units and "ohm" in allowed and least <= middle <= most:
+    if "ohm" in allowed and least <= middle <= most:
         return ["ohm"], "no other unit is within the converter's rails"
-    reasons = {
-        "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
-        "volt": f"within the converter's range of {supply:g} V",
-        "mV": f"within the converter's range of {1000 * supply:g} mV",
-    }
-    return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
+    return [], ""
+
+
+def _preferred(
+    units: Sequence[str],
+    finite: Array,
+    in_steps: Mapping[str, bool | None],
+    readout: Readout,
+    *,
+    counted: bool,
+) -> tuple[list[str], str]:
+    """Return those of several fitting units that explain the values best, and the reason.
+
+    Parameters
+    ----------
+    units : sequence of str
+        Units that fit.
+    finite : array
+        Values.
+    in_steps : mapping
+        Unit → whether the values lie on the converter's steps, or None.
+    readout : Readout
+    counted : bool
+        Whether the values may be codes or means of codes.
+    """
+    certain = [unit for unit in units if in_steps[unit] is True]
+    if len(certain) == 1:
+        return certain, "as such they lie on the converter's steps"
+    whole = bool(np.all(finite == np.round(finite)))
+    if whole and "code" in units and not set(RESISTANCES) & set(units):
+        top = 2**readout.adc_bits - 1
+        reason = f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter"
+        if "mV" in units and in_steps["mV"] is None:
+            reason += "; whole mV would look alike"
+        if np.median(finite) == 0:
+            reason += "; most are 0, as of open cells or in pressures, which are no readings"
+        return ["code"], reason
+    if counted or "code" not in units:
+        return list(units), ""
+    expected = "whole numbers"
+    if readout.readings > 1:
+        expected = f"means of {readout.readings} whole numbers"
+    return list(units), f" (codes would be {expected}, by the scene)"
 
 
 def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], str]:
@@ -149,19 +170,14 @@ def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], 
     middle = float(np.median(finite))
     zeros = float(np.mean(finite == 0))
     if zeros > MAX_SHORTED:
-        return (
-            [],
-            f": {100 * zeros:.0f} % of them are 0, as in pressures or codes; a resistance of 0 is "
-            "a short circuit",
-        )
+        share = f"{100 * zeros:.0f} % of them are 0"
+        return [], f": {share}, as in pressures or codes; a resistance of 0 is a short circuit"
     whole = bool(np.all(finite == np.round(finite))) and finite.max() <= MAX_CODE
     fits = {"ohm": middle >= 1, "kohm": middle < 100, "code": whole}
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1:
-        return (
-            units,
-            ", the whole numbers of a converter, which need a scene" if "code" in units else "",
-        )
+        codes = ", the whole numbers of a converter, which need a scene"
+        return units, codes if "code" in units else ""
     least = "too small for ohm" if units == ["kohm"] else "too large for kohm"
     return units, f"their median, {middle:.3g}, is {least}; no readout describes them"
 
@@ -258,17 +274,23 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
         recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
     if readout is not None:
-        shorted = Readings.of(scene, recorded).side == (
-            AT_MOST if readout.unit == "ohm" else AT_LEAST
-        )
-        count = int(shorted.sum())
-        total = int(np.isfinite(recorded).sum())
-        key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
-        if 2 * count > total:
-            wrong = (
-                f"{count} of {total} readings stand at the rail of the converter that a "
-                "shorted cell reaches"
-            )
-            scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
-            raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")
+        _check_shorted(scene, readout, recorded, unit, source)
     return recorded
+
+
+def _check_shorted(
+    scene: Scene, readout: Readout, recorded: Array, unit: str, source: object
+) -> None:
+    """Raise InputError if most readings are at the rail that a shorted cell reaches."""
+    rail = AT_MOST if readout.unit == "ohm" else AT_LEAST
+    count = int((Readings.of(scene, recorded).side == rail).sum())
+    total = int(np.isfinite(recorded).sum())
+    if 2 * count <= total:
+        return
+    key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
+    wrong = (
+        f"{count} of {total} readings stand at the rail of the converter that a shorted cell "
+        "reaches"
+    )
+    scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
+    raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")

@@ -161,11 +161,8 @@ def role_of(name: str) -> str | None:
     word, unit = parted(name)
     seconds = unit.lower() in TIME_UNIT_OF_WORD and unit[1:] != "S"  # mS are millisiemens
     role = ROLE_OF_WORD.get(word) or ("time" if seconds else None)
-    return (
-        None
-        if role == "time" and BRACKETED.fullmatch(name.strip()) and unit and not seconds
-        else role
-    )
+    has_other_unit = BRACKETED.fullmatch(name.strip()) and unit and not seconds
+    return None if role == "time" and has_other_unit else role
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
@@ -210,7 +207,8 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     stem, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
-    if load := load_named(name):
+    load = load_named(name)
+    if load:
         raise InputError(
             f"the header says {load!r}: readings must be ohm, kohm, volt, mV or code, from which "
             "cells are computed. "
@@ -270,8 +268,8 @@ def states_unit(title: str) -> bool:
     An example is 'Resistance (kOhm)'.
     """
     plain, unit = parted(title)
-    known = UNITS_OF_WORD.get(unit.lower(), "volt" if unit in ("v", "V") else "")
-    electric = known in ("ohm", "kohm", "volt", "mV")
+    meaning = UNITS_OF_WORD.get(unit.lower(), "volt" if unit in ("v", "V") else "")
+    electric = meaning in ("ohm", "kohm", "volt", "mV")
     return (electric or names_pressure(title)) and re.search(r"\d", plain) is None
 
 
@@ -283,8 +281,10 @@ def has_decimal_comma(fields: Sequence[str]) -> bool:
     comma, point = (
         [field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT)
     )
+    if len(comma) != len(point):
+        return len(comma) > len(point)
     text = "".join(comma)
-    return len(comma) > len(point) or (len(comma) == len(point) and "," in text and "." not in text)
+    return "," in text and "." not in text
 
 
 def number_of(text: str, *, comma: bool) -> float | None:
@@ -393,15 +393,15 @@ def _iso(text: str, way: str) -> str:
     match = STAMP.fullmatch(text.strip())
     if match is None or (match[2] or "none") not in DATES.get(way, "none"):
         raise ValueError
-    parts = (
-        dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False))
-        if match[1]
-        else {"year": "2000"}
-    )
+    parts = {"year": "2000"}
+    if match[1]:
+        parts = dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False))
     hours = int(match[5] or 0)
     half = (match[9] or "").upper()
-    hours = hours % 12 + 12 * (half == "PM") if half else hours
-    time = f"{hours:02d}:{match[6] or '00'}:{match[7] or '00'}{f'.{match[8]}' if match[8] else ''}"
+    if half:
+        hours = hours % 12 + (12 if half == "PM" else 0)
+    fraction = f".{match[8]}" if match[8] else ""
+    time = f"{hours:02d}:{match[6] or '00'}:{match[7] or '00'}{fraction}"
     zone = (match[10] or "").upper().replace("UTC", "Z")
     made = f"{parts['year']}-{parts.get('month', '1'):0>2}-{parts.get('day', '1'):0>2}T{time}{zone}"
     datetime.fromisoformat(made)
@@ -416,58 +416,71 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     Raises InputError if the times do not increase.
     """
     values = np.where(np.isfinite(values), values, np.nan)
-    steps = np.diff(values)
-    finite = values[np.isfinite(values)]
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
-    integers = bool(np.all(finite == np.round(finite)))
-    again = np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
+    restarts = np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
     # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times
     # since 1970.
     word, suffix = parted(name)
-    named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
-    # Frames come every 10 ms to 10 s.
-    counted = "us" if usual >= 10_000 else "ms" if usual >= 10 else None
     how = " (as specified)" if unit else ""
-    unit = named
-    if (
-        unit is None
-        and counted
-        and integers
-        and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER)
-    ):
-        unit = counted
-        how = f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
-    largest *= SECONDS[unit or "s"]
+    unit = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
+    if unit is None:
+        unit, how = _counted_unit(values, largest, restarted=bool(restarts[-1]))
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
-        largest *= SECONDS[unit]
     scale = SECONDS[unit or "s"]
-    if largest >= EPOCH:
-        try:
-            first = (
-                datetime.fromtimestamp(float(values[0]) * scale, UTC)
-                .isoformat()
-                .replace("+00:00", "Z")
-            )
-        except (ValueError, OverflowError, OSError) as error:
-            raise InputError(
-                f"{where(0)}: {values[0] * scale:.6g} s since 1970 is no date"
-            ) from error
+    if largest * scale >= EPOCH:
+        first = _date_of(float(values[0]) * scale, where(0))
         seconds, cut = _growing((values - values[0]) * scale, where)
         return Clock(
             seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}{cut}"
         )
-    wrapped = again if unit in ("ms", "us") else 0 * again
-    seconds, cut = _growing((values + COUNTER * wrapped) * scale, where)
-    often = (
-        f"; the counter began again {'once' if wrapped[-1] == 1 else f'{wrapped[-1]} times'}"
-        if wrapped[-1]
-        else ""
-    )
+    wraps = restarts if unit in ("ms", "us") else 0 * restarts
+    seconds, cut = _growing((values + COUNTER * wraps) * scale, where)
+    times = "once" if wraps[-1] == 1 else f"{wraps[-1]} times"
+    restarted = f"; the counter began again {times}" if wraps[-1] else ""
     return Clock(
-        seconds, None, f"{unit or 's (assumed; --time-unit says otherwise)'}{often}{how}{cut}"
+        seconds, None, f"{unit or 's (assumed; --time-unit says otherwise)'}{restarted}{how}{cut}"
     )
+
+
+def _counted_unit(values: Array, largest: float, *, restarted: bool) -> tuple[str | None, str]:
+    """Return the unit of a counter by the usual step of whole numbers, and the reason in words.
+
+    None and '' where the numbers are no count of ms or us.
+
+    Parameters
+    ----------
+    values : array, shape (frames,)
+    largest : float
+        Largest of them.
+    restarted : bool
+        Whether the counter began again.
+    """
+    steps = np.diff(values)
+    finite = values[np.isfinite(values)]
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    # Frames come every 10 ms to 10 s.
+    if usual >= 10_000:
+        unit = "us"
+    elif usual >= 10:
+        unit = "ms"
+    else:
+        return None, ""
+    limit = EPOCH if unit == "ms" and not restarted else COUNTER
+    if largest >= limit or not np.all(finite == np.round(finite)):
+        return None, ""
+    return unit, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
+
+
+def _date_of(seconds: float, where: str) -> str:
+    """Return the date and time of seconds since 1970, ISO 8601.
+
+    Raises InputError with the place if there is none.
+    """
+    try:
+        return datetime.fromtimestamp(seconds, UTC).isoformat().replace("+00:00", "Z")
+    except (ValueError, OverflowError, OSError) as error:
+        raise InputError(f"{where}: {seconds:.6g} s since 1970 is no date") from error
 
 
 def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
@@ -487,8 +500,8 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     if not len(cut):
         return seconds, ""
     number = np.arange(len(seconds))
-    known = np.flatnonzero(grow)
-    inner = np.interp(number, known, seconds[known])
+    growing = np.flatnonzero(grow)
+    inner = np.interp(number, growing, seconds[growing])
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
 

@@ -284,7 +284,9 @@ def simulate(
     check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
     cells = cells_under(simulation, time)
-    lines = (ladder.columns if scene.circuit.by_columns else ladder.rows) if moves else 0
+    lines = 0
+    if moves:
+        lines = ladder.columns if scene.circuit.by_columns else ladder.rows
     later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
     scanned = [cells_under(simulation, time, float(part)) for part in later]
     recorded, sums = measured(

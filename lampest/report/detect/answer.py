@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -216,8 +216,9 @@ class Detected:
         ):
             depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
             messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
-        if more := len(present) - load.present:
-            messages.append(f"and {more} more")
+        others = len(present) - load.present
+        if others:
+            messages.append(f"and {others} more")
         return ", ".join(messages)
 
     @property
@@ -283,8 +284,9 @@ def answer_of(
         return PRESSES, 1 - load.sucks, ""
     if alive >= threshold:
         return LAMPREY, alive, ""
-    if why := too_slow(rate):
-        return SUCKS, load.sucks, f"{why}; {_pumps_in_words(load)}"
+    too_slow_sentence = too_slow(rate)
+    if too_slow_sentence:
+        return SUCKS, load.sucks, f"{too_slow_sentence}; {_pumps_in_words(load)}"
     if breath.odds > 0 and breath.suction < 0.5:
         return (
             SUCKS,
@@ -322,13 +324,22 @@ def _silence_in_words(load: Attachment) -> str:
 
 def headline(called: Sequence[str]) -> str:
     """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'."""
-    counts = {name: sum(one == name for one in called) for name in (LAMPREY, SUCKS, CUP)}
-    parts = [f"{counts[LAMPREY]} lamprey visit{'' if counts[LAMPREY] == 1 else 's'}"]
-    parts += [f"{counts[SUCKS]} unsure"] if counts[SUCKS] else []
-    parts += [f"{counts[CUP]} suction cup{'' if counts[CUP] == 1 else 's'}"] if counts[CUP] else []
-    contacts = len(called) - sum(counts.values())
-    parts += [f"{contacts} other contact{'' if contacts == 1 else 's'}"] if contacts else []
+    lampreys = called.count(LAMPREY)
+    unsure = called.count(SUCKS)
+    cups = called.count(CUP)
+    contacts = len(called) - lampreys - unsure - cups
+    parts = [_plural(lampreys, "lamprey visit")]
+    if unsure:
+        parts.append(f"{unsure} unsure")
+    if cups:
+        parts.append(_plural(cups, "suction cup"))
+    if contacts:
+        parts.append(_plural(contacts, "other contact"))
     return ", ".join(parts)
+
+
+def _plural(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def alarming(detected: Detected) -> list[float]:
@@ -370,20 +381,28 @@ def _shown(pair: Pair | None, unit: str = "") -> str:
     """Return 'value ± standard deviation' with the digits of the latter; '' for None."""
     if pair is None:
         return ""
-    digits = 0 if pair[1] >= 1 else 1 if pair[1] >= 0.05 else 2
-    error = max(pair[1], 0.01)
-    return f"{pair[0]:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−").strip()
+    value, sd = pair
+    digits = 2
+    if sd >= 1:
+        digits = 0
+    elif sd >= 0.05:
+        digits = 1
+    error = max(sd, 0.01)
+    return f"{value:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−").strip()
 
 
 def event_table(answers: Sequence[Detected]) -> Table:
     """Return a table with a row for each event."""
     rows = []
-    for answer, event in ((detected, event) for detected in answers for event in detected.events):
-        load = answer.attachments[event.number]
-        name = answer.called[event.number]
-        place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
-        numbers = [_shown(pair) for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
-        rows.append((answer.recording, f"{event.time_s:.1f}", event.kind, name, place, *numbers))
+    for answer in answers:
+        for event in answer.events:
+            load = answer.attachments[event.number]
+            name = answer.called[event.number]
+            place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
+            pairs = (load.diameter_mm, load.suction_kpa, load.breathing_hz)
+            numbers = [_shown(pair) for pair in pairs]
+            time = f"{event.time_s:.1f}"
+            rows.append((answer.recording, time, event.kind, name, place, *numbers))
     return Table(EVENT_HEADERS, tuple(rows))
 
 
@@ -393,13 +412,16 @@ def load_table(answers: Sequence[Detected]) -> Table:
     It has probabilities, and figures of the touched cells.
     """
     rows = []
-    for name, load in (
-        (answer.recording, load) for answer in answers for load in answer.attachments
-    ):
-        area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
-        conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
-        chances = [f"{getattr(load, chance):.3f}" for chance in CHANCES]
-        rows.append((name, f"{load.since_s:.1f}", *chances, str(load.cells), area, conductance))
+    for answer in answers:
+        for load in answer.attachments:
+            since = f"{load.since_s:.1f}"
+            chances = [f"{getattr(load, chance):.3f}" for chance in CHANCES]
+            area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
+            conductance = ""
+            if load.conductance_s is not None:
+                conductance = f"{1e3 * load.conductance_s[0]:.3g}"
+            row = (answer.recording, since, *chances, str(load.cells), area, conductance)
+            rows.append(row)
     chances = [f"P({chance})" for chance in CHANCES]
     return Table(
         ("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows)
@@ -413,62 +435,66 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
     `Detected.content`. A number of an attachment is one dataset, a pair two datasets, the second of
     which is `<name>_errors`.
     """
-    with hdf5.new_file(path := Path(path)) as file:
+    path = Path(path)
+    with hdf5.new_file(path) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry")
         for order, answer in enumerate(answers):
-            known = answer.content()
+            content = answer.content()
             rate = answer.frames_per_second
-            about = {name: known[name] for name in ("answer", "sentence", "why")} | {
-                "probability": answer.probability
-            }
-            about |= {
+            about = {
+                "answer": content["answer"],
+                "sentence": content["sentence"],
+                "why": content["why"],
+                "probability": answer.probability,
                 "frames_per_second": np.nan if rate is None else rate,
                 "notes": "\n".join(answer.notes),
-            }
-            about |= {
                 "start_time": answer.start_time or "",
                 "end_s": np.nan if answer.end_s is None else answer.end_s,
             }
             group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
-                _write_table(group, "attachments", _attachment_columns(known["attachments"]))
-                kinds, times, numbers = zip(*answer.events, strict=True)
-                columns = {
-                    "event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")
-                }
-                columns["time"] = np.array(times), "s", "when it was first seen"
-                columns["attachment"] = np.array(numbers), "1", "number of the attachment"
-                _write_table(group, "events", columns)
+                _write_table(group, "attachments", _attachment_columns(content["attachments"]))
+                _write_table(group, "events", _event_columns(answer.events))
     return path
 
 
-def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
-    """Return the columns of the attachments: name → (values, units, text)."""
-    answers, reasons = (
-        hdf5.ascii_array([load[name] for load in known]) for name in ("answer", "why")
-    )
-    columns: dict[str, tuple[Any, str, str]] = {"answer": (answers, "1", "what it is")}
-    columns["why"] = reasons, "1", "why the answer is no more specific"
-    columns["probability"] = (
-        np.array([load["probability"] for load in known]),
-        "1",
-        "probability of the answer",
-    )
+TableColumns: TypeAlias = dict[str, tuple[Any, str, str]]  # name → values, units and text
+
+
+def _attachment_columns(loads: Sequence[dict[str, Any]]) -> TableColumns:
+    """Return the columns of attachments as in `Detected.content`."""
+    answers = hdf5.ascii_array([load["answer"] for load in loads])
+    reasons = hdf5.ascii_array([load["why"] for load in loads])
+    probabilities = np.array([load["probability"] for load in loads])
+    columns: TableColumns = {
+        "answer": (answers, "1", "what it is"),
+        "why": (reasons, "1", "why the answer is no more specific"),
+        "probability": (probabilities, "1", "probability of the answer"),
+    }
     for name, (units, text) in (CHANCES | NUMBERS).items():
-        columns[name] = np.array([load[name] for load in known], dtype=float), units, text
+        columns[name] = np.array([load[name] for load in loads], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
-        values, errors = np.array([load[name] or (None, None) for load in known], dtype=float).T
-        columns |= {
-            name: (values, units, text),
-            f"{name}{ERRORS}": (errors, units, f"standard deviation: {text}"),
-        }
+        values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
+        columns[name] = values, units, text
+        columns[f"{name}{ERRORS}"] = errors, units, f"standard deviation: {text}"
     return columns
 
 
-def _write_table(entry: Any, name: str, columns: dict[str, tuple[Any, str, str]]) -> None:
-    hdf5.set_attributes(group := entry.create_group(name), NX_class="NXcollection")
+def _event_columns(events: Sequence[Event]) -> TableColumns:
+    """Return the columns of events."""
+    kinds, times, numbers = zip(*events, strict=True)
+    return {
+        "event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released"),
+        "time": (np.array(times), "s", "when it was first seen"),
+        "attachment": (np.array(numbers), "1", "number of the attachment"),
+    }
+
+
+def _write_table(entry: Any, name: str, columns: TableColumns) -> None:
+    group = entry.create_group(name)
+    hdf5.set_attributes(group, NX_class="NXcollection")
     for name, (values, units, text) in columns.items():
         hdf5.write_dataset(group, name, values, units, text)

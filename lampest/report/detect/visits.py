@@ -91,19 +91,17 @@ class Visit:
 
 def visits_of(answers: Iterable[Detected]) -> list[Visit]:
     """Return the visits of all recordings, numbered in the order of time."""
-    contents = ((answer.recording, answer.content()["attachments"], answer) for answer in answers)
-    return numbered(
-        visit
-        for name, loads, answer in contents
-        for visit in rows_of(name, loads, answer.start_time, answer.end_s)
-    )
+    visits = list[Visit]()
+    for answer in answers:
+        loads = answer.content()["attachments"]
+        visits += rows_of(answer.recording, loads, answer.start_time, answer.end_s)
+    return numbered(visits)
 
 
 def numbered(rows: Iterable[Visit]) -> list[Visit]:
-    """Return visits with their numbers in the order of time.
+    """Return visits with their numbers in the order of time, and with possible earlier ones.
 
-    They are also with those that may be by the same animal. Those of recordings without a clock
-    come last.
+    An earlier visit may be by the same animal. Visits of recordings without a clock come last.
     """
     visits = list(rows)
     clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
@@ -143,13 +141,13 @@ def rows_of(
         suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
         visits.append(
             Visit(
-                recording,
-                load["answer"],
-                load["probability"],
-                since,
-                None if stop is None else round(max(stop - since, 0.0), 3),
-                _clock(begin, since),
-                "no" if until is None else "yes",
+                recording=recording,
+                answer=load["answer"],
+                probability=load["probability"],
+                begin_s=since,
+                duration_s=None if stop is None else round(max(stop - since, 0.0), 3),
+                begin=_clock(begin, since),
+                left="no" if until is None else "yes",
                 **values,
                 **_with_error("diameter_mm", load),
                 **(suction if load["sucks"] > 0.5 else {}),
@@ -183,34 +181,36 @@ def _clock(start: str | None, seconds: float) -> str | None:
 
 
 def _earlier(visit: Visit, visits: Sequence[Visit]) -> int | None:
-    """Return the number of the last earlier visit of a lamprey of about the same diameter.
+    """Return the number of the last ended visit of a lamprey of about the same diameter.
 
-    This lamprey had left. About the same is within two standard deviations of the difference.
-    Without a clock only visits of one recording are compared.
+    Diameters are about the same within two standard deviations of the difference. Without a clock
+    only visits of one recording are compared.
     """
     if visit.answer != LAMPREY or visit.diameter_mm is None or visit.diameter_sd_mm is None:
         return None
-    found = None
-    for other in visits:
-        if (
-            other.visit >= visit.visit
-            or other.answer != LAMPREY
-            or other.left == "no"
-            or other.duration_s is None
-        ):
+    last = None
+    for earlier in visits:
+        if earlier.visit >= visit.visit or earlier.answer != LAMPREY or earlier.left == "no":
             continue
-        if other.diameter_mm is None or other.diameter_sd_mm is None:
+        if earlier.diameter_mm is None or earlier.diameter_sd_mm is None:
             continue
-        both = visit.clock is not None and other.clock is not None
-        if not both and visit.recording != other.recording:
-            continue
-        apart = _since_epoch(visit) - _since_epoch(other) if both else visit.begin_s - other.begin_s
-        alike = abs(visit.diameter_mm - other.diameter_mm) < 2 * hypot(
-            visit.diameter_sd_mm, other.diameter_sd_mm
-        )
-        if alike and 0 <= apart - other.duration_s < REVISIT_H * HOUR_S:
-            found = other.visit
-    return found
+        difference_sd = hypot(visit.diameter_sd_mm, earlier.diameter_sd_mm)
+        alike = abs(visit.diameter_mm - earlier.diameter_mm) < 2 * difference_sd
+        pause_s = _pause_s(earlier, visit)
+        if alike and pause_s is not None and 0 <= pause_s < REVISIT_H * HOUR_S:
+            last = earlier.visit
+    return last
+
+
+def _pause_s(earlier: Visit, later: Visit) -> float | None:
+    """Return the time between two visits, s; None where it is unknown."""
+    if earlier.duration_s is None:
+        return None
+    if earlier.clock is not None and later.clock is not None:
+        return _since_epoch(later) - _since_epoch(earlier) - earlier.duration_s
+    if earlier.recording != later.recording:
+        return None
+    return later.begin_s - earlier.begin_s - earlier.duration_s
 
 
 def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
@@ -223,10 +223,10 @@ def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
 
 
 def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
-    """Return the visits of lampreys, and of what may be one.
+    """Return the visits of lampreys, and of what may be one, of each day.
 
-    They are for each day, by day and by night, and for each hour. The hours are those that were
-    recorded. Recordings without a clock are one row.
+    They are counted by day and by night, and per recorded hour. Recordings without a clock are one
+    row.
     """
     hours = dict[str, list[float]]()
     for answer in answers:
@@ -237,20 +237,18 @@ def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
         own = [visit for visit in visits if _date(visit) == name]
         cells = [name]
         for night in (0, 1):
-            these = [visit for visit in own if _is_night(visit.clock) == bool(night)]
-            lampreys, unsure = (
-                sum(visit.answer == kind for visit in these) for kind in (LAMPREY, SUCKS)
-            )
+            answers_then = [visit.answer for visit in own if _is_night(visit.clock) == bool(night)]
+            lampreys = answers_then.count(LAMPREY)
+            unsure = answers_then.count(SUCKS)
             rate = f"{lampreys / recorded[night]:.2g}" if recorded[night] > 0 else ""
             cells += [f"{recorded[night]:.2g}", str(lampreys), str(unsure), rate]
         rows.append(tuple(cells))
     first, last = DAY_HOURS
-    heads = [
-        f"{part} {text}"
-        for part in (f"{first}–{last} h", f"{last}–{first} h")
-        for text in ("recorded [h]", "lampreys", "unsure", "lampreys an hour")
-    ]
-    return Table(("day", *heads), tuple(rows), title="visits by day and by night")
+    heads = ["day"]
+    for part in (f"{first}–{last} h", f"{last}–{first} h"):
+        for text in ("recorded [h]", "lampreys", "unsure", "lampreys an hour"):
+            heads.append(f"{part} {text}")
+    return Table(tuple(heads), tuple(rows), title="visits by day and by night")
 
 
 def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
@@ -264,13 +262,13 @@ def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
         yield WITHOUT_CLOCK, 0, end
         return
     clock = datetime.fromisoformat(begin)
-    left = end
-    while left > 0:
-        turn = (clock + timedelta(hours=1)).replace(minute=0, second=0, microsecond=0)
-        part = min((turn - clock).total_seconds(), left)
+    remaining = end
+    while remaining > 0:
+        next_hour = (clock + timedelta(hours=1)).replace(minute=0, second=0, microsecond=0)
+        part = min((next_hour - clock).total_seconds(), remaining)
         yield clock.date().isoformat(), int(_is_night(clock)), part
-        clock = turn
-        left = left - part
+        clock = next_hour
+        remaining = remaining - part
 
 
 WITHOUT_CLOCK = "without a clock"
@@ -293,15 +291,14 @@ def visits_in(path: Path) -> list[Visit]:
     visits = list[Visit]()
     with hdf5.existing_file(path) as file:
         names = hdf5.children(file, "entry", object)
-        for name in sorted(names, key=lambda one: hdf5.read_number(file, f"entry/{one}", "order")):
+        for name in sorted(
+            names, key=lambda name: hdf5.read_number(file, f"entry/{name}", "order")
+        ):
             group = f"entry/{name}"
             begin = hdf5.read_attribute(file, group, "start_time")
             end = hdf5.read_attribute(file, group, "end_s")
-            loads = (
-                _stored_loads(file, f"{group}/attachments")
-                if hdf5.has(file, f"{group}/attachments")
-                else []
-            )
+            table = f"{group}/attachments"
+            loads = _stored_loads(file, table) if hdf5.has(file, table) else []
             visits += rows_of(
                 name, loads, str(begin) or None, None if isnan(float(end)) else float(end)
             )

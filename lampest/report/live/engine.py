@@ -147,9 +147,9 @@ class Engine:
                 f"the unloaded panel is no baseline: {error}; check the scene's readout"
             ) from error
         impossible = impossible_readings(source.scene.circuit, all_readings)
-        resting = without_outliers(impossible, all_readings, np.ones(len(unloaded), dtype=bool))[
-            1
-        ].mean()
+        every_frame = np.ones(len(unloaded), dtype=bool)
+        _, readings = without_outliers(impossible, all_readings, every_frame)
+        resting = readings.mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(panel)
         self._solving = self._pool.submit(self._solve, panel, source.period, resting)
@@ -188,33 +188,27 @@ class Engine:
             self._estimator, unloaded.scene, period, resting, hasty=self._beside is not None
         )
         self._check(unloaded)
-        seen = 0
+        number = 0
         looked = 0.0
         loaded = tuple[Scan, ...]()
-        while (news := self._arrivals.after(seen)) is not None:
+        while (news := self._arrivals.after(number)) is not None:
             assert news.item is not None
-            skipped = news.number - seen - 1
-            seen = news.number
+            skipped = news.number - number - 1
+            number = news.number
             state = self._with_findings(state)
             if self._zero_asked.is_set():
                 self._zero_asked.clear()
                 state = replace(state, recent=(), missing=self._baseline)
-            state, picture = solved_scan(state, news.item, len(unloaded.scans) + seen, skipped)
+            state, picture = solved_scan(state, news.item, len(unloaded.scans) + number, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
-            # Requests for error bars alone are rationed, since weights and searches come first.
             look = state.look
-            now = time.monotonic()
-            if (
-                look is not None
-                and self._beside is not None
-                and (look.due or now - looked >= BARS_SECONDS)
-            ):
-                looked = now
-                self._beside.ask(Errand("look", look.findings, look.due))
-            if (
-                len(loaded) < LOADED_FRAMES
-                and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT
-            ):
+            if look is not None and self._beside is not None:
+                # Requests for error bars alone are rationed, since weights and searches come first.
+                moment = time.monotonic()
+                if look.due or moment - looked >= BARS_SECONDS:
+                    looked = moment
+                    self._beside.ask(Errand("look", look.findings, look.due))
+            if len(loaded) < LOADED_FRAMES and _shows_load(picture):
                 loaded = (*loaded, news.item)
                 if len(loaded) == LOADED_FRAMES:
                     self._check(unloaded, loaded)
@@ -255,6 +249,11 @@ class Engine:
             self.show(deviation=answer.force.deviation, deviation_of=answer.number)
 
 
+def _shows_load(picture: Picture) -> bool:
+    """Return whether the readings of a picture have changed noticeably in the mean."""
+    return float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT
+
+
 def _warnings(unloaded: Unloaded, loaded: tuple[Scan, ...]) -> tuple[str, ...]:
     """Return warnings about frames, or the reason why they cannot be read."""
     try:
@@ -273,9 +272,6 @@ def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
     skipped = view.skipped + picture.skipped
     history = (*view.history, point)[-HISTORY_FRAMES:]
     view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
-    known = not np.isnan(picture.force.deviation)
-    return (
-        replace(view, deviation=picture.force.deviation, deviation_of=picture.number)
-        if known
-        else view
-    )
+    if np.isnan(picture.force.deviation):
+        return view
+    return replace(view, deviation=picture.force.deviation, deviation_of=picture.number)

@@ -165,8 +165,6 @@ class Errand(NamedTuple):
         replaced = [errand for errand in waiting if errand.kind == self.kind]
         if any(errand.urgent and not self.urgent for errand in replaced):
             return waiting
-        return (
-            [self if errand in replaced else errand for errand in waiting]
-            if replaced
-            else [*waiting, self]
-        )
+        if not replaced:
+            return [*waiting, self]
+        return [self if errand in replaced else errand for errand in waiting]

@@ -166,8 +166,8 @@ def with_detected(view: View, detected: Detected) -> View:
 
 def acknowledged(view: View) -> View:
     """Return the view without its alarm; present attachments raise no further one."""
-    seen = frozenset() if view.detected is None else frozenset(alarming(view.detected))
-    return replace(view, alarm="", acknowledged=seen)
+    arrivals = () if view.detected is None else alarming(view.detected)
+    return replace(view, alarm="", acknowledged=frozenset(arrivals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,11 +189,9 @@ class Message:
     @classmethod
     def of(cls, view: View) -> "Message | None":
         """Return the newest frame of a view, or None."""
-        return (
-            None
-            if view.panel is None or view.picture is None
-            else cls(view.panel, view.picture, view)
-        )
+        if view.panel is None or view.picture is None:
+            return None
+        return cls(view.panel, view.picture, view)
 
     @property
     def signature(self) -> tuple[int, str, str]:
@@ -204,11 +202,12 @@ class Message:
     @property
     def maps(self) -> dict[str, Array]:
         """Maps (rows, columns) in the order of MAP_UNITS, NaN if the frame failed."""
-        known = self.picture.relative_change, self.picture.pressure, self.picture.cell_resistance
+        picture = self.picture
+        estimates = (picture.relative_change, picture.pressure, picture.cell_resistance)
         failed = np.full(self.panel.shape, np.nan)
         return {
             name: failed if values is None else values
-            for name, values in zip(MAP_UNITS, known, strict=True)
+            for name, values in zip(MAP_UNITS, estimates, strict=True)
         }
 
     @property
@@ -230,7 +229,8 @@ class Message:
         if detected is not None:
             answer = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
             answer["alarm"] = bool(self.view.alarm)
-            if (attachment := detected.chosen) is not None:
+            attachment = detected.chosen
+            if attachment is not None:
                 pairs = {name: getattr(attachment, name) for name in PAIRS}
                 answer |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
                 answer["since_s"] = attachment.since_s

@@ -185,8 +185,9 @@ class OscPublish(Publish):
         if self.port == 0:
             raise InputError("--publish: osc: there is no port 0: give one from 1 to 65535")
         try:
-            known = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
-            client = UDPClient(socket.getnameinfo(known[0][4], socket.NI_NUMERICHOST)[0], self.port)
+            addresses = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
+            host, _ = socket.getnameinfo(addresses[0][4], socket.NI_NUMERICHOST)
+            client = UDPClient(host, self.port)
         except UnicodeError as error:
             raise InputError(
                 f"--publish: {self.where}: '{self.host}' is no name of a computer"
@@ -245,18 +246,18 @@ class OscPublish(Publish):
             "sequence": picture.number,
             "time": picture.time,
             "size": message.panel.shape,
-        }
-        parts |= {name: values.ravel().tolist() for name, values in message.maps.items()}
-        parts |= {
+            **{name: values.ravel().tolist() for name, values in message.maps.items()},
             "force": picture.force.newton,
             "force_sd": view.deviation,
             "verdict": picture.verdict,
+            "solved": message.solved,
+            "status": picture.status,
+            "alarm": view.alarm,
         }
-        parts |= {"solved": message.solved, "status": picture.status, "alarm": view.alarm}
-        if (detected := view.detected) is not None:
-            parts |= {
-                name: getattr(detected, name) for name in ("answer", "probability", "sentence")
-            }
+        detected = view.detected
+        if detected is not None:
+            for name in ("answer", "probability", "sentence"):
+                parts[name] = getattr(detected, name)
             parts["detection"] = json.dumps(_detection(message), **COMPACT)
         for name, values in parts.items():
             built = OscMessageBuilder(f"/{self.path}/{name}")
@@ -296,9 +297,8 @@ class MqttPublish(Publish):
         )
         client.reconnect_delay_set(1, 10)  # s
         client.username_pw_set(self.user, self.password)
-        # not confirmed, and when sent
+        # messages that are not confirmed, and when each was sent
         waiting = deque[tuple[Any, float]]()
-        answers = list[Any]()
 
         def send(message: Message) -> None:
             while waiting and waiting[0][0].is_published():
@@ -311,16 +311,7 @@ class MqttPublish(Publish):
                     waiting.append((info, time_now))
 
         try:
-            client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
-            try:
-                client.connect(self.host, self.port)
-                client.loop_start()
-            except (OSError, ValueError) as error:
-                raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
-            if not waited(lambda: bool(answers), client.connect_timeout):
-                raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
-            if answers[0].is_failure:
-                raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
+            self._connect(client)
             client.on_disconnect = lambda *event: say(
                 f"{self.where}: the broker is gone ({event[3]}); it is called again"
             )
@@ -334,6 +325,20 @@ class MqttPublish(Publish):
             with suppress(OSError, AttributeError):  # the connection may be closed meanwhile
                 client.socket().shutdown(socket.SHUT_RDWR)
             client.loop_stop()
+
+    def _connect(self, client: Any) -> None:
+        """Connect to the broker. Raises InputError if none answers or it refuses."""
+        answers = list[Any]()
+        client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
+        try:
+            client.connect(self.host, self.port)
+            client.loop_start()
+        except (OSError, ValueError) as error:
+            raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
+        if not waited(lambda: bool(answers), client.connect_timeout):
+            raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
+        if answers[0].is_failure:
+            raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
 
 
 @dataclass(frozen=True)
@@ -427,11 +432,11 @@ class _Listeners:
 
     def send_to(self, connection: Any) -> None:
         """Send each newest message to a connection, until it or the server ends."""
-        seen = 0
+        number = 0
         self.sent[connection] = math.inf
         with suppress(*self.ends):
-            while (news := self.newest.after(seen)) is not None:
-                seen, text = news
+            while (news := self.newest.after(number)) is not None:
+                number, text = news
                 self.sent[connection] = time.monotonic()
                 connection.send(text)
                 self.sent[connection] = math.inf
@@ -506,11 +511,11 @@ def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
 
     Report a failure once until sending works again.
     """
-    seen = 0
+    number = 0
     failed = False
     sent = None
-    while (news := shown.after(seen)) is not None:
-        seen = news.number
+    while (news := shown.after(number)) is not None:
+        number = news.number
         message = Message.of(news.item)
         if message is None or message.signature == sent:
             continue

@@ -208,9 +208,9 @@ class PageHandler(BaseHTTPRequestHandler):
         access = self.server.access
         header = self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
-        known = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
+        admitted = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
         foreign_name = self.server.local and not is_local_name(header("Host", ""))
-        if not known or foreign_name or self._is_of_foreign_page():
+        if not admitted or foreign_name or self._is_of_foreign_page():
             self.send_error(HTTPStatus.FORBIDDEN)
             return False
         return True
@@ -297,16 +297,17 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _stream(self) -> None:
         """Send the newest view whenever it changes; slow clients skip views."""
-        seen = -1
-        known = 0
+        version = -1
+        picture_number = 0
         shown = self.server.shown
         began = time.monotonic()
         while not (self.server.refused.is_set() and time.monotonic() - began > TURN_SECONDS):
-            news = shown.after(seen, HEARTBEAT_SECONDS)
+            news = shown.after(version, HEARTBEAT_SECONDS)
             if news is not None:
-                seen, view = news
-                self.wfile.write(f"data: {view_text(view, time.time(), known)}\n\n".encode())
-                known = view.picture.number if view.picture else 0
+                version, view = news
+                text = view_text(view, time.time(), picture_number)
+                self.wfile.write(f"data: {text}\n\n".encode())
+                picture_number = view.picture.number if view.picture else 0
             elif shown.closed:
                 return
             else:

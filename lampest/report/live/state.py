@@ -407,4 +407,6 @@ def verdict_of(
     least_pressed = MIN_SHARE * float(np.max(np.abs(change)))
     pressing = -float(np.min(change)) > least_pressed
     sucking = float(np.max(change)) > least_pressed
-    return BOTH if pressing and sucking else SUCKING if sucking else PRESSING
+    if pressing and sucking:
+        return BOTH
+    return SUCKING if sucking else PRESSING

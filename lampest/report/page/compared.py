@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,10 @@ from lampest.runs.results import read_results
 # frames of an autoregression with 0.8 hold the mean in 77, 91 and 94 %, with parts as long as the
 # correlation in 71, 80 and 81 %.
 MAX_PARTS = 5
+MIN_SOLVED = 0.95  # share of its frames that an estimator has to solve to be compared
+# Relative differences of the mean error up to this are invisible in maps and forces.
+SIMILAR = 0.05
+MIN_SPEED_GAIN = 1.1  # times as fast; less is no practical gain
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
 Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
@@ -105,21 +110,23 @@ def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
 
 def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
     """Return the case under names that no earlier case has."""
-    same_recording = [second for second in before if second.recording == case.recording]
-    given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
-    pairs = (
-        [(getattr(case, name), getattr(same_recording[0], name)) for name in given]
-        if same_recording
-        else []
-    )
-    if not all(
-        np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None)
-        for pair in pairs
-    ):
+    same_name = [earlier for earlier in before if earlier.recording == case.recording]
+    if same_name and not _same_measurement(case, same_name[0]):
         return replace(case, recording=f"{case.recording} [{number}]")
-    if any(second.estimator == case.estimator for second in same_recording):
+    if any(earlier.estimator == case.estimator for earlier in same_name):
         return replace(case, estimator=f"{case.estimator} [{number}]")
     return case
+
+
+def _same_measurement(first: CaseResult, second: CaseResult) -> bool:
+    """Return whether two cases have the same frames, readings and truth."""
+    for name in ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline"):
+        ours = getattr(first, name)
+        theirs = getattr(second, name)
+        both = ours is not None and theirs is not None
+        if not np.array_equal(ours, theirs, equal_nan=both):
+            return False
+    return True
 
 
 def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
@@ -128,7 +135,7 @@ def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
     In a copy, more than half of the frames have the readings of an earlier recording in single
     precision. Its frames would count twice.
     """
-    seen: dict[str, set[bytes]] = {}
+    frames_of: dict[str, set[bytes]] = {}
     copies: list[str] = []
     for name, cases in recordings.items():
         frames = [
@@ -136,19 +143,19 @@ def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
             for frame in first_of(cases).measured
             if np.isfinite(frame).any()
         ]
-        copied = (
+        originals = (
             earlier
-            for earlier, held in seen.items()
-            if sum(frame in held for frame in frames) > len(frames) / 2
+            for earlier, earlier_frames in frames_of.items()
+            if sum(frame in earlier_frames for frame in frames) > len(frames) / 2
         )
-        before = next(copied, None)
-        if before is None:
-            seen[name] = set(frames)
+        original = next(originals, None)
+        if original is None:
+            frames_of[name] = set(frames)
         else:
             copies.append(
-                f"{name}, whose readings are those of {before}: a copy does not count again"
+                f"{name}, whose readings are those of {original}: a copy does not count again"
             )
-    return {name: recordings[name] for name in seen}, copies
+    return {name: recordings[name] for name in frames_of}, copies
 
 
 def matched(recordings: Recordings) -> Matched:
@@ -158,17 +165,18 @@ def matched(recordings: Recordings) -> Matched:
     skipping hard ones. Of the remaining ones, frames count that all solved.
     """
     originals, left_out = without_copies(recordings)
-    often = Counter(name for cases in originals.values() for name in cases)
+    recordings_of = Counter(chain.from_iterable(originals.values()))
     # Sets of estimators with at least `least` recordings each; the number of paired differences is
     # (estimators − 1) · recordings.
     options = []
-    for least in sorted(set(often.values()), reverse=True):
-        known = [name for name, count in often.items() if count >= least]
-        options.append(
-            (known, {name: cases for name, cases in originals.items() if {*known} <= cases.keys()})
-        )
+    for least in sorted(set(recordings_of.values()), reverse=True):
+        estimators = [name for name, count in recordings_of.items() if count >= least]
+        complete = {
+            name: cases for name, cases in originals.items() if {*estimators} <= cases.keys()
+        }
+        options.append((estimators, complete))
     names, common = max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
-    fewer = [name for name in often if name not in names]
+    fewer = [name for name in recordings_of if name not in names]
     if fewer:
         left_out.append(f"{listed(fewer)}, without results of the same recordings")
     if len(common) < len(originals):
@@ -178,14 +186,14 @@ def matched(recordings: Recordings) -> Matched:
         )
     for name in tuple(names) if common else ():
         solved = np.concatenate([cases[name].solved for cases in common.values()])
-        if np.mean(solved) < 0.95:
+        if np.mean(solved) < MIN_SOLVED:
             names.remove(name)
             left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
-    chosen = {
-        recording: solved
-        for recording, cases in (common.items() if names else ())
-        if np.any(solved := np.all([cases[name].solved for name in names], axis=0))
-    }
+    chosen: dict[str, NDArray[np.bool_]] = {}
+    for recording, cases in common.items() if names else ():
+        solved = np.all([cases[name].solved for name in names], axis=0)
+        if np.any(solved):
+            chosen[recording] = solved
     compared = {recording: common[recording] for recording in chosen}
     return Matched(tuple(names), compared, tuple(chosen.values()), tuple(left_out))
 
@@ -248,7 +256,7 @@ class Standing:
     milliseconds: float
 
     @property
-    def told_apart(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the interval of the difference excludes zero."""
         return not self.difference.lower <= 0 <= self.difference.upper
 
@@ -453,24 +461,26 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         only = "One recording only: the intervals describe its frames, not other subjects or days."
         warnings = (only, *left_out)
     best = comparison.standings[0]
-    # Differences of 5 % are invisible in maps and forces.
-    similar = [
-        row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value
-    ]
-    taken = min(similar, key=lambda row: row.milliseconds)
-    if best.milliseconds < 1.1 * taken.milliseconds:  # no practical gain
-        taken = best
-    weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
-    named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
+    largest = (1 + SIMILAR) * best.mean.value
+    similar = [row for row in comparison.standings if row.mean.value <= largest]
+    advised = min(similar, key=lambda row: row.milliseconds)
+    if best.milliseconds < MIN_SPEED_GAIN * advised.milliseconds:
+        advised = best
+    weights = weights_text([case.weights for case in comparison.match.cases(advised.estimator)])
+    named = f"{advised.estimator} ({weights})" if weights else advised.estimator
     headline = f"On these data take {named}."
     if len(similar) > 1:
-        why = "has the smallest error" if taken is best else "is the fastest"
+        why = "has the smallest error" if advised is best else "is the fastest"
         names = listed([row.estimator for row in similar])
         headline = f"No practical difference between {names}; {named} {why} of them."
-    return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, similar)), warnings)
+    reasons = tuple(_reasons(comparison, advised, similar))
+    return Advice(advised.estimator, headline, reasons, warnings)
 
 
-def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
+def _reasons(
+    comparison: Comparison, advised: Standing, similar: Sequence[Standing]
+) -> Iterator[str]:
+    """Yield the reasons for the advised estimator, one sentence each."""
     best = comparison.standings[0]
     criterion = comparison.criterion
     units = len(comparison.units)
@@ -486,20 +496,20 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     )
     differences = [
         f"{row.estimator} ({between(row.difference, points, '+')})"
-        for row in alike
+        for row in similar
         if row is not best
     ]
     if differences:
         yield f"Within 5 % of it: {listed(differences)}."
-    if taken is not best:
-        slow, fast = (digits(row.milliseconds, 2) for row in (best, taken))
-        yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
-    worse = [row for row in comparison.standings if row not in alike]
+    if advised is not best:
+        slow, fast = (digits(row.milliseconds, 2) for row in (best, advised))
+        yield f"{advised.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
+    worse = [row for row in comparison.standings if row not in similar]
     if worse:
         texts = [f"{row.estimator} by {between(row.difference, sign='+')}" for row in worse]
         yield f"The error is larger, in {points}, with {listed(texts)}."
     for row in worse:
-        if not row.told_apart:
+        if not row.is_significant:
             ends = (
                 f"95 % interval {digits(row.difference.lower)} to "
                 f"{digits(row.difference.upper)} {points}"

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -194,7 +194,7 @@ def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
 
     Figures are medians over the cases, counts are sums. Lines without figures are omitted.
     """
-    known = [[figures(case) for case in cases] for cases in groups.values()]
+    columns = [[figures(case) for case in cases] for cases in groups.values()]
     rows = [
         ("frames at a verified optimum", *map(_optima, groups.values())),
         (
@@ -202,12 +202,13 @@ def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
             *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values()),
         ),
     ]
-    for line in dict.fromkeys(line for column in known for case in column for line in case):
-        values = [
-            [case[line] for case in column if isinstance(case.get(line), int | float)]
-            for column in known
-        ]
-        rows.append((line, *map(_figure, values)))
+    lines = dict.fromkeys(chain.from_iterable(chain.from_iterable(columns)))
+    for line in lines:
+        cells = []
+        for column in columns:
+            values = (case.get(line) for case in column)
+            cells.append(_figure([value for value in values if isinstance(value, int | float)]))
+        rows.append((line, *cells))
     return Table(("", *groups), tuple(row for row in rows if set(row[1:]) != {NONE}))
 
 
@@ -225,13 +226,14 @@ def _optima(cases: Sequence[CaseResult]) -> str:
 
     An example is '21 of 22 (1 to 7 starts each)'.
     """
-    known = [case.local_optima for case in cases if case.local_optima is not None]
-    if not known:
+    solves = [case.local_optima for case in cases if case.local_optima is not None]
+    if not solves:
         return NONE
-    optima = sum(solves[0] for solves in known)
+    counts, least_starts, most_starts = zip(*solves, strict=True)
+    optima = sum(counts)
     frames = sum(len(case.time) for case in cases)
-    least = min(solves[1] for solves in known)
-    most = max(solves[2] for solves in known)
+    least = min(least_starts)
+    most = max(most_starts)
     starts = counted(most, "start") if least == most else f"{least} to {most} starts"
     return f"{optima:,} of {frames:,} ({starts} each)"
 
@@ -268,7 +270,7 @@ def standing_table(comparison: Comparison) -> Table:
         if row is not first:
             difference = between(row.difference, sign="+")
             ratio = digits(first.milliseconds / row.milliseconds, 2)
-            verdict = "significant" if row.told_apart else "not significant"
+            verdict = "significant" if row.is_significant else "not significant"
         speed = digits(row.milliseconds)
         rows.append(
             (row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio)
@@ -297,24 +299,24 @@ def figures(case: CaseResult) -> dict[str, Any]:
     residual = weighted_residual(case)
     lower = case.cell_resistance_lower
     upper = case.cell_resistance_upper
-    known: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
-    known |= statistics(residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
-    known[SPREAD] = statistics(MAD_TO_SIGMA * np.abs(residual), "{}", "median")["median"]
+    by_line: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
+    by_line |= statistics(residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
+    by_line[SPREAD] = statistics(MAD_TO_SIGMA * np.abs(residual), "{}", "median")["median"]
     if lower is not None and upper is not None:
         widths = 100 * (upper - lower) / case.cell_resistance
-        known |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")
-        known["95 % intervals with an open end"] = int(np.sum(np.isinf(widths)))
+        by_line |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")
+        by_line["95 % intervals with an open end"] = int(np.sum(np.isinf(widths)))
         if case.truth is not None:
-            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved][
-                np.isfinite(case.truth[case.solved])
-            ]
-            known[COVERED] = 100 * float(np.mean(within)) if within.size else None
-    known |= statistics(
+            covered = (lower <= case.truth) & (case.truth <= upper)
+            within = covered[case.solved][np.isfinite(case.truth[case.solved])]
+            by_line[COVERED] = 100 * float(np.mean(within)) if within.size else None
+    by_line |= statistics(
         case.data_share, "share of an estimate that comes from the data, {} [1]", "median"
     )
-    known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
-    known["saturated cells"] = None if case.saturated is None else int(np.sum(case.saturated != 0))
-    return known | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
+    by_line["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
+    saturated = None if case.saturated is None else int(np.sum(case.saturated != 0))
+    by_line["saturated cells"] = saturated
+    return by_line | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
 
 
 def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
@@ -354,7 +356,7 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
     + (b_high − b)²), which is exact for independent errors. Source: Zou and Donner, Stat. Med. 27,
     2008.
     """
-    known = []
+    with_arms = []
     for case in cases:
         lower = case.relative_change_lower
         upper = case.relative_change_upper
@@ -364,11 +366,11 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
                 np.maximum(case.relative_change - lower, 0.0),
                 np.maximum(upper - case.relative_change, 0.0),
             )
-            known.append((case, arms))
+            with_arms.append((case, arms))
     pairs = []
-    for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(
-        known, 2
-    ):
+    for (first, first_arms), (second, second_arms) in combinations(with_arms, 2):
+        first_below, first_above = first_arms
+        second_below, second_above = second_arms
         both = first.solved & second.solved
         difference = first.relative_change - second.relative_change
         # half width of the interval of the difference towards zero

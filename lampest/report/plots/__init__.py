@@ -230,8 +230,8 @@ def picture(
     InputError
         For an unknown plot or frame, and if there is nothing to draw.
     """
-    given: dict[str, Any] = {name: end for name, end in ends.items() if end is not None}
-    plot = replace(_chosen(show, frame), **given)
+    specified: dict[str, Any] = {name: end for name, end in ends.items() if end is not None}
+    plot = replace(_chosen(show, frame), **specified)
     drawable = plot.drawable(cases)
     if not drawable:
         raise InputError(f"{cases[0].recording}: {_lacks(plot)}")
@@ -290,7 +290,8 @@ def recording_picture(
             f"{recording.name}: there is no frame {frame}; there are 0 to {len(recording.time) - 1}"
         )
     strongest = strongest_readings(recording)
-    number = frame if frame is not None else 0 if strongest is None else strongest[0]
+    by_default = 0 if strongest is None else strongest[0]
+    number = by_default if frame is None else frame
     values = recording.recorded[number]
     note = f"readings of frame {number} at {recording.time[number]:g} s"
     if strongest is None:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from math import ceil
 from typing import Any, Literal, NamedTuple
 
@@ -219,8 +220,8 @@ class MapPainter:
             axes.contourf(*places, 100 * np.expm1(logs), **self._bands())
         else:
             self._patches(axes, tile.values)
-        columns, rows = self.panel.places_mm
         if self.contoured:
+            columns, rows = self.panel.places_mm
             axes.plot(
                 columns.ravel(),
                 rows.ravel(),
@@ -231,30 +232,39 @@ class MapPainter:
                 clip_on=False,
             )
         if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
-            # Ones and zeros on a grid so fine that the outline has the cells' corners.
-            pitch = self.panel.pitch_mm
-            fine = np.pad(np.kron(tile.outlined, np.ones((16, 16))), 8)
-            lines = self.panel.centres_mm()
-            grid = (
-                np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1))
-                for line in lines
-            )
-            edges = axes.contour(*grid, fine, levels=[0.5], colors="black", linewidths=1.3)
-            edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
-            axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
+            self._outline(axes, tile.outlined)
         if tile.marked is not None and np.any(tile.marked):
-            size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
-            look: dict[str, Any] = {
-                "color": "black",
-                "ms": size,
-                "mew": size / 4,
-                "ls": "none",
-                "clip_on": False,
-            }
-            (cross,) = axes.plot(
-                columns[tile.marked], rows[tile.marked], marker="x", label=tile.mark, **look
-            )
-            cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
+            self._mark(axes, tile.marked, tile.mark)
+
+    def _outline(self, axes: Axes, outlined: NDArray[np.bool_]) -> None:
+        """Draw the outline of the true load along the edges of its cells."""
+        # Ones and zeros on a grid so fine that the outline has the cells' corners.
+        pitch = self.panel.pitch_mm
+        fine = np.pad(np.kron(outlined, np.ones((16, 16))), 8)
+        grid = (
+            np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1))
+            for line in self.panel.centres_mm()
+        )
+        edges = axes.contour(*grid, fine, levels=[0.5], colors="black", linewidths=1.3)
+        edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
+        axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
+
+    def _mark(self, axes: Axes, marked: NDArray[np.bool_], label: str) -> None:
+        """Draw a cross on each marked cell."""
+        columns, rows = self.panel.places_mm
+        size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
+        (cross,) = axes.plot(
+            columns[marked],
+            rows[marked],
+            marker="x",
+            label=label,
+            color="black",
+            ms=size,
+            mew=size / 4,
+            ls="none",
+            clip_on=False,
+        )
+        cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
 
     def bar(
         self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28
@@ -324,9 +334,9 @@ class MapPainter:
         sides = places[mesh.triangles] - places[np.roll(mesh.triangles, 1, axis=1)]
         # The diagonal of a square and its rounding; between cells farther apart nothing was
         # measured.
-        far = np.hypot(*sides.T).T.max(axis=1) > 1.5 * self.panel.pitch_mm
-        mesh.set_mask(far)
-        if not far.all():
+        too_long = np.hypot(*sides.T).T.max(axis=1) > 1.5 * self.panel.pitch_mm
+        mesh.set_mask(too_long)
+        if not too_long.all():
             axes.tricontourf(mesh, self._cut(values), **self._bands())
 
     def _bands(self) -> dict[str, Any]:
@@ -480,16 +490,19 @@ def maps_figure(
     for axes in grid.flat[max(len(tiles) - arrangement.across, 0) : len(tiles)]:
         axes.tick_params(labelbottom=True)
     signs = max(10, int(17 * arrangement.map_width))  # that fit over a map
-    painters = [
-        MapPainter(panel, level, contoured)
-        for level in scales
-        for _ in range(len(tiles) // len(scales))
-    ]
-    for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
+    painters = [MapPainter(panel, level, contoured) for level in scales]
+    maps_of_scale = len(tiles) // len(scales)
+    of_tiles = chain.from_iterable(repeat(painter, maps_of_scale) for painter in painters)
+    for axes, tile, painter in zip(grid.flat, tiles, of_tiles, strict=False):
         name = tile.title.replace("paper's lambda", "paper's λ")
         painter.draw(axes, replace(tile, title=style.wrapped(style.short_title(name, 60), signs)))
-    spans = grid.flat if own_bars else grid if in_rows else [grid]
-    for painter, axes in zip(painters[:: len(tiles) // len(scales)], spans, strict=False):
+    # The maps beside which a colour bar stands: each, those of a row, or all.
+    beside: Any = [grid]
+    if own_bars:
+        beside = grid.flat
+    elif in_rows:
+        beside = grid
+    for painter, axes in zip(painters, beside, strict=False):
         painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
     style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
     if len(tiles) == 1:

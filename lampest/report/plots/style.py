@@ -5,6 +5,7 @@ from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import product
 from math import ceil, floor, log10
 from pathlib import Path
 from typing import Any
@@ -146,12 +147,8 @@ def verbatim() -> Iterator[None]:
 def round_numbers(low: float, high: float) -> list[float]:
     """Return the numbers 1, 2, 5 times powers of ten from low to high, both positive."""
     powers = range(floor(log10(low)), ceil(log10(high)) + 1)
-    return [
-        step
-        for power in powers
-        for digit in (1, 2, 5)
-        if low <= (step := float(f"{digit}e{power}")) <= high
-    ]
+    numbers = [float(f"{digit}e{power}") for power, digit in product(powers, (1, 2, 5))]
+    return [number for number in numbers if low <= number <= high]
 
 
 def short_title(name: str, longest: int = 22) -> str:

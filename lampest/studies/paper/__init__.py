@@ -364,65 +364,67 @@ class PublishedNumber(NamedTuple):
 
 
 def published_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
-    """Yield every number.
+    """Yield every published number with ours.
 
     These are ranges of maps, cells that mouths cover, data errors, times, and lampest's response
     read back. Times are those of another program on another machine; the response is the same on
     every side.
     """
+    yield from _maps_beside(sides, published)
+    yield from _table_beside(sides, published)
+    for place, name, unit, number, ours in _response_beside(published):
+        yield PublishedNumber(place, name, unit, float(number), (float(ours),) * len(sides))
 
-    def row(place: str, name: str, unit: str, number: float, *ours: Any) -> PublishedNumber:
-        values = ours if len(ours) == len(sides) else ours * len(sides)
-        return PublishedNumber(place, name, unit, float(number), tuple(map(float, values)))
 
+def _maps_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
+    """Yield the ranges of the maps, and the numbers of cells that mouths cover."""
     for extremes in published.ranges:
         place = f"Fig. 8-{extremes.letter}"
         changes = [side.change(extremes.method) for side in sides]
-        yield row(
-            place,
-            f"{extremes.method}, smallest change",
-            "%",
-            extremes.low,
-            *map(np.nanmin, changes),
-        )
-        yield row(
-            place,
-            f"{extremes.method}, largest change",
-            "%",
-            extremes.high,
-            *map(np.nanmax, changes),
-        )
+        smallest = tuple(float(np.nanmin(change)) for change in changes)
+        largest = tuple(float(np.nanmax(change)) for change in changes)
+        name = f"{extremes.method}, smallest change"
+        yield PublishedNumber(place, name, "%", float(extremes.low), smallest)
+        name = f"{extremes.method}, largest change"
+        yield PublishedNumber(place, name, "%", float(extremes.high), largest)
     for at, mouth in enumerate(published.mouths):
-        seen = [covered(side.change(published.mouth_method, at)) for side in sides]
-        for axis, ours in zip(("rows", "columns"), zip(*seen, strict=True), strict=True):
+        counts_of_sides = [covered(side.change(published.mouth_method, at)) for side in sides]
+        by_axis = zip(*counts_of_sides, strict=True)
+        for axis, ours in zip(("rows", "columns"), by_axis, strict=True):
             name = f"mouth of {mouth.diameter_mm:g} mm, {axis} covered"
-            yield row(f"Fig. 9-{mouth.letter}", name, "cells", mouth.cells, *ours)
+            place = f"Fig. 9-{mouth.letter}"
+            numbers = tuple(map(float, ours))
+            yield PublishedNumber(place, name, "cells", float(mouth.cells), numbers)
+
+
+def _table_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
+    """Yield the data errors of Table I, then its times; NaN where a side has none."""
     for kinds in ((ERROR, ERROR_SD), (TIME,)):
         for step in published.errors:
-            taken = [side.steps.get((step.method, step.steps), {}) for side in sides]
-            for name, unit, theirs, header in kinds:
-                known = [np.nan if steps.get(header) is None else steps[header] for steps in taken]
-                yield row(
-                    "Table I",
-                    f"{step.method}, {step.steps} steps: {name}",
-                    unit,
-                    getattr(step, theirs),
-                    *known,
-                )
+            figures = [side.steps.get((step.method, step.steps), {}) for side in sides]
+            for kind, unit, theirs, header in kinds:
+                values = (figure.get(header) for figure in figures)
+                ours = tuple(np.nan if value is None else float(value) for value in values)
+                name = f"{step.method}, {step.steps} steps: {kind}"
+                yield PublishedNumber("Table I", name, unit, float(getattr(step, theirs)), ours)
+
+
+def _response_beside(published: Published) -> Iterator[tuple[str, str, str, float, float]]:
+    """Yield place, name, unit, published and own number of the film's response."""
     for point in published.changes:
         name = f"ΔR/R₀ at {point.kpa:g} kPa".replace("-", "−")
-        yield row("Fig. 1-e", name, "%", point.percent, 100 * _change(point.kpa))
+        yield "Fig. 1-e", name, "%", point.percent, 100 * _change(point.kpa)
     for part in published.slopes:
         slope = (_change(part.to_kpa) - _change(part.from_kpa)) / (part.to_kpa - part.from_kpa)
         name = f"sensitivity from {part.from_kpa:g} to {part.to_kpa:g} kPa"
-        yield row("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope)
+        yield "Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope
     for cell in published.bent_cells:
         film = Film(curvature_per_m=cell.curvature_per_m)
         where = f"at {cell.curvature_per_m:g} 1/m"
         unloaded = published.bent_cells[0].ohm * film.lowering
         change = (1 + _change(40.0)) ** film.answer - 1
-        yield row("Fig. 2-a", f"unloaded resistance {where}", "ohm", cell.ohm, unloaded)
-        yield row("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {where}", "%", cell.percent, 100 * change)
+        yield "Fig. 2-a", f"unloaded resistance {where}", "ohm", cell.ohm, unloaded
+        yield "Fig. 2-d", f"ΔR/R₀ at 40 kPa, {where}", "%", cell.percent, 100 * change
 
 
 def _change(kpa: float) -> float:

@@ -208,14 +208,13 @@ class Constants:
 
     @classmethod
     def _of(cls, case: CaseResult) -> "Constants":
+        """Return the constants of a case, unchecked."""
         scene = case.scene
         check_scene(scene)
         readout = scene.circuit
-        lines = (
-            CircuitLines.of(readout, scene.panel.shape)
-            if isinstance(readout, DrivenCircuit)
-            else None
-        )
+        lines = None
+        if isinstance(readout, DrivenCircuit):
+            lines = CircuitLines.of(readout, scene.panel.shape)
         recorded = readout.to_recorded(case.measured, scene)
         sigma_volt = _sigma_volt(case, recorded)
         content = parse_document(case.case_yaml, f"{case.recording} × {case.estimator}").content
@@ -226,11 +225,9 @@ class Constants:
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
         solved = case.solved
-        limit = (
-            LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
-            if case.sigma_own is not None
-            else 0.0
-        )
+        limit = 0.0
+        if case.sigma_own is not None:
+            limit = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
         bounds = content.get("bounds", {})
         lower = bounds.get("lower", "measured")
         upper = bounds.get("upper", "resolution")
@@ -293,8 +290,8 @@ class Constants:
                 ("references, ohm,", self.scene.circuit.reference_ohm, LIMITS["reference"])
             )
         for name, values, (low, high) in numbers:
-            known = np.ravel(np.asarray(values, dtype=float))
-            beyond = known[~((known >= low) & (known <= high))]
+            flat = np.ravel(np.asarray(values, dtype=float))
+            beyond = flat[~((flat >= low) & (flat <= high))]
             if beyond.size:
                 raise InputError(
                     f"the C library takes {name} from {low:g} to {high:g}, not {beyond[0]:g}"
@@ -384,7 +381,7 @@ class Constants:
 def check_scene(scene: Scene) -> None:
     """Raise InputError where the C library does not have an effect of the scene."""
     rows, columns = scene.panel.shape
-    for known, sentence in (
+    for is_lacking, sentence in (
         (scene.readout is None, "needs a readout in the scene, whose codes the board reads"),
         (
             scene.panel.modules is not None,
@@ -398,7 +395,7 @@ def check_scene(scene: Scene) -> None:
         (scene.converter_memory is not None, "has no converter memory"),
         (scene.faults is not None, "has no faults: list the panel's sound cells under panel.cells"),
     ):
-        if known:
+        if is_lacking:
             raise InputError(f"the C library {sentence}")
     readout = scene.circuit
     if not isinstance(readout, TwoPointReadout | DrivenCircuit):
@@ -442,8 +439,8 @@ def _sigma_volt(case: CaseResult, recorded: Array) -> Array:
 
 
 def _median(values: Array, otherwise: float) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else otherwise
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else otherwise
 
 
 def _plain_sigma(case: CaseResult) -> float:

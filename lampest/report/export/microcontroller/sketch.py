@@ -166,12 +166,12 @@ def export_sketch(
         meets.
     """
     source = Path(results)
-    asked = wishes or Wishes()
+    wishes = wishes or Wishes()
     folder = source.with_name("panel_sketch") if out is None else Path(out)
     with sparing((source,)), ExitStack() as files:
         case = _case_of(source, recording, estimator)
         constants = Constants.of(case)
-        table, constants, vector, notes = _measured(constants, case, asked)
+        table, constants, vector, notes = _measured(constants, case, wishes)
         budget = constants.budget
         about = (
             f"{case.recording} × {case.estimator}: {constants.scene.circuit.description()}",
@@ -208,9 +208,9 @@ def _case_of(source: Path, recording: str | None, estimator: str | None) -> Case
     if estimator is not None:
         cases = tuple(case for case in cases if case.estimator == estimator)
     if not cases:
-        known = ", ".join(read.estimators())
+        estimators = ", ".join(read.estimators())
         raise InputError(
-            f"{source}: holds no case of the estimator {estimator!r}; there are {known}"
+            f"{source}: holds no case of the estimator {estimator!r}; there are {estimators}"
         )
     return cases[0]
 

@@ -116,7 +116,7 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
     strongest = int(
         np.argmax(np.nansum(np.where(np.isfinite(own), optimum, 0.0) ** 2, axis=(1, 2)))
     )
-    found = []
+    trades = []
     for budget in BUDGETS:
         frames = host.frames(sums, budget)
         deviation = _deviation(frames.log_change[solved], optimum[solved], own[solved])
@@ -129,8 +129,8 @@ def trades(host: Host, constants: Constants, case: CaseResult) -> tuple[Trade, .
             float(spent.mean()),
             float(spent.max()),
         )
-        found.append(Trade(budget, *measures))
-    return tuple(found)
+        trades.append(Trade(budget, *measures))
+    return tuple(trades)
 
 
 def _deviation(log_change: Array, optimum: Array, own: Array) -> Array:
@@ -164,33 +164,33 @@ def chosen_budget(
 
     Raises InputError where no budget fits.
     """
-    known = sorted(table, key=lambda trade: trade.most_instructions)
+    by_cost = sorted(table, key=lambda trade: trade.most_instructions)
     if milliseconds is not None:
         if processor is None:
             raise InputError(f"--milliseconds needs --processor: one of {', '.join(PROCESSORS)}")
-        fits = [trade for trade in known if trade.milliseconds(processor) <= milliseconds]
+        fits = [trade for trade in by_cost if trade.milliseconds(processor) <= milliseconds]
         if not fits:
-            least = known[0].milliseconds(processor)
+            least = by_cost[0].milliseconds(processor)
             raise InputError(
                 f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes "
                 f"{least:.3g} ms"
             )
         if within is None:
             return min(fits, key=lambda trade: trade.median), DEFAULT_WITHIN
-        known = fits
+        by_cost = fits
     aim = DEFAULT_WITHIN if within is None else within
-    exact = [trade for trade in known if trade.median <= aim]
+    exact = [trade for trade in by_cost if trade.median <= aim]
     if not exact and within is not None:
-        least = min(trade.median for trade in known)
+        least = min(trade.median for trade in by_cost)
         raise InputError(
             f"no budget ends within {within:g} σ in the median frame: the best one at {least:.2g}"
         )
     prompt = [trade for trade in exact if trade.touch <= max(MAX_TOUCH, aim)]
     if prompt:
         return prompt[0], aim
-    return min(exact, key=lambda trade: trade.touch) if exact else min(
-        known, key=lambda trade: trade.median
-    ), aim
+    if exact:
+        return min(exact, key=lambda trade: trade.touch), aim
+    return min(by_cost, key=lambda trade: trade.median), aim
 
 
 def table_of(table: Sequence[Trade]) -> Table:
