@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from laws.recognised import answered
 
+from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
 from docs.studies.attachments import recording as attached
-from docs.studies.attachments import seen
 from lampest import Array
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
@@ -26,7 +26,15 @@ from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.steady_frames import SteadyFrames
 from lampest.loads.recognition.swings import Patterns
 from lampest.loads.recognition.watch import Watch
-from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answer_of
+from lampest.recording.recording import MEASURED
+from lampest.report.detect.answer import (
+    LAMPREY,
+    MIN_PROBABILITY,
+    PRESSES,
+    SUCKS,
+    Detected,
+    answer_of,
+)
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.detect.visits import COLUMNS, count_table, visits_of
 
@@ -235,6 +243,25 @@ def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
         watch = watch.push(*frame)
         sucking = max([sucking, *(attachment.sucks for attachment in watch.attachments)])
     assert sucking < 0.5
+
+
+@pytest.mark.slow
+def test_a_release_is_no_evidence_of_breath() -> None:
+    """A current moves the cup at 0.56 Hz before it is released."""
+    recording, *_ = attached("cup in current", 4.0, 5551011)
+    released_s = float(recording.time[recording.role == MEASURED][0]) + TOUCH_S + ATTACHED_S
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    watch = known.watch()
+    lives = list[float]()
+    released = list[float]()
+    for frame in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
+        watch = watch.push(*frame)
+        probabilities = [load.breath.probability for load in watch.attachments]
+        (released if frame[-1] >= released_s else lives).extend(probabilities)
+    assert watch.attachments[0].until_s is not None
+    assert set(released) == {lives[-1]}
+    assert max(lives) < MIN_PROBABILITY
 
 
 @pytest.mark.slow
