@@ -18,7 +18,7 @@ from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
 from docs.studies.attachments import recording as attached
 from lampest import Array
 from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breath import breath
 from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.detector import Detector
@@ -85,6 +85,21 @@ def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
         "no",
         None,
     )
+
+
+def contact(x_mm: float, clear: float = 50.0) -> Attachment:
+    """A contact without a shape whose place is known to half a pitch."""
+    return Attachment(RING, 60.0, (x_mm, 5.0), (50.0, 5.0), clear=clear)
+
+
+def test_contacts_under_a_clearer_load_are_its_rim() -> None:
+    """The disc reaches to 57.5 mm."""
+    mouth = replace(load(0.0, None), clear=100.0)
+    rim = [contact(41.0), contact(22.0), contact(60.0)]
+    assert continued_by([mouth], rim, 60.0) == (mouth,)
+    assert len(continued_by([mouth], [*rim, contact(75.0)], 60.0)) == 2
+    clearer = [contact(x_mm, clear=200.0) for x_mm in (41.0, 22.0)]
+    assert len(continued_by([mouth], clearer, 60.0)) == 2
 
 
 def test_visits_are_counted_by_day_and_by_night() -> None:

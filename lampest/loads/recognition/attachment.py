@@ -178,6 +178,15 @@ class Attachment:
         """Return the distance to a place, mm."""
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
+    def contains(self, contact: "Attachment") -> bool:
+        """Return whether a contact without a shape lies under the disc, to the error of its place.
+
+        It is then a part of the rim.
+        """
+        reach = self.size / 2 + contact.x_mm[1]
+        known = self.diameter_mm is not None and contact.diameter_mm is None
+        return known and self.distance(contact.place) < reach
+
     def ended(self, time: float) -> "Attachment":
         """Return the attachment after it left at a time in s.
 
@@ -373,7 +382,8 @@ def continued_by(
 ) -> tuple[Attachment, ...]:
     """Return all attachments after a recognition.
 
-    Each load continues the nearest attachment that is present.
+    Each load continues the nearest attachment that is present. Where a clearer earlier recognition
+    is kept, contacts under its disc are parts of that load.
 
     Parameters
     ----------
@@ -389,6 +399,7 @@ def continued_by(
     """
     attachments = list(before)
     left = [number for number, load in enumerate(before) if load.present]
+    kept = list[Attachment]()
     # Greedy matching: the load with the nearest attachment first, within the larger diameter of
     # both.
     distances = [
@@ -400,9 +411,11 @@ def continued_by(
         if near is not None and attachments[near].distance(load.place) < max(
             attachments[near].size, load.size
         ):
-            attachments[near] = attachments[near].continued(load)
+            former = attachments[near]
+            attachments[near] = former.continued(load)
             left.remove(near)
-        else:
+            kept += [former] if attachments[near] is former else []
+        elif not any(clearer.contains(load) for clearer in kept):
             attachments.append(load)
     if again:
         return tuple(
