@@ -161,6 +161,24 @@ def test_a_pull_keeps_the_odds_of_earlier_windows() -> None:
     assert pulled.full_s == 9.0 and pulled.after(hidden, 15.0, full=False).probability > 0.9
 
 
+def test_odds_and_cause_of_a_window_count_together() -> None:
+    """A load keeps still, and after a step its place swings; a step leaves it at that."""
+    still, shaken = (
+        Breath(odds, suction, (1.1, 0.1), (0.08, 0.01))
+        for odds, suction in ((-3.0, 0.9), (8, 0.02))
+    )
+    stepped = Breathing().after(still, 6.0, full=False).parted((6.25,))
+    swinging = stepped.after(shaken, 13.0, full=False)
+    assert swinging.probability < 0.1 > swinging.parted((13.5,)).probability
+    assert swinging.after(shaken, 14.0, full=True).probability < 0.1
+
+
+def test_a_single_incomplete_window_decides_no_cause() -> None:
+    shown = Breath(8.0, 0.99, (1.1, 0.1), (0.08, 0.01))
+    once = Breathing().after(shown, 5.0, full=False)
+    assert 0.5 < once.probability < 0.9 < once.after(shown, 6.0, full=False).probability
+
+
 def pulled_window(swings: Array, level: Array, *steps: float) -> Breath:
     """8 s with these steps, s, in which suction and its rim change by these shares."""
     rng = np.random.default_rng(2)

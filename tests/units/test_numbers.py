@@ -17,7 +17,18 @@ from lampest.estimate import (
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.loads import tare
-from lampest.loads.recognition import breath, breathing, contacts, pumping, suction, swings, watch
+from lampest.loads.recognition import (
+    breath,
+    breathing,
+    contacts,
+    departure,
+    open_lines,
+    pumping,
+    suction,
+    swings,
+    watch,
+    watch_parts,
+)
 from lampest.panel import trust_region
 from lampest.posterior import reference, sampled, track
 from lampest.recording import stored
@@ -51,12 +62,12 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),
     ],
     "docs/theory/recognition.md": [
-        ("with a time constant of 20 s", watch.FOLLOWS_S, 20),
+        ("with a time constant of 20 s", watch_parts.FOLLOWS_S, 20),
         ("A change has to exceed half of it.", watch.MIN_CHANGE, 0.5),
-        ("have less than a quarter of that unevenness", watch.UNCOVERED, 0.25),
-        ("and at least three, have risen", watch.MIN_RELIEVED, 3),
-        ("more than 80 % of its resistances", watch.OPEN_SHARE, 0.8),
-        ("exceed twice those at rest", watch.OPEN_RATIO, 2),
+        ("have less than a quarter of that unevenness", departure.MAX_REMAINING, 0.25),
+        ("and at least three, have risen", departure.MIN_RELIEVED, 3),
+        ("more than 80 % of its resistances", open_lines.OPEN_SHARE, 0.8),
+        ("exceed twice those at rest", open_lines.OPEN_RATIO, 2),
         ("The longest time between two looks is a minute.", watch.LOOKS_S, 60),
         ("less than three tenths of the weaker group's peak", contacts.FAINT_SHARE, 0.3),
         ("an interquartile range of ln r₀ of 0.9", suction.MAX_RANGE, 0.9),

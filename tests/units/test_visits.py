@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from laws.recognised import answered, every_frame, known_before
 
+from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
 from docs.studies.attachments import recording as attached
-from docs.studies.attachments import seen
 from lampest import Array
-from lampest.loads.recognition.attachment import Attachment
+from lampest.estimate.prepared import Prepared
+from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breath import breath
 from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.recognition.detector import Detector
@@ -25,7 +26,16 @@ from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.steady_frames import SteadyFrames
 from lampest.loads.recognition.swings import Patterns
 from lampest.loads.recognition.watch import Watch
-from lampest.report.detect.answer import LAMPREY, PRESSES, SUCKS, Detected, answer_of
+from lampest.recording.recording import MEASURED
+from lampest.report.detect.answer import (
+    LAMPREY,
+    MIN_PROBABILITY,
+    PRESSES,
+    SUCKS,
+    Detected,
+    answer_of,
+)
+from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.report.detect.visits import COLUMNS, count_table, visits_of
 
 # P(sucks)
@@ -75,6 +85,21 @@ def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
         "no",
         None,
     )
+
+
+def contact(x_mm: float, clear: float = 50.0) -> Attachment:
+    """A contact without a shape whose place is known to half a pitch."""
+    return Attachment(RING, 60.0, (x_mm, 5.0), (50.0, 5.0), clear=clear)
+
+
+def test_contacts_under_a_clearer_load_are_its_rim() -> None:
+    """The disc reaches to 57.5 mm."""
+    mouth = replace(load(0.0, None), clear=100.0)
+    rim = [contact(41.0), contact(22.0), contact(60.0)]
+    assert continued_by([mouth], rim, 60.0) == (mouth,)
+    assert len(continued_by([mouth], [*rim, contact(75.0)], 60.0)) == 2
+    clearer = [contact(x_mm, clear=200.0) for x_mm in (41.0, 22.0)]
+    assert len(continued_by([mouth], clearer, 60.0)) == 2
 
 
 def test_visits_are_counted_by_day_and_by_night() -> None:
@@ -228,6 +253,25 @@ def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
         watch = watch.push(*frame)
         sucking = max([sucking, *(attachment.sucks for attachment in watch.attachments)])
     assert sucking < 0.5
+
+
+@pytest.mark.slow
+def test_a_release_is_no_evidence_of_breath() -> None:
+    """A current moves the cup at 0.56 Hz before it is released."""
+    recording, *_ = attached("cup in current", 4.0, 5551011)
+    released_s = float(recording.time[recording.role == MEASURED][0]) + TOUCH_S + ATTACHED_S
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    watch = known.watch()
+    lives = list[float]()
+    released = list[float]()
+    for frame in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
+        watch = watch.push(*frame)
+        probabilities = [load.breath.probability for load in watch.attachments]
+        (released if frame[-1] >= released_s else lives).extend(probabilities)
+    assert watch.attachments[0].until_s is not None
+    assert set(released) == {lives[-1]}
+    assert max(lives) < MIN_PROBABILITY
 
 
 @pytest.mark.slow

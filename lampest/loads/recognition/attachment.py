@@ -178,6 +178,15 @@ class Attachment:
         """Return the distance to a place, mm."""
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
+    def contains(self, contact: "Attachment") -> bool:
+        """Return whether a contact without a shape lies under the disc, to the error of its place.
+
+        It is then a part of the rim.
+        """
+        comparable = self.diameter_mm is not None and contact.diameter_mm is None
+        reach = self.size / 2 + contact.x_mm[1]
+        return comparable and self.distance(contact.place) < reach
+
     def ended(self, time: float) -> "Attachment":
         """Return the attachment after it left at a time in s.
 
@@ -378,7 +387,8 @@ def continued_by(
 ) -> tuple[Attachment, ...]:
     """Return all attachments after a recognition.
 
-    Each load continues the nearest attachment that is present.
+    Each load continues the nearest attachment that is present. Where a clearer earlier recognition
+    is kept, contacts under its disc are parts of that load.
 
     Parameters
     ----------
@@ -394,6 +404,7 @@ def continued_by(
     """
     attachments = list(before)
     unmatched = [number for number, load in enumerate(before) if load.present]
+    kept = list[Attachment]()
     # Greedy matching: the load with the nearest attachment first, within the larger diameter of
     # both.
     distances = [
@@ -407,9 +418,12 @@ def continued_by(
         if near is not None and attachments[near].distance(load.place) < max(
             attachments[near].size, load.size
         ):
-            attachments[near] = attachments[near].continued(load)
+            former = attachments[near]
+            attachments[near] = former.continued(load)
             unmatched.remove(near)
-        else:
+            if attachments[near] is former:
+                kept.append(former)
+        elif not any(clearer.contains(load) for clearer in kept):
             attachments.append(load)
     if again:
         return tuple(

@@ -18,6 +18,9 @@ from lampest.loads.recognition.fit import RARE_LOG_ODDS
 WINDOW_S = 8.0
 MIN_WINDOW_S = 4.5
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
+# of suction that oscillates against the rim alone, and against the place or the tilt
+CAUSE_ODDS = PRIOR_ODDS / 2
+PRIOR_SUCTION = CAUSE_ODDS / (1 + CAUSE_ODDS)
 
 
 @dataclass(frozen=True)
@@ -28,10 +31,13 @@ class Breathing:
     ----------
     odds, previous_odds : float
         ln odds of an oscillation at a breathing rate, with and without the last window.
-    suction, last : float
-        Probability that the suction oscillates, by all windows, and by the last window alone.
-    causes : float
-        ln odds of the same by full windows, without the prior odds.
+    causes, previous_causes : float
+        ln odds that the suction oscillates, without the prior odds, with and without the last
+        window.
+    suction : float
+        Probability that the suction oscillates, by all windows; 1 before the first one.
+    last : float
+        The same by the last window alone; its prior probability where nothing oscillated.
     hertz, depth : (float, float) or None
         Rate in Hz and relative amplitude, each with its standard deviation, from the last window
         that determines them.
@@ -41,9 +47,10 @@ class Breathing:
 
     odds: float = 0.0
     previous_odds: float = 0.0
-    suction: float = 1.0
-    last: float = 0.5
     causes: float = 0.0
+    previous_causes: float = 0.0
+    suction: float = 1.0
+    last: float = PRIOR_SUCTION
     hertz: Pair | None = None
     depth: Pair | None = None
     full_s: float = -inf
@@ -62,16 +69,17 @@ class Breathing:
         """
         if self.odds == self.previous_odds or not any(step > self.judged_s for step in steps):
             return self
-        return replace(self._caused(self.last), previous_odds=self.odds, full_s=self.judged_s)
+        return self._caused(self.last)._closed(self.judged_s)
 
     def _caused(self, suction: float) -> "Breathing":
-        """Return the breath with one more window.
+        """Return the breath if suction oscillates in the last window with this probability."""
+        window = logit(suction) - np.log(CAUSE_ODDS)
+        causes = float(np.clip(self.previous_causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        return replace(self, suction=float(expit(causes + np.log(CAUSE_ODDS))), causes=causes)
 
-        In it suction oscillates with this probability.
-        """
-        window = logit(suction) - np.log(PRIOR_ODDS / 2)
-        causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        return replace(self, suction=float(expit(causes + np.log(PRIOR_ODDS / 2))), causes=causes)
+    def _closed(self, time: float) -> "Breathing":
+        """Return the breath whose last window, which ends at a time in s, is complete."""
+        return replace(self, previous_odds=self.odds, previous_causes=self.causes, full_s=time)
 
     def after(self, breath: Breath | None, time: float, *, full: bool) -> "Breathing":
         """Return the breath after a window that ends at a time in s.
@@ -83,18 +91,21 @@ class Breathing:
         lampreys for a second (docs/studies/mouths.md).
         """
         judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
-        return judged if breath is None else judged._with_window(breath, full=full)
+        if breath is None:
+            return judged
+        weighed = judged._with_window(breath, full=full)
+        return weighed._closed(time) if full else weighed
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""
         # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
         window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + breath.odds)
         odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
-        breathing = replace(self, odds=odds, previous_odds=odds if full else self.previous_odds)
+        # Where nothing oscillates, a window shows no cause.
+        suction = breath.suction if breath.odds > 0 else PRIOR_SUCTION
+        agreed = suction if full else min(suction, self.last)
+        breathing = replace(self._caused(agreed), odds=odds, last=suction)
         follows_full_window = self.previous_odds != 0 and not full
         if self.hertz is not None and (breath.odds <= 0 or follows_full_window):
             return breathing
-        described = replace(breathing, hertz=breath.hertz, depth=breath.depth, last=breath.suction)
-        if not full:
-            return replace(described, suction=min(breath.suction, self.last))
-        return described._caused(breath.suction)
+        return replace(breathing, hertz=breath.hertz, depth=breath.depth)

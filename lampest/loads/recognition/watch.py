@@ -490,7 +490,8 @@ class Watch:
         """Return the watch after breath and suction of every load were judged.
 
         They are judged once each FIRST_S and BLOCK_S. The last frame is left out of a breath,
-        because it may be the first one of a release.
+        because it may be the first one of a release. After a step the load may have left, so its
+        breath is judged again from the next recognition on.
         """
         assert self.look is not None
         loads = list(self.attachments)
@@ -498,7 +499,7 @@ class Watch:
         for number, load in enumerate(loads):
             if load.present and load.patterns is not None:
                 load = load.sampled(self.window, self.test.whitening, verdict.frame)
-                loads[number] = load.listened(
-                    self.window[:-1], self.steps, self.test.whitening, verdict
-                )
+                if self.known:
+                    load = load.listened(self.window[:-1], self.steps, self.test.whitening, verdict)
+                loads[number] = load
         return replace(self, attachments=tuple(loads))
