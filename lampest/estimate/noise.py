@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.estimate.scan_motion import displacement
+from lampest.estimate.scan_motion import Share, displacement
 from lampest.estimate.variance_components import (
     MIN_EXCESS,
     NO_RIPPLE,
@@ -66,8 +66,9 @@ class NoiseEstimate:
     possible_errors : Possible or None
         Errors that all frames share, as far as the still cells leave them possible; None where that
         is unknown.
-    motion : float
-        Share of the time between frames that a scan takes while loads move; 0: none.
+    motion : Share or None
+        Share of the time between frames that a scan takes while loads move; None: readings are not
+        interpolated.
     of_modules : tuple of NoiseEstimate or None
         Noise of each module, None for a dead one; () for a single network.
     corrected_effects : CircuitEffects or None
@@ -87,7 +88,7 @@ class NoiseEstimate:
     sigma_factor: float = 1.0
     frame: FrameNoise | None = None
     possible_errors: Possible | None = None
-    motion: float = 0.0
+    motion: Share | None = None
     of_modules: tuple["NoiseEstimate | None", ...] = ()
     corrected_effects: CircuitEffects | None = None
     model_factor: float = 1.0
@@ -181,7 +182,7 @@ class NoiseEstimate:
         return replace(self, readings=replace(self.readings, sigma=sigma))
 
     def with_motion(
-        self, scene: Scene, measured: NDArray[np.intp], share: float, deviation: float = 0.0
+        self, scene: Scene, measured: NDArray[np.intp], share: Share
     ) -> "NoiseEstimate":
         """Return the noise with readings that are interpolated to the middle of their scan.
 
@@ -192,17 +193,17 @@ class NoiseEstimate:
         scene : Scene
         measured : integer array
             Numbers of the measured frames.
-        share, deviation : float
-            Share of the time between frames that a scan takes, and its standard deviation.
+        share : Share
+            Share of the time between frames that a scan takes.
         """
         readings = self.readings
         displaced, doubt, weight = displacement(scene, readings, measured)
         noise = readings.known_sigma**2
         # A reading less its displacement is a mean of two frames, whose noise is independent.
-        own = noise * ((1 - share * weight) ** 2 + (share * weight) ** 2)
+        own = noise * ((1 - share.mean * weight) ** 2 + (share.mean * weight) ** 2)
         moved = np.maximum(displaced**2 - 2 * noise * weight**2, 0.0)
-        sigma = np.sqrt(own + (share * doubt) ** 2 + deviation**2 * moved)
-        readings = replace(readings, value=readings.value - share * displaced, sigma=sigma)
+        sigma = np.sqrt(own + (share.reach * doubt) ** 2 + share.deviation**2 * moved)
+        readings = replace(readings, value=readings.value - share.mean * displaced, sigma=sigma)
         return replace(self, readings=readings, motion=share)
 
 

@@ -20,7 +20,7 @@ from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import NoiseEstimate, without_effects
 from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.scan_motion import UNKNOWN_SHARE, share_of_motion
+from lampest.estimate.scan_motion import UNKNOWN_SHARE, Share, share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
@@ -106,7 +106,8 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     if readings.sigma is None or share is None or len(measured) < 2:
         return noise
     if share != ESTIMATED:
-        return noise.with_motion(scene, measured, float(share)) if share else noise
+        number = Share(mean=float(share), deviation=0.0, reach=float(share))
+        return noise.with_motion(scene, measured, number) if share else noise
     unloaded = recording.role == UNLOADED
     size = (
         share_of_motion(scene, readings[unloaded].mean(), readings, measured)
@@ -114,13 +115,13 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
         else None
     )
     if size is None:
-        return noise.with_motion(scene, measured, 0.0, UNKNOWN_SHARE).undetermined(
+        return noise.with_motion(scene, measured, UNKNOWN_SHARE).undetermined(
             "motion",
             "no frame has still cells beside a load that moves. Error bars allow for any share of "
             "the time between frames; give the share, or record five unloaded frames and a load "
             "that leaves most cells free",
         )
-    noise = noise.with_motion(scene, measured, size.mean, size.deviation)
+    noise = noise.with_motion(scene, measured, size)
     return noise.determined("motion", (size.mean, size.deviation))
 
 
@@ -299,10 +300,7 @@ def _as_the_whole(
     """Return the noise of a part with the effects, motion and errors of the whole recording."""
     noise = without_effects(noise, recording, whole.corrected_effects)
     measured = np.flatnonzero(recording.role == MEASURED)
-    if recording.scene.motion == ESTIMATED and noise.readings.sigma is not None:
-        size = whole.estimated.get("motion", (0.0, UNKNOWN_SHARE))
-        noise = noise.with_motion(recording.scene, measured, *size)
-    elif whole.motion:
+    if whole.motion is not None and noise.readings.sigma is not None:
         noise = noise.with_motion(recording.scene, measured, whole.motion)
     noise = replace(noise, possible_errors=whole.possible_errors, estimated=whole.estimated)
     noise = _with_reading_error(noise, recording)

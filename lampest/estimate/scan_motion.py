@@ -5,6 +5,10 @@ the frame, and the load has moved by then. The load displaces all readings of a 
 known direction: the steps between frames, times each reading's delay, times the share of the time
 between frames that a scan takes. The readings are interpolated to the middle of the scan. Cells
 that no load touches determine the share: a wrong one makes them move.
+
+The displacement has errors, too, where a load moves unevenly between two frames. The still cells
+then seem stillest at less than the scan's share, as the slope of a regression is attenuated by
+errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 """
 
 from dataclasses import replace
@@ -27,7 +31,6 @@ SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
 INTERPOLATION_ERROR = 0.5
-UNKNOWN_SHARE = 1.0  # of a scan of which nothing is known: it may take the whole time
 
 
 class Share(NamedTuple):
@@ -36,14 +39,21 @@ class Share(NamedTuple):
     Attributes
     ----------
     mean, deviation : float
-        Mean and standard deviation of its posterior.
+        Share at which still cells are stillest, and its standard deviation as that of the scan.
+    reach : float
+        Mean of the share without attenuation: the interpolation is wrong over that time.
     gain : float
         Decrease of −2 ln evidence from no share to the best one.
     """
 
     mean: float
     deviation: float
-    gain: float
+    reach: float
+    gain: float = 0.0
+
+
+# Of a scan of which nothing is known: it may take the whole time, and readings stay as they are.
+UNKNOWN_SHARE = Share(mean=0.0, deviation=1.0, reach=0.0)
 
 
 def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
@@ -86,6 +96,11 @@ class Displacement(NamedTuple):
     value: Array
     doubt: Array
     weight: Array
+
+    @property
+    def smooth(self) -> Array:
+        """Doubt of a motion without jumps: √(|τ|/(1 − |τ|)) times the doubt."""
+        return np.asarray(self.doubt * np.sqrt(self.weight / (1 - self.weight)))
 
 
 def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Displacement:
@@ -130,7 +145,9 @@ def share_of_motion(
     None where it is unknown. A load that moves displaces all readings of a frame along one known
     direction, by share · displacement. Cells that no load touches seem to move by K times as much,
     K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
-    all equally probable before, for the frames with the largest motion.
+    all equally probable before, for the frames with the largest motion. The reach is the share
+    over the reliability of the displacements, 1 − Σ errors²/Σ displacements², at most the whole
+    time.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
@@ -143,6 +160,8 @@ def share_of_motion(
     costs = np.zeros(len(SHARES))
     counted = 0
     near = None
+    # Sums of squares in σ².
+    displacements = errors = 0.0
     for frame in inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]:
         fit = fitted(scene, readings[frame], near, patient=True)
         if base is None or fit is None:
@@ -153,6 +172,9 @@ def share_of_motion(
         if still:
             costs += cost
             counted += 1
+            noise = readings.known_sigma[frame]
+            displacements += float(np.sum((of_frame.value / noise) ** 2))
+            errors += float(np.sum((of_frame.smooth / noise) ** 2))
     if not counted:
         return None
     odds = np.exp(-(costs - costs.min()) / 2)
@@ -160,8 +182,13 @@ def share_of_motion(
     mean = float(odds @ SHARES)
     # A share between two of those compared is known to a uniform distribution at best.
     variance = max(float(odds @ SHARES**2) - mean**2, 0.0) + (SHARES[1] - SHARES[0]) ** 2 / 12
-    deviation = float(np.sqrt(variance))
-    return Share(mean, deviation, float(costs[0] - costs.min()))
+    # Below the smallest share any share may be the whole time.
+    reliable = max(displacements - errors, SHARES[1] * displacements)
+    unattenuated = np.minimum(SHARES * displacements, SHARES[-1] * reliable)
+    reach = float(odds @ unattenuated) / reliable if reliable else mean
+    # The share of the scan is anywhere between both.
+    variance += (reach - mean) ** 2 / 3
+    return Share(mean, float(np.sqrt(variance)), reach, float(costs[0] - costs.min()))
 
 
 def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Array, bool]:
@@ -185,7 +212,7 @@ def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Ar
     weight = displaced.weight.ravel()
     noise = frame.readings.known_sigma.ravel()
     # The evidence takes motion as smooth: a wider doubt would favour small shares.
-    smooth = displaced.doubt.ravel() * np.sqrt(weight / (1 - weight))
+    smooth = displaced.smooth.ravel()
     costs = []
     exact = []
     for share in SHARES:

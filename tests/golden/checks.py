@@ -183,7 +183,11 @@ def prepared_row(recording: lp.Recording) -> dict[str, Any]:
         "value": noise.readings.value,
         "sigma": noise.readings.sigma,
         "side": noise.readings.side,
-        "factors": [noise.sigma_factor, noise.model_factor, noise.motion],
+        "factors": [
+            noise.sigma_factor,
+            noise.model_factor,
+            noise.motion.mean if noise.motion else 0.0,
+        ],
         "outliers": noise.outliers,
         "corrections": noise.corrected_effects and noise.corrected_effects.corrections,
         "explains": check.explains,

@@ -50,7 +50,7 @@ SERIES_ERROR = 0.3  # two of its standard deviations, which are 5.5 of 40 ohm
 # Least coverage of 95 % intervals; shared errors cover recordings, or not, as a whole.
 MIN_CELL_COVERAGE = 0.88  # measured 0.91 to 0.97
 MIN_HARD_COVERAGE = 0.8  # where 72 to 84 % were covered, or loads move; measured 0.82
-MIN_MOVING_COVERAGE = 0.7
+MIN_MOVING_COVERAGE = 0.85  # where the time of a scan is estimated; measured 0.88 to 0.94
 MIN_NEXT_COVERAGE = 0.8  # of the next sample; measured 0.83 by one sample
 MIN_WITHIN_TWO_SIGMA = 0.9  # 95 % less one standard deviation of 19 outliers
 CLEARLY_UNCOVERED = 0.75  # without the errors in the scene; measured at most 0.14
@@ -485,10 +485,10 @@ def test_error_bars_allow_for_loads_that_move_within_a_frame() -> None:
         "motion: estimated" in {finding.line for finding in unnamed_effects(Prepared(torn))}
         for torn in unnamed
     )
-    assert (
-        np.mean([in_intervals(reconstruct(recording, LSM)) for recording in recordings])
-        > MIN_MOVING_COVERAGE
-    )
+    for speed in (2.0, 6.0):
+        estimated = replace(plain, unmodelled=Unmodelled(load_speed_mm_s=speed))
+        coverages = [coverage_of(simulate(replace(estimated, seed=seed))) for seed in (1, 2)]
+        assert np.mean(coverages, axis=0).min() > MIN_MOVING_COVERAGE
     named = [replace(recording, scene=replace(scene, motion=1.0)) for recording in recordings]
     fast = replace(plain, unmodelled=Unmodelled(load_speed_mm_s=25.0))
     named += [
