@@ -19,10 +19,10 @@ import pytest
 from wild_board import hundred_a_second, wild_board
 
 from lampest import InputError, Recording
-from lampest.recording.board import journal
-from lampest.recording.board.record import Progress, record
-from lampest.recording.board.recorder import Recorder
-from lampest.recording.board.stream import board_samples
+from lampest.apps.board import journal
+from lampest.apps.board.record import Progress, record
+from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.stream import board_samples
 
 FRAMES = 100
 COMMAND = (sys.executable, "-c", "from lampest.cli import main; main()")

@@ -14,10 +14,10 @@ import pytest
 from board.bench import FIRMWARE, bench, built, random_cells, scene
 
 from lampest import InputError, Recording
-from lampest.recording.board import port
-from lampest.recording.board.port import pressed_keys
-from lampest.recording.board.protocol import message
-from lampest.recording.board.record import record
+from lampest.apps.board import port
+from lampest.apps.board.port import pressed_keys
+from lampest.apps.board.protocol import message
+from lampest.apps.board.record import record
 
 README = (FIRMWARE / "README.md").read_text()
 OTHER_COMPILER = 0.05  # of a size, relative

@@ -24,9 +24,9 @@ from lampest import (
     import_file,
     two_point_resistance,
 )
+from lampest.apps.board.record import record
+from lampest.apps.live.run import LiveBoard, recorded_from_board
 from lampest.estimate.sequence import reconstruct
-from lampest.recording.board.record import record
-from lampest.report.live.run import LiveBoard, recorded_from_board
 from tests.netlist import impedance_of
 
 # Of 2,000 readings: three standard errors of their spread are 5 %; the mean of rounded codes is off

@@ -14,12 +14,12 @@ from board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums
 from typer.testing import CliRunner
 
 import lampest
+from lampest.apps.microcontroller.constants import Budget, CircuitLines, Constants
+from lampest.apps.microcontroller.header import header
+from lampest.apps.microcontroller.host import HOST, compiled, library_folder, sources
+from lampest.apps.microcontroller.sketch import export_sketch
+from lampest.apps.microcontroller.trade import chosen_budget, instructions, trades
 from lampest.cli import app
-from lampest.report.export.microcontroller.constants import Budget, CircuitLines, Constants
-from lampest.report.export.microcontroller.header import header
-from lampest.report.export.microcontroller.host import HOST, compiled, library_folder, sources
-from lampest.report.export.microcontroller.sketch import export_sketch
-from lampest.report.export.microcontroller.trade import chosen_budget, instructions, trades
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 NOISY = lampest.Misfit(weighting="noise")

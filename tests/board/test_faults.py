@@ -14,9 +14,9 @@ import pytest
 from board.bench import bench, random_cells, scene
 
 from lampest import InputError, Recording
-from lampest.recording.board.journal import repair
-from lampest.recording.board.protocol import Frame, Receiver
-from lampest.recording.board.record import Progress, record
+from lampest.apps.board.journal import repair
+from lampest.apps.board.protocol import Frame, Receiver
+from lampest.apps.board.record import Progress, record
 from tests.bodies import frame_body
 
 NOISE_OF_CODES = 0.02  # relative, of readings of 10 bits

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampest import InputError
-from lampest.recording.board import protocol
-from lampest.recording.board.protocol import (
+from lampest.apps.board import protocol
+from lampest.apps.board.protocol import (
     Answer,
     Estimate,
     Frame,
@@ -27,7 +27,7 @@ from lampest.recording.board.protocol import (
     command,
     message,
 )
-from lampest.recording.board.stream import declared_readout, scene_of
+from lampest.apps.board.stream import declared_readout, scene_of
 from tests.bodies import estimate_body, frame_body, hello_body
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)

@@ -16,13 +16,13 @@ from board.estimated import pressed_cells, recording_of, solved_case, sums_of
 from support import live_pictures
 
 from lampest import Estimator, LogGradient, LogRatio, Misfit, Recording, Squared, reconstruct
-from lampest.recording.board.record import record
-from lampest.report.board import difference_sentence
-from lampest.report.export.microcontroller.constants import Constants
-from lampest.report.export.microcontroller.header import header
-from lampest.report.export.microcontroller.host import compiled
-from lampest.report.export.microcontroller.sketch import export_sketch
-from lampest.report.live.run import LiveBoard, from_recording, recorded_from_board
+from lampest.apps.board.own_estimate import difference_sentence
+from lampest.apps.board.record import record
+from lampest.apps.live.run import LiveBoard, from_recording, recorded_from_board
+from lampest.apps.microcontroller.constants import Constants
+from lampest.apps.microcontroller.header import header
+from lampest.apps.microcontroller.host import compiled
+from lampest.apps.microcontroller.sketch import export_sketch
 from lampest.report.words import digits
 
 SHAPE = (6, 5)

@@ -20,20 +20,20 @@ from lampest import (
     Scene,
     VirtualGroundReadout,
 )
-from lampest.estimate.calibration.channels import calibrate_channels
-from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
-from lampest.estimate.calibration.loads import calibrate_loads
-from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
-from lampest.estimate.calibration.response_fit import (
+from lampest.apps.calibration.channels import calibrate_channels
+from lampest.apps.calibration.known_loads import KnownLoad, KnownLoads
+from lampest.apps.calibration.loads import calibrate_loads
+from lampest.apps.calibration.resistors import ResistorCalibration, calibrate_resistors
+from lampest.apps.calibration.response_fit import (
     Loaded,
     deviations_from_others,
     fit_loads,
     response_of,
 )
+from lampest.apps.film.pressure import pressure_of
 from lampest.estimate.sequence import reconstruct
 from lampest.files import levels
 from lampest.files.document import parse_document, validated
-from lampest.loads.pressure import pressure_of
 from lampest.panel.conditions import MeasuredSubject
 from lampest.panel.readouts import (
     AnyReadout,

@@ -26,12 +26,12 @@ from lampest import (
     SuctionCup,
     TwoPointReadout,
 )
-from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.candidates import AND, UNIFORM, Several
-from lampest.loads.recognition.candidates import LOADS as SHAPED
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import (
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.candidates import AND, UNIFORM, Several
+from lampest.apps.recognition.candidates import LOADS as SHAPED
+from lampest.apps.recognition.detect.detection import detect_recording
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.fit import (
     SD,
     Verdict,
     field_fit,
@@ -39,15 +39,15 @@ from lampest.loads.recognition.fit import (
     prior,
     states,
 )
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.loads.recognition.watch import Watch
-from lampest.loads.recognition.watch_parts import WatchSetup
-from lampest.loads.shapes.disc import Disc
-from lampest.loads.shapes.kinds import RoundCandidate
-from lampest.loads.shapes.shape import Candidate
+from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation
+from lampest.apps.recognition.watch import Watch
+from lampest.apps.recognition.watch_parts import WatchSetup
+from lampest.files.levels import MAX_MEAN_SQUARE
+from lampest.recording.shapes.disc import Disc
+from lampest.recording.shapes.kinds import RoundCandidate
+from lampest.recording.shapes.shape import Candidate
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
-from lampest.report.detect.detection import detect_recording
 
 PANEL = Panel(9, 11, 10.0)
 CENTRE = (52.0, 37.0)

@@ -24,14 +24,14 @@ from lampest import (
     TwoPointReadout,
     simulate,
 )
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fitting, along_diameter
-from lampest.loads.recognition.observation import ModelErrors, Observation, Whitening
-from lampest.loads.recognition.window import Window
+from lampest.apps.recognition.detect.answer import CUP, LAMPREY
+from lampest.apps.recognition.detect.detection import detect_recording
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.fit import Fitting, along_diameter
+from lampest.apps.recognition.observation import ModelErrors, Observation, Whitening
+from lampest.apps.recognition.window import Window
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.response import ratio_from_pressure
-from lampest.report.detect.answer import CUP, LAMPREY
-from lampest.report.detect.detection import detect_recording
 
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from lampest import Cells, Course, Estimator, Recording, TwoPointReadout
+from lampest.apps.film.memory import Creep, FilmKnown, FilmMemory, Plays
+from lampest.apps.film.pressure import Pressure, pressure_of
+from lampest.apps.film.tare import Tare
 from lampest.cost.terms import Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
-from lampest.loads.film import Creep, FilmKnown, FilmMemory, Plays
-from lampest.loads.pressure import Pressure, pressure_of
-from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
-from lampest.loads.tare import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
+from lampest.recording.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.recording.simulation import Simulation, Unmodelled, simulate
 
 ROD = Rod(centre_mm=(35, 35), diameter_mm=40, mass_g=2000)

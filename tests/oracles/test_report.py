@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 from support import invented_case
 
-from lampest.report.page.compared import mean_interval, predicted
-from lampest.report.page.page import disagreements
+from lampest.apps.page.compared import mean_interval, predicted
+from lampest.apps.page.page import disagreements
 from lampest.runs.results import CaseResult
 
 SHAPE = (4, 3, 3)

@@ -14,12 +14,7 @@ from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
 from docs.studies.mats import OURS, PUBLISHED, Mats, solved_mats, table
 from lampest import Huber, InputError, Misfit, Panel, Settings
-from lampest.cost.cost import Cost
-from lampest.estimate.sequence import first_stream
-from lampest.report.compare import screen_table
-from lampest.runs.config import Terms
-from lampest.solvers.multistart import evaluated
-from lampest.studies.bench import (
+from lampest.apps.studies.bench import (
     STUDY,
     Bench,
     BenchFile,
@@ -30,8 +25,13 @@ from lampest.studies.bench import (
     run_bench,
     sheets,
 )
-from lampest.studies.common import StudyMethod, paper_methods
-from lampest.studies.study import page, read_settings
+from lampest.apps.studies.common import StudyMethod, paper_methods
+from lampest.apps.studies.study import page, read_settings
+from lampest.cost.cost import Cost
+from lampest.estimate.sequence import first_stream
+from lampest.report.compare import screen_table
+from lampest.runs.config import Terms
+from lampest.solvers.multistart import evaluated
 
 ROOT = Path(__file__).parents[2]
 # gap to the least cost, of own solvers and of any verified one

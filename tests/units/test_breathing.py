@@ -6,11 +6,11 @@ It is told from windows and courses of suction of which every reading is known.
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.breath import Breath, breath
-from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
-from lampest.loads.recognition.steady_frames import SteadyFrames, settled
-from lampest.loads.recognition.swings import Patterns, adjoin
+from lampest.apps.recognition.breath import Breath, breath
+from lampest.apps.recognition.breathing import Breathing
+from lampest.apps.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
+from lampest.apps.recognition.steady_frames import SteadyFrames, settled
+from lampest.apps.recognition.swings import Patterns, adjoin
 from lampest.panel.panel import Array, Panel
 
 TIMES = np.arange(0, 8, 0.25)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest.report.export.microcontroller.constants import Constants
-from lampest.report.export.microcontroller.header import header
+from lampest.apps.microcontroller.constants import Constants
+from lampest.apps.microcontroller.header import header
 
 SINGLE_PRECISION = 1e-6
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lampest import Panel
-from lampest.loads.recognition.contacts import contacts_of
+from lampest.apps.recognition.contacts import contacts_of
 
 PANEL = Panel(12, 14, 20.0)
 SD = np.full(PANEL.shape, 0.02)

@@ -28,24 +28,24 @@ from lampest import (
     reconstruct,
     write_results,
 )
-from lampest.estimate.prepared import Prepared
-from lampest.loads.shapes import AnyShape
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate
-from lampest.report.detect.answer import (
+from lampest.apps.recognition.detect.answer import (
     CANNOT_SAY,
     LAMPREY,
     PRESSES,
     SUCKS,
 )
-from lampest.report.detect.detection import (
+from lampest.apps.recognition.detect.detection import (
     Known,
     detect_recording,
     detect_results,
     known_of,
     known_of_case,
 )
+from lampest.estimate.prepared import Prepared
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.shapes import AnyShape
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate
 from lampest.runs.filling import _arrays_of, frame_noise_of
 from lampest.runs.starter import write_starter
 

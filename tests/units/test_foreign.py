@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lampest import Array, InputError, Layout, import_file
-from lampest.recording.foreign import importing
+from lampest.apps.foreign import importing
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ import pytest
 from unclosed import unclosed_recording
 
 from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
+from lampest.apps.board.journal import repair
 from lampest.files.checksums import is_left_open
 from lampest.recording.acquisition import EVENTS, Rows
-from lampest.recording.board.journal import repair
 from lampest.recording.stored import StoredRecording, joined
 
 SCENE = Scene(Panel(3, 4), TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)

@@ -19,24 +19,16 @@ from wild_board import IDLE
 
 from docs.studies.long_lives import live_figures, stream_figures
 from lampest import Arrival, InputError, Misfit, Rod, Scene, two_point_resistance
-from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.sequence import reconstruct
-from lampest.loads.pressure import Pressure, total_force
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import Film, PublishedResponse
-from lampest.recording.board import record as record_module
-from lampest.recording.board.protocol import Frame
-from lampest.recording.board.stream import Sample, scene_of
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation import Course, Simulation, read_simulations, simulate
-from lampest.report.live import engine as engine_module
-from lampest.report.live import run as run_module
-from lampest.report.live.engine import Engine, FrameSource, with_picture
-from lampest.report.live.handover import Errand
-from lampest.report.live.message import Picture, View, view_text
-from lampest.report.live.run import (
+from lampest.apps.board import record as record_module
+from lampest.apps.board.protocol import Frame
+from lampest.apps.board.stream import Sample, scene_of
+from lampest.apps.film.pressure import Pressure, total_force
+from lampest.apps.live import engine as engine_module
+from lampest.apps.live import run as run_module
+from lampest.apps.live.engine import Engine, FrameSource, with_picture
+from lampest.apps.live.handover import Errand
+from lampest.apps.live.message import Picture, View, view_text
+from lampest.apps.live.run import (
     METHODS,
     LiveBoard,
     chosen,
@@ -45,7 +37,15 @@ from lampest.report.live.run import (
     recorded_from_board,
     recorder_of,
 )
-from lampest.report.live.watcher import Scan
+from lampest.apps.live.watcher import Scan
+from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import Film, PublishedResponse
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation import Course, Simulation, read_simulations, simulate
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 HARDLY_PERCENT = 0.05  # of a change: findings that arrive later move the estimate by no more

@@ -13,18 +13,18 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
-from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.breathing import Breathing
+from lampest.apps.live.engine import Engine
+from lampest.apps.live.handover import Errand
+from lampest.apps.live.publish import waited
+from lampest.apps.live.run import METHODS, scan_of
+from lampest.apps.live.watcher import Unloaded, Watched, watcher
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.breathing import Breathing
+from lampest.apps.recognition.detect.answer import Detected, alarming
+from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.panel.response import PublishedResponse
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
-from lampest.report.detect.answer import Detected, alarming
-from lampest.report.detect.detection import detect_recording
-from lampest.report.live.engine import Engine
-from lampest.report.live.handover import Errand
-from lampest.report.live.publish import waited
-from lampest.report.live.run import METHODS, scan_of
-from lampest.report.live.watcher import Unloaded, Watched, watcher
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)

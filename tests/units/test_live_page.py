@@ -20,12 +20,12 @@ from typing import Any
 import pytest
 from support import until
 
+from lampest.apps.live import server as server_module
+from lampest.apps.live.handover import Newest
+from lampest.apps.live.message import View
+from lampest.apps.live.run import Outlets, Replay, chosen, live
+from lampest.apps.live.server import PageActions, address, is_local_name, serving
 from lampest.files.errors import InputError
-from lampest.report.live import server as server_module
-from lampest.report.live.handover import Newest
-from lampest.report.live.message import View
-from lampest.report.live.run import Outlets, Replay, chosen, live
-from lampest.report.live.server import PageActions, address, is_local_name, serving
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
@@ -119,7 +119,7 @@ def test_the_server_serves_only_the_page_and_the_views(page: SimpleNamespace) ->
     answer = page.ask()
     assert answer.status == 200 and answer.headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
-    text = files("lampest.report.live").joinpath("page.html").read_text(encoding="utf-8")
+    text = files("lampest.apps.live").joinpath("page.html").read_text(encoding="utf-8")
     assert answer.read().decode() == text and len(text) < 30_000
     elsewhere = r"https?://|\bsrc=|@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")"
     assert not re.findall(elsewhere, text), "the page loads nothing from elsewhere"

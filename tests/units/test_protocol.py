@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampest import InputError
-from lampest.recording.board import port, protocol
-from lampest.recording.board.protocol import (
+from lampest.apps.board import port, protocol
+from lampest.apps.board.protocol import (
     Answer,
     Estimate,
     Frame,

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 import lampest
 from lampest import Array, Readings, Readout, Term
+from lampest.apps.studies.bench import BenchFile
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.sequence import first_stream
@@ -24,7 +25,6 @@ from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status, check
-from lampest.studies.bench import BenchFile
 
 TIMES = np.linspace(0.0, 2.0, 9)
 LOOP = LevenbergMarquardt(evaluations=200, settled=1e-20)

@@ -18,11 +18,11 @@ from paho.mqtt.client import Client
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from lampest.loads.pressure import Force
+from lampest.apps.film.pressure import Force
+from lampest.apps.live import publish as publish_module
+from lampest.apps.live.message import Message, Picture, View
+from lampest.apps.live.publish import Send, publish_at
 from lampest.panel.panel import Panel
-from lampest.report.live import publish as publish_module
-from lampest.report.live.message import Message, Picture, View
-from lampest.report.live.publish import Send, publish_at
 
 FRAMES = 120  # of 107 kB: more than the two ends of a connection hold by themselves
 PATIENCE_SECONDS = 30.0

@@ -17,19 +17,19 @@ from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 from docs.studies.extremes import extremes_figure
 from lampest import Estimator, InputError, Panel, Recording, Scene, Status
+from lampest.apps.studies import common, tradeoff
+from lampest.apps.studies.extreme_scenes import AtlasSample, Grid, recording_of
+from lampest.apps.studies.extremes import AtlasFile, atlas_remarks, run_atlas, solves_of
+from lampest.apps.studies.paper import FILE, Side, read_published
+from lampest.apps.studies.study import read_settings
+from lampest.apps.studies.tradeoff import Plan, read_plan, run_tradeoff
+from lampest.apps.studies.weights import why_not
 from lampest.cost.given import Background
 from lampest.cost.terms import Gradient, Misfit
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies import common, tradeoff
-from lampest.studies.extreme_scenes import AtlasSample, Grid, recording_of
-from lampest.studies.extremes import AtlasFile, atlas_remarks, run_atlas, solves_of
-from lampest.studies.paper import FILE, Side, read_published
-from lampest.studies.study import read_settings
-from lampest.studies.tradeoff import Plan, read_plan, run_tradeoff
-from lampest.studies.weights import why_not
 from tests.small_files import write_recording
 
 TINY = """\
@@ -232,7 +232,7 @@ def test_baselines_are_judged_by_their_own_cost_and_crashes_are_shown(
     def breaks(*arguments: object) -> None:
         raise KeyError("gone")
 
-    monkeypatch.setattr("lampest.studies.extremes.first_stream", breaks)
+    monkeypatch.setattr("lampest.apps.studies.extremes.first_stream", breaks)
     solves = run_atlas(atlas)
     assert all(
         solve.crashed and not solve.solved and "KeyError" in solve.status for solve in solves

@@ -17,17 +17,10 @@ from laws.recognised import answered, every_frame, known_before
 from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
 from docs.studies.attachments import recording as attached
 from lampest import Array
-from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.attachment import Attachment, continued_by
-from lampest.loads.recognition.breath import breath
-from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.recognition.steady_frames import SteadyFrames
-from lampest.loads.recognition.swings import Patterns
-from lampest.loads.recognition.watch import Watch
-from lampest.recording.recording import MEASURED
-from lampest.report.detect.answer import (
+from lampest.apps.recognition.attachment import Attachment, continued_by
+from lampest.apps.recognition.breath import breath
+from lampest.apps.recognition.breathing import Breathing
+from lampest.apps.recognition.detect.answer import (
     LAMPREY,
     MIN_PROBABILITY,
     PRESSES,
@@ -35,8 +28,15 @@ from lampest.report.detect.answer import (
     Detected,
     answer_of,
 )
-from lampest.report.detect.detection import Known, known_of, measured_frames
-from lampest.report.detect.visits import COLUMNS, count_table, visits_of
+from lampest.apps.recognition.detect.detection import Known, known_of, measured_frames
+from lampest.apps.recognition.detect.visits import COLUMNS, count_table, visits_of
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.pumping import Pumping
+from lampest.apps.recognition.steady_frames import SteadyFrames
+from lampest.apps.recognition.swings import Patterns
+from lampest.apps.recognition.watch import Watch
+from lampest.estimate.prepared import Prepared
+from lampest.recording.recording import MEASURED
 
 # P(sucks)
 MOUTH = 1.0

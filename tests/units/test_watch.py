@@ -23,12 +23,12 @@ from lampest import (
     Unmodelled,
     simulate,
 )
-from lampest.loads.recognition.detector import Detector
+from lampest.apps.live.run import scan_of
+from lampest.apps.live.watcher import Unloaded, Watched
+from lampest.apps.recognition.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
+from lampest.apps.recognition.detector import Detector
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.recording.simulation.measure import measured
-from lampest.report.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS
-from lampest.report.live.run import scan_of
-from lampest.report.live.watcher import Unloaded, Watched
 
 TWO_POINT = TwoPointReadout(noise_lsb=0.7)
 ROD = Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500)

@@ -17,17 +17,14 @@ import pytest
 from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
 
 from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
-from lampest.files import process
-from lampest.panel.panel import EachModule, Modules
-from lampest.recording.acquisition import Acquisition
-from lampest.recording.board import several, stream
-from lampest.recording.board.journal import noise_from_repeats
-from lampest.recording.board.port import NoBoardError
-from lampest.recording.board.protocol import Estimate, Frame, Garbage, Hello, message
-from lampest.recording.board.record import Progress, Recorded, _wanted, record
-from lampest.recording.board.recorder import Recorder
-from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
-from lampest.recording.board.stream import (
+from lampest.apps.board import several, stream
+from lampest.apps.board.journal import noise_from_repeats
+from lampest.apps.board.port import NoBoardError
+from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, message
+from lampest.apps.board.record import Progress, Recorded, _wanted, record
+from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.several import LATE_SECONDS, Alignment, samples_of
+from lampest.apps.board.stream import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
     Sample,
@@ -35,6 +32,9 @@ from lampest.recording.board.stream import (
     Scanning,
     scene_of,
 )
+from lampest.files import process
+from lampest.panel.panel import EachModule, Modules
+from lampest.recording.acquisition import Acquisition
 from lampest.recording.recording import MEASURED, UNLOADED
 from tests.bodies import hello_body
 
@@ -140,7 +140,7 @@ def test_a_line_without_valid_frames_ends_with_a_sentence_and_keeps_earlier_fram
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module, seconds in (("stream", 0.5), ("record", 1.0)):
-        monkeypatch.setattr(f"lampest.recording.board.{module}.UNFIT_SECONDS", seconds)
+        monkeypatch.setattr(f"lampest.apps.board.{module}.UNFIT_SECONDS", seconds)
     for script, sentence, count in USELESS:
         began = time.monotonic()
         with pytest.raises(InputError, match=sentence):
@@ -434,7 +434,7 @@ def test_a_scene_that_contradicts_the_board_is_refused() -> None:
 def test_the_error_names_a_port_without_a_board(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lampest.recording.board.port.HELLO_SECONDS", 0.5)
+    monkeypatch.setattr("lampest.apps.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
         record("loop://", tmp_path / "r.h5", frames=1)
 
@@ -713,7 +713,7 @@ def test_a_recording_summary_counts_its_events(
         yield tuple(samples[2:])
         yield ()
 
-    monkeypatch.setattr("lampest.recording.board.record.samples_of", arriving)
+    monkeypatch.setattr("lampest.apps.board.record.samples_of", arriving)
     steps: list[tuple[int, int, str]] = []
     for name, ports, limits in (
         ("a", "p", {"seconds": 2.0}),
