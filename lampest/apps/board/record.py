@@ -19,6 +19,7 @@ from lampest.apps.board.several import samples_of
 from lampest.apps.board.stream import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
+    HOST_CLOCK_SET,
     UNFIT_SECONDS,
     Sample,
     Samples,
@@ -45,6 +46,8 @@ class Recorded:
         Restarts of the board, and jumps of its clock.
     clock_stopped : bool
         Whether the board's clock stood still at any time.
+    host_clock_set : int
+        Number of frames before which this computer's clock was set.
     parted : int
         Frames without the readings of a module.
     behind : int
@@ -66,6 +69,7 @@ class Recorded:
     restarts: int
     clock_jumps: int
     clock_stopped: bool
+    host_clock_set: int
     parted: int
     behind: int
     ended_by: str
@@ -138,6 +142,7 @@ class Tally:
             **{name: self.count[name] for name in ("frames", "lost", "parted", "behind")},
             "clock_jumps": self.count[CLOCK_JUMPED],
             "clock_stopped": self.count[CLOCK_STOPPED] > 0,
+            "host_clock_set": self.count[HOST_CLOCK_SET],
             "unestimated": tuple(self.unestimated.items()),
         }
 
