@@ -47,7 +47,7 @@ as specified,LSR,4,96.6,95.4,98.4,94.8,0.97,0
 noise 2,LSM,4,94.2,93.1,nan,95,1,4
 noise 2,LSR,4,94.9,93.9,97.1,95,1,4
 """
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_peak_memory_covers_two_frames_and_is_unknown_after_a_crash(
 
 @pytest.mark.slow
 def test_a_shipped_study_file_is_valid() -> None:
-    plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
+    plan = read_plan(Path(__file__).parents[3] / "configs" / "tradeoff.yaml")
     assert {*plan.settings.ladder} >= {
         "naive",
         "scaled",
@@ -161,7 +161,7 @@ def test_a_shipped_study_file_is_valid() -> None:
 
 
 def test_cases_of_the_shipped_tuning_file_can_be_tuned() -> None:
-    cases = read_run(Path(__file__).parents[2] / "configs" / "tune.yaml").cases
+    cases = read_run(Path(__file__).parents[3] / "configs" / "tune.yaml").cases
     assert len(cases) == 8
     assert all(case.estimator.automatic and why_not(case.estimator, 200) is None for case in cases)
 

@@ -33,7 +33,7 @@ from lampest.report.compare import screen_table
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 # gap to the least cost, of own solvers and of any verified one
 SAME_COST = 1e-6
 NEAR_COST = 1e-3

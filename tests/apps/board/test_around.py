@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from board.bench import FIRMWARE, bench, built, random_cells, scene
+from apps.board.bench import FIRMWARE, bench, built, random_cells, scene
 
 from lampest import InputError, Recording
 from lampest.apps.board import port

@@ -27,7 +27,7 @@ from lampest.apps.live.run import Outlets, Replay, chosen, live
 from lampest.apps.live.server import PageActions, address, is_local_name, serving
 from lampest.files.errors import InputError
 
-LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
+LAMPREY = Path(__file__).parents[3] / "data" / "lamprey_25mm.h5"
 TOKEN = "a-token-of-my-own"
 # Of a server with a client that never asks; its connection times out after ten.
 MAX_CLOSING_SECONDS = 3.0

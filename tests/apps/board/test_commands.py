@@ -6,12 +6,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from board.bench import bench, lampest, loaded_scene, random_cells, scene
+from apps.board.bench import bench, lampest, loaded_scene, random_cells, scene
 
 from lampest import UNLOADED, Recording, Scene, read_results
 from lampest.files.document import read_document, to_yaml, validated
 
-LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
+LAMPREY = Path(__file__).parents[3] / "data" / "lamprey_35mm.h5"
 MIN_GAIN = 5  # error of apparent resistances over that of estimates
 SERIES_ERROR_OHM = 0.5  # a code of 10 bits is 1.3 ohm there
 

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from board.bench import FIRMWARE, built, loaded_scene, scene
+from apps.board.bench import FIRMWARE, built, loaded_scene, scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

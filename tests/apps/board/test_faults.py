@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board.bench import bench, random_cells, scene
+from apps.board.bench import bench, random_cells, scene
 
 from lampest import InputError, Recording
 from lampest.apps.board.journal import repair

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 import serial
-from board.bench import bench, loaded_scene, random_cells, scene
+from apps.board.bench import bench, loaded_scene, random_cells, scene
 from support import live_pictures
 
 from lampest import (
@@ -117,7 +117,7 @@ def test_the_lines_of_the_example_match_the_panel(tmp_path: Path) -> None:
 
 
 def test_the_library_lists_its_headers() -> None:
-    folder = Path(__file__).parents[2] / "firmware" / "lampest_board"
+    folder = Path(__file__).parents[3] / "firmware" / "lampest_board"
     lines = (folder / "library.properties").read_text(encoding="utf-8").splitlines()
     properties = dict(line.split("=", 1) for line in lines)
     assert {

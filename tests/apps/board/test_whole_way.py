@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import pytest
 import serial
-from board.bench import bench, lampest, portable_bench, scene, scene_file
-from board.estimated import pressed_cells, recording_of, solved_case, sums_of
+from apps.board.bench import bench, lampest, portable_bench, scene, scene_file
+from apps.board.estimated import pressed_cells, recording_of, solved_case, sums_of
 from support import live_pictures
 
 from lampest import Estimator, LogGradient, LogRatio, Misfit, Recording, Squared, reconstruct

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums_of
+from apps.board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums_of
 from typer.testing import CliRunner
 
 import lampest
@@ -21,7 +21,7 @@ from lampest.apps.microcontroller.sketch import export_sketch
 from lampest.apps.microcontroller.trade import chosen_budget, instructions, trades
 from lampest.cli import app
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 NOISY = lampest.Misfit(weighting="noise")
 EXACT = Budget(8, 60, 0.01)
 OVAL = tuple(

@@ -22,7 +22,7 @@ from lampest import Array, LoadedColumnsReadout, Panel, PublishedResponse, Scene
 from lampest.files.document import to_yaml
 from tests.small_files import run_command
 
-FIRMWARE = Path(__file__).parents[2] / "firmware"
+FIRMWARE = Path(__file__).parents[3] / "firmware"
 MULTIPLEXER_OHM = 70.0
 ESTIMATING = "lampest_board/examples/estimating_board/estimating_board.ino"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

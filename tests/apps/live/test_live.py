@@ -47,7 +47,7 @@ from lampest.panel.response import Film, PublishedResponse
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, read_simulations, simulate
 
-LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
+LAMPREY = Path(__file__).parents[3] / "data" / "lamprey_25mm.h5"
 HARDLY_PERCENT = 0.05  # of a change: findings that arrive later move the estimate by no more
 NEARLY = 0.1  # relative
 WRITTEN_NEWTON = 1e-4  # last digit of a force in a message
@@ -155,7 +155,7 @@ def test_live_estimates_equal_those_of_a_batch(method: Estimator) -> None:
     # Without outliers, and errors of single readings: only a batch sees later frames, which tell
     # them from a change.
     ((_, simulation),) = read_simulations(
-        Path(__file__).parents[2] / "configs" / "lamprey_35mm.yaml"
+        Path(__file__).parents[3] / "configs" / "lamprey_35mm.yaml"
     )
     calm = dataclasses.replace(simulation.unmodelled, outlier_probability=0.0)
     exact = dataclasses.replace(simulation.scene, systematic="none")

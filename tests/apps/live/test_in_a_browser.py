@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board.bench import ONE_THREAD, bench, scene_file
-from board.browser import Browser, browser
+from apps.board.bench import ONE_THREAD, bench, scene_file
+from apps.live.browser import Browser, browser
 from matplotlib.image import imread
 
 from docs.studies.attachments import cells as mouth_cells
@@ -24,7 +24,7 @@ from docs.studies.mouth_scenes import MAKERS, film
 from lampest import UNLOADED, Array, Panel, Recording
 from tests.small_files import COMMAND
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 RING = ROOT / "data" / "ring.h5"
 LAMPREY = ROOT / "data" / "lamprey_35mm.h5"
 FORCE_ERROR = 0.05  # relative
