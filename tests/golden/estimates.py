@@ -14,7 +14,7 @@ from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
 from unclosed import unclosed_recording
 
 import lampest as lp
-from lampest.apps.calibration.calibration import known_loads
+from lampest.apps.calibration import known_loads
 from lampest.apps.calibration.channels import calibrate_channels
 from lampest.apps.calibration.loads import calibrate_loads
 from lampest.apps.calibration.resistors import calibrate_resistors, noise_of
