@@ -138,7 +138,8 @@ def with_saturated_stage(recording: Recording) -> Recording:
         return replace(
             recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=None))
         )
-    passes = (0.0, stage.volt) if stage.highest else (stage.volt, readout.full_scale_volt)
+    least, most = readout.range_volt
+    passes = (least, stage.volt) if stage.highest else (stage.volt, most)
     return replace(
         recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes))
     )

@@ -35,7 +35,8 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.alternation import Alternation
 from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
-from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
+from lampest.panel.readouts.characteristic import MAX_VOLT
+from lampest.panel.readouts.converter import MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.equation import Equation, LineStates, equation_of
 from lampest.panel.readouts.floating import convex_start, uniform_factor

@@ -439,6 +439,7 @@ def without_memory(
     recorded, sigma : array, shape (…, rows, columns)
         Recorded values V and their standard deviations, in the readout's unit.
     """
+    least, most = readout.range_volt
 
     def of_previous_channel(values: Array) -> Array:
         """Return for every channel the value of the previous one in scan order."""
@@ -451,7 +452,7 @@ def without_memory(
         They are taken at least half an LSB away from the ends of the range.
         """
         step = STEP_LSB * readout.lsb_volt
-        inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
+        inside = np.clip(volt, least + readout.lsb_volt / 2, most - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
 
@@ -462,8 +463,8 @@ def without_memory(
     previous_noise = of_previous_channel(noise)
     unknown = ~np.isfinite(previous)
     previous = np.where(unknown, volt, previous)
-    previous_noise = np.where(unknown, readout.full_scale_volt / np.sqrt(12), previous_noise)
-    true = np.clip((volt - fraction * previous) / (1 - fraction), 0.0, readout.full_scale_volt)
+    previous_noise = np.where(unknown, (most - least) / np.sqrt(12), previous_noise)
+    true = np.clip((volt - fraction * previous) / (1 - fraction), least, most)
     true_noise = np.hypot(noise, fraction * previous_noise) / (1 - fraction)
     return readout.recorded_from_volt(true), true_noise * slope(true)
 
