@@ -1,4 +1,4 @@
-"""What a code of the converter stands for: steps, ends, falling codes, curves, versions of files."""
+"""What a code of the converter stands for: steps, ends, curves, and versions of files."""
 
 from pathlib import Path
 

@@ -79,10 +79,13 @@ class Address:
         `lampest.panel.difference_network.DifferenceNetwork` for its entries.
     read : boolean array, shape (rows, columns)
         Which readings are taken.
+    ends : array, shape (lines,), or None
+        Potentials in which the lines end; None: at the ground of the circuit.
     """
 
     ties: Array
     read: NDArray[np.bool_]
+    ends: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +125,7 @@ class Readout(Converter, ABC):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the voltage at the converter is Vcc minus the network's reading."""
+        """Whether the voltage at the converter falls where the network's reading rises."""
         return False
 
     @property
@@ -304,11 +307,11 @@ class Readout(Converter, ABC):
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
-        return self.supply_volt - recorded if self.mirrored else recorded
+        return recorded
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
-        return self.supply_volt - reading if self.mirrored else reading
+        return reading
 
     @property
     def direction(self) -> float:
