@@ -1,4 +1,4 @@
-"""Driven circuits whose line ends have potentials, against netlists: feedback, groups, held lines."""
+"""Driven circuits whose line ends have potentials, against netlists of resistors."""
 
 from itertools import product
 from math import inf

@@ -4,6 +4,20 @@ from pathlib import Path
 
 import pytest
 
+from lampest.apps.board import several, stream
+from lampest.apps.film import tare
+from lampest.apps.recognition import (
+    breath,
+    breathing,
+    contacts,
+    departure,
+    open_lines,
+    pumping,
+    suction,
+    swings,
+    watch,
+    watch_parts,
+)
 from lampest.estimate import (
     explanation,
     model_check,
@@ -16,23 +30,9 @@ from lampest.estimate import (
 )
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
-from lampest.loads import tare
-from lampest.loads.recognition import (
-    breath,
-    breathing,
-    contacts,
-    departure,
-    open_lines,
-    pumping,
-    suction,
-    swings,
-    watch,
-    watch_parts,
-)
 from lampest.panel import trust_region
 from lampest.posterior import reference, sampled, track
 from lampest.recording import stored
-from lampest.recording.board import several, stream
 from lampest.solvers import certificate, projected_lbfgs, solution
 
 ROOT = Path(__file__).parents[2]
