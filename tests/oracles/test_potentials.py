@@ -1,5 +1,6 @@
 """Driven circuits whose line ends have potentials, against netlists of resistors."""
 
+from dataclasses import replace
 from itertools import product
 from math import inf
 from typing import Any
@@ -8,13 +9,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import lampest
 from lampest import (
     Array,
     DrivenReadout,
     GroundedReadout,
     InputError,
     LoadedColumnsReadout,
+    Misfit,
     Panel,
+    Recording,
     Scene,
     VirtualGroundReadout,
 )
@@ -199,3 +203,34 @@ def test_contradictions_are_refused(keys: dict[str, Any], message: str) -> None:
 def test_driven_groups_name_every_line() -> None:
     with pytest.raises(InputError, match=r"readout.driven_groups: row 3 is left out"):
         Scene(Panel(4, 6), LoadedColumnsReadout(driven_groups=((0, 1), (2,))))
+
+
+SOLVED = {
+    name: OTHERS[name]
+    for name in (
+        "mid-supply loads",
+        "driven multiplexers",
+        "multiplexers on both sides",
+        "grounded, mid-supply",
+        "grounded, feedback",
+        "amplifiers at mid-supply",
+    )
+} | {
+    "pull-downs, mid-supply": DrivenReadout(
+        idle_ohm=0.0, idle_volt=1.0, load_volt=2.5, drive_ohm=30.0
+    )
+}
+
+
+@pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
+@pytest.mark.parametrize("name", SOLVED)
+def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
+    readout = SOLVED[name]
+    resting = cells_of(5, contrast=0.2)
+    loaded = resting.copy()
+    loaded[1:3, 2:4] *= 0.3
+    scene = Scene(Panel(*SHAPE), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
+    frames = np.stack([volts(resting, readout), volts(loaded, readout)])
+    recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
+    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)
