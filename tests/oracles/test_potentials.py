@@ -191,7 +191,10 @@ def test_derivatives_are_those_of_the_readings(name: str) -> None:
         ({"load_volt": 5.0}, "no current flows"),
         ({"driven_groups": ((0, 1), (1, 2))}, "driven_groups overlap: line 1"),
         ({"driven_groups": ROW_PAIRS, "idle_ohm": 100.0}, "idle_ohm has no place"),
-        ({"idle_load_ohm": inf, "idle_load_volt": 1.0}, "idle sensed lines float"),
+        (
+            {"idle_load_ohm": inf, "idle_load_volt": 1.0},
+            "idle sensed lines keep their load or float",
+        ),
         ({"load_volt": 5000.0}, "within 1000 V"),
     ],
 )

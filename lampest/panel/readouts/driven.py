@@ -146,7 +146,7 @@ class DrivenCircuit(Readout):
 
     @property
     def loads_connected(self) -> tuple[bool, bool]:
-        """Whether sensed lines end anywhere while they are read, and while they are idle."""
+        """Whether sensed lines end anywhere while read, and elsewhere than that while idle."""
         return True, True
 
     @cached_property
@@ -198,7 +198,7 @@ class DrivenCircuit(Readout):
         for name, connected, lines in (
             ("idle_volt", self.idle_connected, "idle driven lines"),
             ("load_volt", loads, "sensed lines"),
-            ("idle_load_volt", idle_loads, "idle sensed lines"),
+            ("idle_load_volt", idle_loads, "idle sensed lines keep their load or"),
         ):
             if volts[name] is not None and not connected:
                 raise ValueError(f"{name} has no place where {lines} float: name their resistor")
