@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from laws.samples import (
     DECIDED,
+    NEEDED,
     configurations,
     examples,
     hints,

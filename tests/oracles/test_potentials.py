@@ -102,8 +102,8 @@ OTHERS: dict[str, Any] = {
     "amplifiers at mid-supply": VirtualGroundReadout(
         sense_ohm=40.0, feedback_ohm=400.0, idle_volt=2.5, load_volt=2.5
     ),
-    "amplifiers, idle rows low": VirtualGroundReadout(
-        sense_ohm=40.0, feedback_ohm=400.0, load_volt=1.0
+    "amplifiers, idle columns higher": VirtualGroundReadout(
+        sense_ohm=40.0, feedback_ohm=400.0, idle_volt=2.0, load_volt=1.0, idle_load_volt=1.5
     ),
 }
 
@@ -201,6 +201,11 @@ def test_derivatives_are_those_of_the_readings(name: str) -> None:
 def test_contradictions_are_refused(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         DrivenReadout(**keys)
+
+
+def test_amplifiers_with_currents_of_both_signs_are_refused() -> None:
+    with pytest.raises(InputError, match="currents of both signs"):
+        VirtualGroundReadout(load_volt=2.5)
 
 
 def test_driven_groups_name_every_line() -> None:

@@ -24,6 +24,7 @@ from lampest.panel.readouts.lines import (
     parallel,
     per_line,
 )
+from lampest.panel.readouts.potentials import FOLLOWS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,6 +267,16 @@ class VirtualGroundReadout(SourcedCircuit):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ends = self.line_ends
+        others = [ends.idle_load] if ends.idle == FOLLOWS else [ends.idle, ends.idle_load]
+        if min(ends.sign * (float(volt) - ends.load) for volt in others) < 0:
+            raise ValueError(
+                "idle_volt and idle_load_volt must not lie on the other side of load_volt than the "
+                "source: amplifiers then have currents of both signs, which this model lacks"
+            )
 
     @property
     def recorded_reference_volt(self) -> float:
