@@ -181,9 +181,13 @@ def apply_advice(path: str | Path) -> list[str]:
             f"{path}: --apply: too long for memory; write the lines into its scene before import"
         )
     scene, written, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
+    lines = list[str]()
     if written:
+        before = path.with_suffix(f".before{path.suffix}")
+        shutil.copyfile(path, before)
         replace(recording, scene=scene).save(path)
-    lines = [f"written to the scene of {path}: {line}" for line in written]
+        lines = [f"written to the scene of {path}: {line}" for line in written]
+        lines.append(f"the file before: {before}")
     lines += [f"not written: {sentence}" for sentence in refused]
     return lines or [f"{path}: no advice has a line to write"]
 

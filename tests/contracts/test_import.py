@@ -147,7 +147,7 @@ for name, written in (
     ),
     ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
 ):
-    rounded = (np.array(written, dtype=float).reshape(CODES.shape) + 0.5) * 3.3 / 4096
+    rounded = np.array(written, dtype=float).reshape(CODES.shape) * 3.3 / 4096
     accept(
         f"means of eight codes by {name}",
         map(",".join, written),

@@ -1,5 +1,6 @@
 """Driven circuits whose line ends have potentials, against netlists of resistors."""
 
+from dataclasses import replace
 from itertools import product
 from math import inf
 from typing import Any
@@ -8,13 +9,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import lampest
 from lampest import (
     Array,
     DrivenReadout,
     GroundedReadout,
     InputError,
     LoadedColumnsReadout,
+    Misfit,
     Panel,
+    Recording,
     Scene,
     VirtualGroundReadout,
 )
@@ -98,8 +102,8 @@ OTHERS: dict[str, Any] = {
     "amplifiers at mid-supply": VirtualGroundReadout(
         sense_ohm=40.0, feedback_ohm=400.0, idle_volt=2.5, load_volt=2.5
     ),
-    "amplifiers, idle rows low": VirtualGroundReadout(
-        sense_ohm=40.0, feedback_ohm=400.0, load_volt=1.0
+    "amplifiers, idle columns higher": VirtualGroundReadout(
+        sense_ohm=40.0, feedback_ohm=400.0, idle_volt=2.0, load_volt=1.0, idle_load_volt=1.5
     ),
 }
 
@@ -187,7 +191,10 @@ def test_derivatives_are_those_of_the_readings(name: str) -> None:
         ({"load_volt": 5.0}, "no current flows"),
         ({"driven_groups": ((0, 1), (1, 2))}, "driven_groups overlap: line 1"),
         ({"driven_groups": ROW_PAIRS, "idle_ohm": 100.0}, "idle_ohm has no place"),
-        ({"idle_load_ohm": inf, "idle_load_volt": 1.0}, "idle sensed lines float"),
+        (
+            {"idle_load_ohm": inf, "idle_load_volt": 1.0},
+            "idle sensed lines keep their load or float",
+        ),
         ({"load_volt": 5000.0}, "within 1000 V"),
     ],
 )
@@ -196,6 +203,42 @@ def test_contradictions_are_refused(keys: dict[str, Any], message: str) -> None:
         DrivenReadout(**keys)
 
 
+def test_amplifiers_with_currents_of_both_signs_are_refused() -> None:
+    with pytest.raises(InputError, match="currents of both signs"):
+        VirtualGroundReadout(load_volt=2.5)
+
+
 def test_driven_groups_name_every_line() -> None:
     with pytest.raises(InputError, match=r"readout.driven_groups: row 3 is left out"):
         Scene(Panel(4, 6), LoadedColumnsReadout(driven_groups=((0, 1), (2,))))
+
+
+SOLVED = {
+    name: OTHERS[name]
+    for name in (
+        "mid-supply loads",
+        "driven multiplexers",
+        "multiplexers on both sides",
+        "grounded, mid-supply",
+        "grounded, feedback",
+        "amplifiers at mid-supply",
+    )
+} | {
+    "pull-downs, mid-supply": DrivenReadout(
+        idle_ohm=0.0, idle_volt=1.0, load_volt=2.5, drive_ohm=30.0
+    )
+}
+
+
+@pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
+@pytest.mark.parametrize("name", SOLVED)
+def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
+    readout = SOLVED[name]
+    resting = cells_of(5, contrast=0.2)
+    loaded = resting.copy()
+    loaded[1:3, 2:4] *= 0.3
+    scene = Scene(Panel(*SHAPE), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
+    frames = np.stack([volts(resting, readout), volts(loaded, readout)])
+    recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
+    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)

@@ -401,6 +401,10 @@ def check_scene(scene: Scene) -> None:
     readout = scene.circuit
     if readout.characteristic.curve is not None or readout.code_sign < 0:
         raise InputError("the C library has converters with a straight, rising line only")
+    keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups")
+    named = [key for key in keys if getattr(readout, key, None) is not None]
+    if named:
+        raise InputError(f"the C library has no {named[0]}")
     if not isinstance(readout, TwoPointReadout | DrivenCircuit):
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:

@@ -26,7 +26,7 @@ equation.
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import inf
 from typing import Any, ClassVar, Literal, Self
 
@@ -41,7 +41,7 @@ from lampest.panel.impedance import inverse_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.alternation import Alternation
-from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
+from lampest.panel.readouts.branches import LEVELS, MAX_MISFIT, misfit, panels_alike, uniform_panels
 from lampest.panel.readouts.characteristic import MAX_VOLT
 from lampest.panel.readouts.converter import MIN_VOLT
 from lampest.panel.readouts.diode import Diode
@@ -74,6 +74,7 @@ from lampest.panel.readouts.readout import (
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 from lampest.panel.tied_network import TiedNetwork
 
+UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
 
@@ -145,7 +146,7 @@ class DrivenCircuit(Readout):
 
     @property
     def loads_connected(self) -> tuple[bool, bool]:
-        """Whether sensed lines end anywhere while they are read, and while they are idle."""
+        """Whether sensed lines end anywhere while read, and elsewhere than that while idle."""
         return True, True
 
     @cached_property
@@ -197,7 +198,7 @@ class DrivenCircuit(Readout):
         for name, connected, lines in (
             ("idle_volt", self.idle_connected, "idle driven lines"),
             ("load_volt", loads, "sensed lines"),
-            ("idle_load_volt", idle_loads, "idle sensed lines"),
+            ("idle_load_volt", idle_loads, "idle sensed lines keep their load or"),
         ):
             if volts[name] is not None and not connected:
                 raise ValueError(f"{name} has no place where {lines} float: name their resistor")
@@ -461,6 +462,8 @@ class DrivenCircuit(Readout):
         It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
         """
         equation = self._equation(measured.shape)
+        if not equation.plain:
+            return self._of_uniform_panels(measured)
         load = self._reference(equation)
         drive = equation.drive
         volt = np.maximum(measured / equation.gain, OPEN_SHARE * self.driving_volt)
@@ -476,6 +479,8 @@ class DrivenCircuit(Readout):
         resistance.
         """
         equation = self._equation(measured.shape)
+        if not equation.plain:
+            return self._of_uniform_panels(measured)
         if equation.floating:
             return np.asarray(
                 self.apparent_resistance(measured) / uniform_factor(*measured.shape[-2:])
@@ -498,6 +503,14 @@ class DrivenCircuit(Readout):
             / share
         )
 
+    def _of_uniform_panels(self, measured: Array) -> Array:
+        """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
+        rows, columns = measured.shape[-2:]
+        levels, readings = uniform_readings(self, rows, columns)
+        flat = measured.reshape(-1, rows, columns)
+        distance = np.abs(readings[None] - flat[:, None])
+        return np.asarray(levels[np.argmin(distance, axis=1)]).reshape(measured.shape)
+
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce the readings, (rows, columns) ohm.
 
@@ -511,7 +524,7 @@ class DrivenCircuit(Readout):
             return convex_start(self.apparent_resistance(measured), upper, near)
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
         firsts = [near] if near is not None else uniform_panels(self.exact_reading, positive)
-        if len(firsts) == 1 and np.isfinite(equation.states.load).all():
+        if len(firsts) == 1 and equation.plain and np.isfinite(equation.states.load).all():
             alternation = Alternation(
                 equation,
                 self._ties(measured, None),
@@ -554,7 +567,7 @@ class DrivenCircuit(Readout):
         equation = self._equation(measured.shape)
         least = super().least_cells(measured, sigma)
         states = equation.states
-        quiet = equation.together is None or np.isinf(states.idle_load).all()
+        quiet = equation.plain and (equation.together is None or np.isinf(states.idle_load).all())
         if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):
             return least
         noise = np.zeros_like(measured)
@@ -593,6 +606,8 @@ class DrivenCircuit(Readout):
         were at the supply, no sensed line would be above it (superposition, Z·t ≤ 1).
         """
         equation = self._equation(measured.shape)
+        if equation.potentials is not None:
+            return self._tests_of_potentials(measured, sigma)
         load = equation.load
         volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
         # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
@@ -615,12 +630,28 @@ class DrivenCircuit(Readout):
             results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
         return tuple(results)
 
+    def _tests_of_potentials(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """Return the test that no line is beyond the potentials in which lines end."""
+        terms = self._equation(measured.shape).potentials
+        assert terms is not None
+        most = max(self.driving_volt, float(terms.ends.max()), float(terms.load_volt.max()))
+        gain = self._equation(measured.shape).gain
+        end = self._end_volt(terms.load_volt)
+        volt = terms.load_volt + (measured - end) / gain
+        known = np.isfinite(sigma) & (sigma > 0)
+        spread = np.where(known, sigma, 1.0) / gain
+        excess = np.where(known, np.maximum(volt - most, -volt) / spread, -np.inf)
+        law = "no sensed line stands beyond the potentials in which lines end"
+        return (FreeTest(law, excess.reshape(len(excess), -1).max(axis=1), excess[0].size),)
+
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Return the upper bound of Rd, min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
 
         The sum is over simultaneous loads; with one load at a time each reading is taken alone.
         """
         equation = self._equation(measured.shape)
+        if not equation.plain:
+            return 0.0
         volt = np.where(np.isfinite(sigma), measured, 0.0) / equation.gain
         current = self._sum_together(volt / equation.load)
         if equation.together is None:
@@ -671,6 +702,17 @@ class DrivenCircuit(Readout):
         )
         diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
         return drive, *resistors, *diode
+
+
+@lru_cache(maxsize=32)
+def uniform_readings(circuit: DrivenCircuit, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return resistances of uniform panels, (levels,) ohm, and their readings.
+
+    The readings have shape (levels, rows, columns).
+    """
+    levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
+    panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
+    return levels, circuit.exact_reading(panels)
 
 
 class SourcedCircuit(DrivenCircuit):

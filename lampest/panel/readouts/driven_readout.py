@@ -161,7 +161,7 @@ class DrivenReadout(SourcedCircuit):
     def loads_connected(self) -> tuple[bool, bool]:
         loads = min(as_tuple(self.load_ohm)) < inf or self.input_ohm is not None
         if self.idle_load_ohm is None:
-            return loads, loads and self.groups is None
+            return loads, False
         return loads, min(as_tuple(self.idle_load_ohm)) < inf
 
     def states(self, driven: int, sensed: int) -> LineStates:

@@ -24,6 +24,7 @@ from lampest.panel.readouts.lines import (
     parallel,
     per_line,
 )
+from lampest.panel.readouts.potentials import FOLLOWS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +62,6 @@ class LoadedColumnsReadout(DrivenCircuit):
         Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
     idle_volt : float, or None
         Potential of the lines of other groups that are held with driven_groups.
-    idle_load_volt : float, or None
-        Has no place here, where idle sensed lines keep their load or float.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -86,7 +85,6 @@ class LoadedColumnsReadout(DrivenCircuit):
     driven_groups: Groups | None = None
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
-    idle_load_volt: float | None = None
 
     @property
     def idle_connected(self) -> bool:
@@ -94,7 +92,7 @@ class LoadedColumnsReadout(DrivenCircuit):
 
     @property
     def loads_connected(self) -> tuple[bool, bool]:
-        return True, self.groups is None
+        return True, False
 
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"
@@ -154,9 +152,8 @@ class GroundedReadout(DrivenCircuit):
     idle_volt : float or {'follows'}, or None
         Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
         with voltage feedback. None: ground, or the supply with polarity: down.
-    load_volt, idle_load_volt : float, or None
-        Potential in which a load ends, and an idle sensed line, in volt. None: ground, or the
-        supply with polarity: down, and load_volt.
+    load_volt : float, or None
+        Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -180,11 +177,10 @@ class GroundedReadout(DrivenCircuit):
     groups: Groups | None = None
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
-    idle_load_volt: float | None = None
 
     @property
     def loads_connected(self) -> tuple[bool, bool]:
-        return True, self.all_loaded
+        return True, False
 
     def description(self) -> str:
         sensed = opposite(self.driven)
@@ -271,6 +267,16 @@ class VirtualGroundReadout(SourcedCircuit):
     idle_volt: float | Literal["follows"] | None = None
     load_volt: float | None = None
     idle_load_volt: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ends = self.line_ends
+        others = [ends.idle_load] if ends.idle == FOLLOWS else [ends.idle, ends.idle_load]
+        if min(ends.sign * (float(volt) - ends.load) for volt in others) < 0:
+            raise ValueError(
+                "idle_volt and idle_load_volt must not lie on the other side of load_volt than the "
+                "source: amplifiers then have currents of both signs, which this model lacks"
+            )
 
     @property
     def recorded_reference_volt(self) -> float:

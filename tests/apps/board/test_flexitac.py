@@ -23,7 +23,7 @@ import lampest
 
 flexitac = pytest.importorskip("flexitac")
 
-PAGE = Path(__file__).parents[3] / "docs" / "howto" / "flexitac.md"
+PAGE = Path(__file__).parents[3] / "docs" / "apps" / "board" / "flexitac.md"
 UNLOADED = 30
 OPEN_OHM = 20_000.0
 PRESSED_OHM = 900.0
