@@ -184,11 +184,12 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     # once in 500 times.
     if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
+    least, most = readout.range_volt
     # Many programs take the latter.
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
-        scale = steps / readout.full_scale_volt * readout.readings
+        scale = steps / (most - least) * readout.readings
         for offset, (volt, slack) in product((0.0, 0.5), (nearest, cut)):
-            sums = volt * scale - offset * readout.readings
+            sums = (volt - least) * scale - offset * readout.readings
             if np.all(
                 np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))
             ):
@@ -205,7 +206,7 @@ def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
     elif unit == "code":
-        ends = [readout.lsb_volt * end for end in ends]
+        ends = [readout.volt_from_code(end) for end in ends]
     low, volt, high = ends
     return volt, np.abs(high - low) / 2
 
@@ -217,3 +218,65 @@ def _rounding(values: Array) -> float:
         digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack)
     )
     return 0.5 * 10.0 ** -next(digits, 9)
+<<<<<<< HEAD
+=======
+
+
+def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
+    """Return values converted from their unit to the readout's recorded quantity.
+
+    Shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail, infinite resistances
+    and those of zero remain bounds. Raises InputError with the place (frame, row, column) of an
+    impossible value, or with the source if most readings are at the rail of a shorted cell: unit or
+    range are probably wrong.
+    """
+    scaled = values * FACTORS[unit]
+    readout = scene.readout
+
+    def refuse(bad: NDArray[np.bool_], why: str) -> None:
+        for frame, row, column in np.argwhere(bad).tolist():
+            raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
+
+    finite = np.where(np.isinf(values), np.nan, values)
+    if unit in RESISTANCES or readout is None:
+        refuse(values < 0, "must be a positive resistance in ohm")
+        recorded = scaled
+    elif unit == "code":
+        refuse(
+            (finite < 0) | (finite > 2**readout.adc_bits - 1),
+            f"is no code of a {readout.adc_bits}-bit converter",
+        )
+        floored = finite <= (readout.floor_code or -1)
+        recorded = readout.recorded_from_volt(
+            np.where(floored, readout.zero_volt, readout.volt_from_code(finite))
+        )
+    else:
+        least = min(0.0, readout.range_volt[0])
+        most = max(readout.full_scale_volt, readout.range_volt[1])
+        outside = np.isfinite(values) & ((scaled < least) | (scaled > most))
+        ends = f"{least / FACTORS[unit]:g} to {most / FACTORS[unit]:g}"
+        name = "V" if unit == "volt" else unit
+        refuse(outside, f"lies outside {ends} {name}, the range of the readout's converter")
+        recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
+    if readout is not None:
+        _check_shorted(scene, readout, recorded, unit, source)
+    return recorded
+
+
+def _check_shorted(
+    scene: Scene, readout: Readout, recorded: Array, unit: str, source: object
+) -> None:
+    """Raise InputError if most readings are at the rail that a shorted cell reaches."""
+    rail = AT_MOST if readout.unit == "ohm" else AT_LEAST
+    count = int((Readings.of(scene, recorded).side == rail).sum())
+    total = int(np.isfinite(recorded).sum())
+    if 2 * count <= total:
+        return
+    key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
+    wrong = (
+        f"{count} of {total} readings stand at the rail of the converter that a shorted cell "
+        "reaches"
+    )
+    scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
+    raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")
+>>>>>>> main
