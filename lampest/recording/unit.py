@@ -72,12 +72,15 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         )
         floored = finite <= (readout.floor_code or -1)
         recorded = readout.recorded_from_volt(
-            np.where(floored, 0.0, readout.volt_from_code(finite))
+            np.where(floored, readout.zero_volt, readout.volt_from_code(finite))
         )
     else:
-        largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-        outside = (finite < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
-        refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
+        least = min(0.0, readout.range_volt[0])
+        most = max(readout.full_scale_volt, readout.range_volt[1])
+        outside = np.isfinite(values) & ((scaled < least) | (scaled > most))
+        ends = f"{least / FACTORS[unit]:g} to {most / FACTORS[unit]:g}"
+        name = "V" if unit == "volt" else unit
+        refuse(outside, f"lies outside {ends} {name}, the range of the readout's converter")
         recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
     if readout is not None:
         _check_shorted(scene, readout, recorded, unit, source)
