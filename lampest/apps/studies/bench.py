@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import linregress
 
 from lampest.apps.studies import common, study
-from lampest.apps.studies.commands import CommandTime, command_times
+from lampest.apps.studies.command_times import CommandTime, command_times
 from lampest.apps.studies.common import (
     MIN_GAP,
     Pushed,

@@ -1,128 +1,109 @@
-"""Processor time of whole commands in fresh processes, beside the time of their solves.
+"""Commands that measure lampest itself: `lampest study ...`."""
 
-The other tables of the benchmark time solvers. A user waits for commands, which load libraries,
-prepare recordings, check circuits, write files and draw pictures, too.
-"""
-
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
+import typer
 
-from lampest.apps.studies.study import column
-from lampest.files.errors import InputError
-from lampest.panel.scene_file import scene_text
-from lampest.recording.recording import UNLOADED, Recording
-from lampest.runs.results import read_results
+from lampest.cli import screen
 
-STEMS = ("first", "second")
-RUN = f"""
-schema: 1
-recordings: [{STEMS[0]}.h5, {STEMS[1]}.h5]
-formulation: reduced
-estimators:
-  log_gradient: {{terms: {{misfit: {{weighting: noise}}, log_gradient: {{}}}}}}
-  LSM: {{terms: {{misfit: {{}}}}}}
-  LSR-CR: {{terms: {{misfit: {{}}, cell_resistance: {{weight: 1e-3}}}}}}
-"""
-BY_RUN = ("run", "run.yaml", "--out", "out", "--jobs", "1")
-# Name → arguments, in a folder with two recordings, a run file, a scene and a table of readings.
-COMMANDS: Mapping[str, tuple[str, ...]] = {
-    "run": (*BY_RUN, "--fresh"),
-    "run, all cases done": BY_RUN,
-    "info": ("info", "first.h5"),
-    "detect": ("detect", "first.h5", "--out", "detected"),
-    "import": ("import", "table.csv", "--scene", "scene.yaml", "--out", "imported.h5"),
-    "plot": ("plot", "out/results.h5", "--out", "pictures"),
+if TYPE_CHECKING:
+    from lampest.apps.studies.study import Study
+
+Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]")]
+# Word → module of the study, and its help text. To add a study, write a module with its STUDY, add
+# it here, and name its command in the application.
+STUDIES = {
+    "bench": (
+        "lampest.apps.studies.bench",
+        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
+
+        Writes bench.csv (a row for every panel, method, solver and first, joint or later frames),
+        growth.csv, commands.csv (processor time of whole commands beside that of their solves),
+        bench.md and bench.h5 with every frame. Cases beyond the file's limits or budget are named.
+        """,
+    ),
+    "tradeoff": (
+        "lampest.apps.studies.tradeoff",
+        "Measure accuracy against speed of all formulations; table, HDF5 and figure.",
+    ),
+    "extremes": (
+        "lampest.apps.studies.extremes",
+        "Solve scenes at the limits of measurement and report how each ended; table and HDF5.",
+    ),
+    "weights": (
+        "lampest.apps.studies.weights",
+        "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's "
+        "choice.",
+    ),
 }
-# (arguments, folder in which they run) → processor time in s
-Runner = Callable[[tuple[str, ...], Path], float]
 
 
-@dataclass(frozen=True)
-class CommandTime:
-    """Processor time of a command on recordings of a panel.
+PARAMETERS = """
 
-    Attributes
+        Parameters
+        ----------
+        config
+            The study's YAML file; else the shipped one.
+        out
+            Output folder. Default: results/<config>.
+        """
+
+
+def study_command(word: str) -> Callable[..., None]:
+    """Return the command of a study."""
+    module, about = STUDIES[word]
+
+    def command(
+        config: Config = None, out: screen.Output = None, assign: screen.Assign = None
+    ) -> None:
+        run_study(import_module(module).STUDY, config, out, assign)
+
+    command.__name__ = word
+    command.__doc__ = f"{about}{PARAMETERS}"
+    return command
+
+
+bench, tradeoff, extremes, weights = map(study_command, STUDIES)
+
+
+def run_study(
+    study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None
+) -> None:
+    """Run a study; print its tables, remarks and files, and omissions on stderr."""
+    with screen.progress(study.counts) as on_step:
+        reported = study.run(config, out, tuple(assign or ()), on_step)
+    for title, table in reported.tables:
+        if title:
+            screen.say(title)
+        screen.print_table(table)
+    for line in (*reported.remarks, *reported.files):
+        screen.say(line)
+    for sentence in reported.left_out:
+        screen.warn(sentence)
+
+
+def paper(
+    config: Config = None,
+    out: screen.Output = None,
+    jobs: Annotated[int | None, screen.option(min=1)] = None,
+) -> None:
+    """Reproduce the paper's figures and table from shipped recordings.
+
+    They stand beside the published numbers. Writes paper.html, numbers.csv and every figure as PNG.
+
+    Parameters
     ----------
-    command : str
-    rows, columns : int
-        Shape of the panel.
-    seconds : float
-        User and system time of the process and of those it started, in s.
-    solves_s : float
-        Sum of `solve_time`, with those of the baselines, over all cases of `run`, in s.
+    config
+        Published numbers; else lampest's.
+    out
+        Output folder. Default: results/paper.
+    jobs
+        Number of processes, such as 2. Default: all cores.
     """
+    from lampest.apps.studies.paper import paper_study
 
-    command: str = column("1", "name of the command")
-    rows: int = column("1", "rows of the panel")
-    columns: int = column("1", "columns of the panel")
-    seconds: float = column("s", "processor time of the process and of those it started")
-    solves_s: float = column("s", "sum of the solve times of the run")
-
-    @property
-    def ratio(self) -> float:
-        """Processor time over that of the solves of `run`."""
-        return self.seconds / self.solves_s
-
-
-def processor_seconds(arguments: tuple[str, ...], folder: Path) -> float:
-    """Return the processor time of a command in a fresh process, in s.
-
-    Raises InputError with its last line if it fails.
-    """
-    called = [sys.executable, "-c", "from lampest.cli import main; main()", *arguments]
-    with TemporaryFile() as output:
-        process = subprocess.Popen(called, cwd=folder, stdout=output, stderr=output)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
-            output.seek(0)
-            lines = output.read().decode("utf-8", "replace").strip().splitlines()
-            reason = lines[-1] if lines else f"exit code {process.returncode}"
-            raise InputError(f"lampest {' '.join(arguments)} failed: {reason}")
-    return usage.ru_utime + usage.ru_stime
-
-
-def command_times(
-    recordings: tuple[Recording, Recording], repeats: int, run: Runner = processor_seconds
-) -> Iterator[CommandTime]:
-    """Yield the processor time of every command on two recordings, the least of some repeats.
-
-    Raises InputError if a command fails.
-    """
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        for stem, recording in zip(STEMS, recordings, strict=True):
-            recording.save(folder / f"{stem}.h5")
-        (folder / "run.yaml").write_text(RUN, encoding="utf-8")
-        scene = recordings[0].scene
-        (folder / "scene.yaml").write_text(scene_text(scene), encoding="utf-8")
-        (folder / "table.csv").write_text(table_of(recordings[0]), encoding="utf-8")
-        unloaded = str(int(np.sum(recordings[0].role == UNLOADED)))
-        seconds = dict[str, float]()
-        for command, arguments in COMMANDS.items():
-            further = ("--baseline", unloaded) if command == "import" else ()
-            seconds[command] = min(run((*arguments, *further), folder) for _ in range(repeats))
-        solves_s = sum(
-            float(np.nansum([*case.solve_time, case.baseline_solve_time]))
-            for case in read_results(folder / "out" / "results.h5").cases
-        )
-    rows, columns = scene.panel.shape
-    for command, spent in seconds.items():
-        yield CommandTime(command, rows, columns, spent, solves_s)
-
-
-def table_of(recording: Recording) -> str:
-    """Return readings as a table for `lampest import`: a line for each, in ohm."""
-    lines = ["time_s,row,column,resistance_ohm"]
-    for time, frame in zip(recording.time, recording.recorded, strict=True):
-        lines += [
-            f"{time:g},{row},{column},{value:.9g}" for (row, column), value in np.ndenumerate(frame)
-        ]
-    return "\n".join(lines) + "\n"
+    folder = out or Path("results/paper")
+    run_study(paper_study(folder, jobs), config, folder, None)

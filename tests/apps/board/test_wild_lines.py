@@ -27,6 +27,7 @@ from lampest.apps.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.apps.board.stream import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
+    HOST_CLOCK_SET,
     Sample,
     Samples,
     Scanning,
@@ -328,13 +329,69 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
     assert samples[-1].time == pytest.approx(29.99, rel=0.01)
 
 
+@pytest.mark.parametrize("first", [7, 9])
+def test_frames_of_another_board_on_the_line_are_left_out_and_said(
+    tmp_path: Path, first: int
+) -> None:
+    """Two boards whose numbers and clocks go in step; of each frame either may come first."""
+
+    def both(hello: Hello) -> Sent:
+        for number in itertools.count():
+            yield 0.01, wire(hello, number, identity=first)
+            yield 0.0, wire(hello, number, identity=16 - first)
+
+    with wild_board(both, identity=7) as board:
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=40)
+    recording = Recording.load(tmp_path / "r.h5")
+    assert np.all(recording.raw_sums == 707) and (summary.frames, summary.lost) == (40, 0)
+    assert recording.acquisition.sequence.tolist() == list(range(40))
+    assert summary.other_board and "another board" in recording.acquisition.event_label
+
+
+@pytest.mark.parametrize("step_s", [-86_400.0, -3600.0, 3600.0, 86_400.0])
+@pytest.mark.parametrize(
+    "frames",
+    {
+        "the board goes on": [(n, 500 + 10 * n) for n in range(6)],
+        "its clock stands still": [(n, 500) for n in range(6)],
+        "its clock jumps": [(n, 500 + 10 * n + 10**7 * (n > 2)) for n in range(6)],
+        "it restarts": [(n % 3, 500 + 10 * (n % 3) + 900 * (n > 2)) for n in range(6)],
+    }.values(),
+)
+def test_no_time_depends_on_a_clock_that_is_set(
+    monkeypatch: pytest.MonkeyPatch, frames: list[tuple[int, int]], step_s: float
+) -> None:
+    """The host's clock is set before the fourth frame; the steady one goes on by 10 ms a frame."""
+    steps = [0.0]
+    clocks = SimpleNamespace(
+        time=lambda: 1.7e9 + 0.01 * len(steps) + steps[-1], monotonic=lambda: 0.01 * len(steps)
+    )
+    monkeypatch.setattr(stream, "time", clocks)
+    runs = []
+    for sizes in (6 * [0.0], [0.0, 0.0, 0.0, step_s, step_s, step_s]):
+        steps[:] = [0.0]
+        run = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 0, None, since=0.0)
+        samples = list[Sample]()
+        for size, (number, device_ms) in zip(sizes, frames, strict=True):
+            steps.append(size)
+            samples += run.take(frame(number, device_ms))
+        runs.append(samples)
+    steady, moved = runs
+    assert len(moved) >= 5
+    assert [sample.time for sample in moved] == [sample.time for sample in steady]
+    assert [sample.session for sample in moved] == [sample.session for sample in steady]
+    assert max(np.diff([sample.time for sample in moved])) < 60
+    assert sum(HOST_CLOCK_SET in sample.events for sample in moved) == 1
+    assert not any(HOST_CLOCK_SET in sample.events for sample in steady)
+
+
 def test_an_unplugged_board_loses_no_counted_frames_and_missed_ticks_are_no_jump() -> None:
     run, (*_, last) = run_of((0, 500), (1, 510))
     resumed = Scanning(
         replace(IDLE, period_us=10_000),
         BOARD_SCENE,
         1,
-        replace(last, host_time=last.host_time - 60),
+        replace(last, arrived=last.arrived - 60),
     )
     (sample,) = resumed.take(frame(3, 540))
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
@@ -459,9 +516,8 @@ def sent(number: int, at: float, arrived: float | None = None) -> Sample:
     """Frame `number` of a board whose clock began at −100 s of the host's."""
     sums = np.full((3, 4), number, np.uint16)
     frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
-    return Sample(
-        frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, at if arrived is None else arrived, 0, 0
-    )
+    moment = at if arrived is None else arrived
+    return Sample(frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, moment, 0, 0, arrived=moment)
 
 
 def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
@@ -580,12 +636,26 @@ def image_of(
             time.sleep(1e-3)
 
     monkeypatch.setattr(several, "board_samples", samples)
-    monkeypatch.setattr(several, "time", lambda: 0.0)
+    monkeypatch.setattr(several, "monotonic", lambda: 0.0)
     monkeypatch.setattr(several, "RETRY_SECONDS", 0.0)
     batches = samples_of(
         [*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards)
     )
     return [sample for batch in batches for sample in batch], states
+
+
+def test_images_of_boards_survive_a_clock_that_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One board's frames carry another date from the fourth on, the other's from the fifth."""
+    boards = {name: [sent(number, 5 + number * PERIOD) for number in range(8)] for name in "abcd"}
+    for first, samples in zip((3, 4, 4, 3), boards.values(), strict=True):
+        samples[first:] = [
+            replace(sample, host_time=sample.host_time + 86_400) for sample in samples[first:]
+        ]
+    images, _ = image_of(monkeypatch, boards)
+    assert len(images) == 8 and not any(image.missing for image in images)
+    np.testing.assert_allclose(
+        [image.time for image in images], PERIOD * np.arange(8), atol=ROUNDING_S
+    )
 
 
 def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:

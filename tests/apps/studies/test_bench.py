@@ -25,7 +25,7 @@ from lampest.apps.studies.bench import (
     run_bench,
     sheets,
 )
-from lampest.apps.studies.commands import CommandTime
+from lampest.apps.studies.command_times import CommandTime
 from lampest.apps.studies.common import StudyMethod, paper_methods
 from lampest.apps.studies.study import page, read_settings
 from lampest.cost.cost import Cost

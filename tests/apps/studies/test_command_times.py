@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from lampest import InputError, read_results
-from lampest.apps.studies import commands
 from lampest.apps.studies.bench import BenchFile
-from lampest.apps.studies.commands import COMMANDS, command_times, processor_seconds
+from lampest.apps.studies.command_times import COMMANDS, command_times, processor_seconds
 
 # A command whose child works for half a second of processor time.
 BUSY = """
@@ -57,7 +56,7 @@ def test_every_command_is_measured_beside_the_solves_of_the_run(
     times = list(command_times(pair, 1, called))
     assert [time.command for time in times] == list(COMMANDS)
     assert {(time.rows, time.columns) for time in times} == {(2, 3)}
-    assert times[0].seconds == 10.0 + len(commands.COMMANDS["run"])
+    assert times[0].seconds == 10.0 + len(COMMANDS["run"])
     for time in times:
         assert time.solves_s >= solves[0] > 0
         assert time.ratio == time.seconds / time.solves_s
