@@ -10,6 +10,8 @@
 #define HALVINGS 3          /* of a step that does not lower the cost */
 #define TAIL 3              /* iterations whose decreases tell how much the next ones would gain */
 #define REACH 3.0f          /* standard deviations: a two-point reading that is so small is a bound */
+#define FAR 25.0f
+#define SHARE_LEFT 1e-3f
 #define LARGEST_OHM 1e9f
 #define SMALLEST_OHM 1e-3f
 #define SMALLEST 1e-30f     /* what lines share where no reading tells */
@@ -409,22 +411,53 @@ static bool set_cells(workspace *w, const float *u) {
     return true;
 }
 
-/* Gauss and Newton: linearise, solve, and move within the bounds, as long as the budget lasts. */
-static void minimise(workspace *w, lampest_status *status) {
+/* Set the cells to the baseline and find their cost; false if the network cannot be solved. */
+static bool start_at_baseline(workspace *w, float *cost) {
+    if (!set_cells(w, w->baseline)) return false;
+    *cost = cost_of(w);
+    return isfinite(*cost);
+}
+
+/* Gauss and Newton: linearise, solve, and move within the bounds, as long as the budget lasts.
+ *
+ * The estimate of the frame before is a poor start after garbled readings or a metal object. The baseline replaces it where
+ * its cost is lower, and where no step from the other one lowers the cost although much is left to gain; `astray` tells the
+ * next frame that. */
+static void minimise(workspace *w, lampest_status *status, bool *astray) {
     const lampest_constants *c = w->constants;
     const float enough = c->within * c->within * w->cells;
     float cost;
-    network_readings(&w->net, w->reading);
-    cost = cost_of(w);
+    bool at_baseline = *astray;
+    uint8_t extra = 0;
+    if (at_baseline) {
+        status->products++, extra++;
+        if (!start_at_baseline(w, &cost)) status->outcome = LAMPEST_FAILED;
+    } else {
+        network_readings(&w->net, w->reading);
+        cost = cost_of(w);
+        if (cost > FAR * w->cells) {
+            float other;
+            memcpy(w->p, w->u, w->cells * sizeof(float));
+            status->products++, extra++;
+            at_baseline = start_at_baseline(w, &other) && other < cost;
+            if (at_baseline) cost = other;
+            else {
+                status->products++, extra++;
+                if (!set_cells(w, w->p)) status->outcome = LAMPEST_FAILED;
+            }
+        }
+    }
+    *astray = false;
     status->left = cost;
-    while (status->steps < c->steps && !status->settled) {
+    while (status->steps < c->steps && !status->settled && status->outcome == LAMPEST_FINE) {
         if (!linearise(w)) {
             status->outcome = LAMPEST_FAILED;
             break;
         }
         for (uint16_t cell = 0; cell < w->cells; cell++) w->r[cell] = -w->gradient[cell];
         float tail;
-        const float predicted = conjugate_gradients(w, c->products, 0.5f * enough, 0.01f, &tail, &status->products);
+        const float predicted = conjugate_gradients(w, c->products > extra ? c->products - extra : 1, 0.5f * enough, 0.01f, &tail, &status->products);
+        extra = 0;
         memcpy(w->q, w->u, w->cells * sizeof(float));
         float scale = 1, next = cost;
         bool lower = false;
@@ -435,10 +468,18 @@ static void minimise(workspace *w, lampest_status *status) {
         }
         status->steps++;
         if (!lower) {
+            *astray = predicted > larger(enough, SHARE_LEFT * cost);
+            status->left = predicted;
+            if (*astray && !at_baseline) {
+                at_baseline = true;
+                *astray = false;
+                extra++, status->products++;
+                if (!start_at_baseline(w, &cost)) {status->outcome = LAMPEST_FAILED; break; }
+                continue;
+            }
             memset(w->x, 0, w->cells * sizeof(float));
             move(w, w->q, 1);
             if (!evaluate(w, &cost) && !set_cells(w, w->baseline)) status->outcome = LAMPEST_FAILED;
-            status->left = predicted;
             break;
         }
         /* What the linear model missed, and what conjugate gradients left. */
@@ -496,7 +537,7 @@ lampest_outcome lampest_begin(lampest_panel *panel, float *memory) {
     if (!c || !memory || !constants_are_sound(c)) return LAMPEST_BAD_CONSTANTS;
     panel->memory = memory;
     panel->baselines = 0;
-    panel->solved = false;
+    panel->solved = panel->astray = false;
     workspace w = arrange(panel);
     for (uint8_t row = 0; row < c->rows; row++) {
         for (uint8_t column = 0; column < c->columns; column++) {
@@ -529,7 +570,7 @@ lampest_status lampest_frame(lampest_panel *panel, const uint16_t *sums, float *
                 previous[cell] = w.net.conductance[cell] > 0 ? 1 / w.net.conductance[cell] : 1;
             }
         }
-        minimise(&w, &status);
+        minimise(&w, &status, &panel->astray);
         panel->solved = status.outcome == LAMPEST_FINE;
     }
     for (uint8_t row = 0; row < c->rows; row++) {
@@ -581,7 +622,7 @@ lampest_status lampest_baseline(lampest_panel *panel, const uint16_t *sums) {
     workspace w = arrange(panel);
     if (!read_sums(&w, sums, &status)) return status;
     w.view.at_rest = true;
-    if (set_cells(&w, w.baseline)) minimise(&w, &status);
+    if (set_cells(&w, w.baseline)) minimise(&w, &status, &panel->astray);
     else status.outcome = LAMPEST_FAILED;
     if (status.outcome == LAMPEST_FINE && under_load(&w)) status.outcome = LAMPEST_UNDER_LOAD;
     if (status.outcome == LAMPEST_FINE) {

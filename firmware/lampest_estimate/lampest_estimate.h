@@ -135,7 +135,7 @@ typedef struct {
     const lampest_constants *constants;
     /* All that follows is set by lampest_begin. */
     float *memory;
-    bool ready, solved; /* constants are sound; a frame or a baseline was estimated */
+    bool ready, solved, astray; /* constants are sound; a frame or a baseline was estimated */
     uint8_t baselines; /* unloaded frames whose mean, in ln r, is the baseline; 0: that of the constants */
 } lampest_panel;
 
