@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
@@ -32,7 +33,7 @@ LIMITS = {  # ranges that `constants_are_sound` allows, of numbers that are not 
     "reference": (1e-6, MAX_OHM),
     "plain sigma": (0.0, 1e12),
 }
-MAX_SUM = 65535  # sums are unsigned numbers of 16 bits
+MISSING = 2**32 - 1  # LAMPEST_MISSING; sums are unsigned numbers of 32 bits below it
 # Kind of a penalty → what it compares, and how; its reference decides between baseline and previous
 # frame.
 PENALTIES = {
@@ -170,6 +171,8 @@ class Constants:
         Cells at rest in ohm; 1 kΩ where there is no cell.
     loaded_limit : float
         In ln r.
+    follow : float
+        Time constant of the baseline, frames.
     budget : Budget
     """
 
@@ -185,6 +188,7 @@ class Constants:
     native_bounds: bool
     baseline: Array
     loaded_limit: float
+    follow: float
     budget: Budget = Budget()
 
     @classmethod
@@ -225,9 +229,10 @@ class Constants:
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
         solved = case.solved
-        limit = 0.0
+        noisy = 0.0
         if case.sigma_own is not None:
-            limit = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
+            noisy = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
+        limit = max(MIN_LOADED_LIMIT, noisy if np.isfinite(noisy) else 0.0)
         bounds = content.get("bounds", {})
         lower = bounds.get("lower", "measured")
         upper = bounds.get("upper", "resolution")
@@ -248,7 +253,8 @@ class Constants:
             float(upper) if not isinstance(upper, str) else _largest(case),
             native,
             np.where(scene.panel.present, baseline, 1000.0),
-            max(MIN_LOADED_LIMIT, limit if np.isfinite(limit) else 0.0),
+            limit,
+            frames_to_follow(case, limit),
         )
 
     def check(self) -> None:
@@ -356,17 +362,17 @@ class Constants:
             return readout.measured_across == "sensor"
         return readout.direction > 0
 
-    def sums_of(self, case: CaseResult) -> NDArray[np.uint16]:
+    def sums_of(self, case: CaseResult) -> NDArray[np.uint32]:
         """Return the sums of codes of the frames, (frames, rows, columns).
 
-        Missing readings are 65535.
+        Missing readings are MISSING.
         """
         sums = self._sums(self.scene.circuit.to_recorded(case.measured, self.scene))
         if case.reading_side is not None:
             high = case.reading_side == (1 if self.rises else -1)
             sums = np.where(case.reading_side != 0, np.where(high, self.top_sum, 0), sums)
         missing = ~np.isfinite(case.measured)
-        return np.where(missing, MAX_SUM, sums).astype(np.uint16)
+        return np.where(missing, MISSING, sums).astype(np.uint32)
 
     def _sums(self, recorded: Array) -> Array:
         """Return sums of codes of recorded values, not rounded to more than a sum."""
@@ -400,9 +406,9 @@ def check_scene(scene: Scene) -> None:
     readout = scene.circuit
     if not isinstance(readout, TwoPointReadout | DrivenCircuit):
         raise InputError(f"the C library has no such circuit: {readout.description()}")
-    if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:
+    if readout.readings * (2**readout.adc_bits - 1) >= MISSING:
         raise InputError(
-            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 16 bits: give "
+            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 32 bits: give "
             "fewer readings"
         )
 
