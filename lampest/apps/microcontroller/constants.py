@@ -11,6 +11,7 @@ from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import Side
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.equation import equation_of
@@ -146,7 +147,32 @@ class CircuitLines:
                 "resistor: single precision loses what differs"
             )
         tie = readout.ties(np.full(shape, readout.driving_volt / 2))
-        return cls(tie, drive, release, load, readout.driving_volt * gain)
+        lines = cls(tie, drive, release, load, readout.driving_volt * gain)
+        # Anything else that a readout states would be lost silently.
+        cells = np.geomspace(1e3, 1e4, shape[0] * shape[1]).reshape(shape)
+        exact = readout.exact_reading(cells)
+        if not np.allclose(lines.readings(cells, readout.driven), exact, rtol=1e-6, atol=1e-9):
+            raise InputError(f"the C library has no such circuit: {readout.description()}")
+        return lines
+
+    def readings(self, cells: Array, driven: Side) -> Array:
+        """Return the readings of cells (rows, columns) in ohm, as the C library computes them."""
+        rows, columns = cells.shape
+        conductance = np.zeros((rows + columns,) * 2)
+        conductance[:rows, rows:] = 1 / cells
+        conductance += conductance.T
+        impedance = np.linalg.inv(np.diag(conductance.sum(axis=0) + self.tie) - conductance)
+        own = np.diag(impedance)
+        of_rows, of_columns, mutual = own[:rows, None], own[None, rows:], impedance[:rows, rows:]
+        if driven == "rows":
+            drive, release = self.drive[:, None], self.release[:, None]
+            load, gain, own_driven, own_sensed = self.load, self.gain, of_rows, of_columns
+        else:
+            drive, release = self.drive, self.release
+            load, gain = self.load[:, None], self.gain[:, None]
+            own_driven, own_sensed = of_columns, of_rows
+        path = (drive + release * own_driven) * (1 + load * own_sensed)
+        return np.asarray(gain * mutual / (path - release * load * mutual**2))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """What a board meets in its second hour: garbled frames, metal objects, a film that drifts."""
 
 import re
+from dataclasses import fields
 from functools import cache
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from apps.board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums_of
 
 import lampest
-from lampest.apps.microcontroller.constants import MISSING, Budget, Constants
+from lampest.apps.microcontroller.constants import MISSING, Budget, CircuitLines, Constants
 from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.apps.microcontroller.header import header
 from lampest.apps.microcontroller.host import HOST, compiled
@@ -102,25 +103,6 @@ def test_objects_and_garbled_frames_are_forgotten_five_frames_later(circuit, sha
             deviation = np.sqrt(np.mean(((estimates.log_change[-1] - optimum) / own) ** 2))
             assert deviation < MAX_DEVIATION, trial
             assert (estimates.products <= BUDGET.steps * (BUDGET.products + 4)).all()
-
-
-@pytest.mark.slow
-def test_huber_misfits_forget_a_metal_object():
-    """A robust cost hardly tells far from farther, so that the squared misfit chooses the start."""
-    scene = scene_of("grounded_one", 7, 8, adc_bits=10)
-    terms = [lampest.Misfit(weighting="noise", loss=lampest.Huber(corner=2.0)), SMOOTH]
-    cells = pressed_cells(scene, frames=5, strength=3.0)
-    sums, case = solved_case(scene, terms, sums=sums_of(scene, cells, 3))
-    rng = np.random.default_rng(3)
-    own = np.nanmedian(case.sigma_own, axis=0)
-    with compiled(Constants.of(case)) as host:
-        optimum = host.frames(sums[[1] * 20], BUDGET).log_change[-1]
-        for trial in range(OBJECTS):
-            disturbed = sums_of(scene, np.array([with_object(rng, cells[4])] * 2), trial)
-            start = sums_of(scene, cells[:1], trial)
-            frames = np.concatenate([start, disturbed, sums[[1] * FRAMES_LATER]])
-            changes = host.frames(frames, BUDGET).log_change[-1]
-            assert np.sqrt(np.mean(((changes - optimum) / own) ** 2)) < MAX_DEVIATION, trial
 
 
 def drifting(resting, frames, change=np.log(1 - DRIFT)):
@@ -232,6 +214,21 @@ def test_sums_beyond_32_bits_are_refused():
     scene = scene_of("two_point", adc_bits=31, readings=3, noise_lsb=0.0)
     with pytest.raises(lampest.InputError, match="sums of 3 readings of 31 bits exceed 32 bits"):
         lampest.apps.microcontroller.constants.check_scene(scene)
+
+
+@pytest.mark.parametrize("circuit", [name for name in CIRCUITS if "two_point" not in name])
+def test_a_circuit_with_something_that_the_library_lacks_is_refused(circuit):
+    """As potentials of idle lines would be: the readings are compared, not the keys."""
+    readout = scene_of(circuit).circuit
+    assert len(CircuitLines.of(readout, (6, 5)).tie) == 11
+
+    class Shifted(type(readout)):
+        def exact_reading(self, *arguments, **keys):
+            return super().exact_reading(*arguments, **keys) + 0.01
+
+    shifted = Shifted(**{field.name: getattr(readout, field.name) for field in fields(readout)})
+    with pytest.raises(lampest.InputError, match="the C library has no such circuit"):
+        CircuitLines.of(shifted, (6, 5))
 
 
 def test_constants_of_another_version_are_refused(tmp_path):
