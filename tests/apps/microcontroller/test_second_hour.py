@@ -9,7 +9,7 @@ import pytest
 from apps.board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums_of
 
 import lampest
-from lampest.apps.microcontroller.constants import MISSING, Budget, CircuitLines, Constants
+from lampest.apps.microcontroller.constants import MISSING, Budget, CircuitLines, Constants, check_scene
 from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.apps.microcontroller.header import header
 from lampest.apps.microcontroller.host import HOST, compiled
@@ -213,7 +213,7 @@ def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
 def test_sums_beyond_32_bits_are_refused():
     scene = scene_of("two_point", adc_bits=31, readings=3, noise_lsb=0.0)
     with pytest.raises(lampest.InputError, match="sums of 3 readings of 31 bits exceed 32 bits"):
-        lampest.apps.microcontroller.constants.check_scene(scene)
+        check_scene(scene)
 
 
 @pytest.mark.parametrize("circuit", [name for name in CIRCUITS if "two_point" not in name])
@@ -229,6 +229,23 @@ def test_a_circuit_with_something_that_the_library_lacks_is_refused(circuit):
     shifted = Shifted(**{field.name: getattr(readout, field.name) for field in fields(readout)})
     with pytest.raises(lampest.InputError, match="the C library has no such circuit"):
         CircuitLines.of(shifted, (6, 5))
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ({"idle_volt": 1.0}, "the C library has no idle_volt"),
+        ({"load_volt": 2.5}, "the C library has no load_volt"),
+        ({"driven_groups": ((0, 1, 2), (3, 4, 5))}, "the C library has no driven_groups"),
+        (
+            {"converter": lampest.Characteristic(curve=((0.0, 0.0), (2.0, 1000.0), (5.0, 4096.0)))},
+            "a straight, rising line only",
+        ),
+    ],
+)
+def test_potentials_driven_groups_and_curved_converters_are_refused(keys, sentence):
+    with pytest.raises(lampest.InputError, match=sentence):
+        check_scene(scene_of("pull_downs", **keys))
 
 
 def test_constants_of_another_version_are_refused(tmp_path):
