@@ -23,7 +23,15 @@ CATEGORIES = (
     "Data Processing",
     "Other",
 )
-OPTIONAL = ("url", "architectures", "depends", "dot_a_linkage", "includes", "precompiled", "ldflags")
+OPTIONAL = (
+    "url",
+    "architectures",
+    "depends",
+    "dot_a_linkage",
+    "includes",
+    "precompiled",
+    "ldflags",
+)
 MAX_NAME = 63  # characters
 FOLDERS = (library_folder(), library_folder().parent / "lampest_board")
 FIELDS_OF_PLATFORMIO = {

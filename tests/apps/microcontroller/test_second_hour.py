@@ -9,7 +9,13 @@ import pytest
 from apps.board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums_of
 
 import lampest
-from lampest.apps.microcontroller.constants import MISSING, Budget, CircuitLines, Constants, check_scene
+from lampest.apps.microcontroller.constants import (
+    MISSING,
+    Budget,
+    CircuitLines,
+    Constants,
+    check_scene,
+)
 from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.apps.microcontroller.header import header
 from lampest.apps.microcontroller.host import HOST, compiled
@@ -190,7 +196,11 @@ def test_the_export_chooses_a_shorter_time_constant_for_a_film_that_moves():
 
 @pytest.mark.parametrize(
     ("adc_bits", "readings"),
-    [(12, 20), pytest.param(16, 1, marks=pytest.mark.slow), pytest.param(24, 4, marks=pytest.mark.slow)],
+    [
+        (12, 20),
+        pytest.param(16, 1, marks=pytest.mark.slow),
+        pytest.param(24, 4, marks=pytest.mark.slow),
+    ],
 )
 def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
     scene = scene_of("two_point", adc_bits=adc_bits, readings=readings)
@@ -236,7 +246,10 @@ def test_a_circuit_with_something_that_the_library_lacks_is_refused(circuit):
     [
         ({"idle_volt": 1.0}, "the C library has no idle_volt"),
         ({"load_volt": 2.5}, "the C library has no load_volt"),
-        ({"driven_groups": ((0, 1, 2), (3, 4, 5))}, "the C library has no driven_groups"),
+        (
+            {"driven_groups": ((0, 1, 2), (3, 4, 5)), "idle_ohm": np.inf},
+            "the C library has no driven_groups",
+        ),
         (
             {"converter": lampest.Characteristic(curve=((0.0, 0.0), (2.0, 1000.0), (5.0, 4096.0)))},
             "a straight, rising line only",
