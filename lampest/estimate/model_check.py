@@ -245,7 +245,7 @@ class Question(ComparedFrames):
         if last[0] not in self.standing:
             question = replace(self, standing=last)
             latest = frame.refitted(question.readings(self.specified)[1], ())
-            pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
+            pairs += [] if latest is None else [(question.loaded, FittedPair((resting, latest)))]
         search = Detector(patch_of(scene.panel)).search(scene.panel)
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
         loaded = resting.tail >= SIGNIFICANCE and search.lies_on(intact)

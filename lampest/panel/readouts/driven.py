@@ -489,6 +489,36 @@ class DrivenCircuit(Readout):
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
+    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
+        """Return the effect of each line's channel on the readings, rows first.
+
+        Channels of sensed lines have none where `sense_ohm` is zero. Where idle driven lines are
+        not connected through `drive_ohm`, the channel of a driven line changes the readings of this
+        line alone, so that one simulation shows all of them.
+        """
+        lines = np.eye(sum(cells.shape))
+        driven, sensed = of_side(self.driven, *np.split(np.arange(len(lines)), [len(cells)]))
+        errors = np.zeros((len(lines), *cells.shape))
+
+        def error(chosen: Array) -> Array:
+            with_channel = self.with_channels(*np.split(channel * chosen, [len(cells)]))
+            return np.asarray(with_channel.exact_reading(cells, scene.wiring) - unchanged)
+
+        unchanged = self.exact_reading(cells, scene.wiring)
+        every = lines[driven].sum(axis=0)
+        with_every = self.with_channels(*np.split(channel * every, [len(cells)]))
+        ties = (circuit._equation(cells.shape).ties for circuit in (self, with_every))
+        if np.array_equal(*ties):
+            together = error(every)
+            for line, one in zip(driven, lines[driven], strict=True):
+                of_line = one[: len(cells), None] if self.driven == "rows" else one[len(cells) :]
+                errors[line] = together * of_line
+        else:
+            errors[driven] = [error(one) for one in lines[driven]]
+        if self.sense_ohm:
+            errors[sensed] = [error(one) for one in lines[sensed]]
+        return errors
+
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
         """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm."""
         driven, sensed = of_side(self.driven, row_ohm, column_ohm)
