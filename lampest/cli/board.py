@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lampest.cli import screen
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 
 if TYPE_CHECKING:
     from lampest.apps.board.record import Progress, Recorded
@@ -255,6 +255,11 @@ def report_recorded(done: "Recorded") -> None:
             done.clock_stopped,
             "the board's clock stood still; an event marks since when, and time goes on by this "
             "computer's clock",
+        ),
+        (
+            done.host_clock_set,
+            f"this computer's clock was set {counted(done.host_clock_set, 'time')}; events mark "
+            "where, and no time of a frame depends on it",
         ),
         (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
         *(

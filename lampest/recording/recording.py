@@ -266,8 +266,8 @@ class Recording(Validated):
         """Return the recording of a pandas.DataFrame, or of another table.
 
         The other table has `columns` and `itertuples`. The names of its columns are understood as
-        those of a file's header (docs/howto/import.md): a line for each frame, each row of a frame,
-        or each value. An index with a name, or of dates, is a column, too.
+        those of a file's header (docs/apps/foreign/import.md): a line for each frame, each row of a
+        frame, or each value. An index with a name, or of dates, is a column, too.
 
         Parameters
         ----------

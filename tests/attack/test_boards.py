@@ -12,11 +12,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from apps.live.test_stalled_listeners import message as frame
 from attack.attack import PASSED, Outcomes, Rng, attack, environment
 from contracts.test_publish import MOSQUITTO, broker, free_port
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from units.test_stalled_listeners import message as frame
 from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording

@@ -413,8 +413,15 @@ def test_every_word_is_spelt_right() -> None:
 
 # The way of mats, insoles and skins, and pages beside other programs.
 
-HOW_TOS = ("import", "readouts", "outlines", "flexitac", "ros")
-OF_MATS = ("tutorial/mats.md", "tutorial/own_panel.md", *(f"howto/{name}.md" for name in HOW_TOS))
+OF_MATS = (
+    "tutorial/mats.md",
+    "tutorial/own_panel.md",
+    "howto/readouts.md",
+    "howto/outlines.md",
+    "apps/foreign/import.md",
+    "apps/board/flexitac.md",
+    "apps/live/ros.md",
+)
 
 
 @pytest.mark.parametrize(
@@ -444,7 +451,9 @@ def test_the_page_for_mats_links_such_pages_and_names_existing_columns() -> None
 
 def test_the_ros_example_turns_a_message_into_an_image(tmp_path: Path) -> None:
     (code,) = (
-        block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python"
+        block
+        for language, block in fences(DOCS / "apps" / "live" / "ros.md")
+        if language == "python"
     )
     names: dict[str, Any] = {}
     exec(compile(code, "cells.py", "exec"), names)

@@ -82,6 +82,7 @@ COUNTS = {
     "restarts": 1,
     "clock_jumps": 0,
     "clock_stopped": False,
+    "host_clock_set": 0,
     "parted": 0,
     "behind": 0,
 }
@@ -94,6 +95,7 @@ ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
     ({"clock_jumps": 1}, "1 jump of the board's clock; "),
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
+    ({"host_clock_set": 1}, "this computer's clock was set 1 time; "),
     ({"clock_stopped": True}, "the board's clock stood still; "),
     ({"parted": 3}, "3 of the 7 frames lack a module; "),
     (

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lampest.apps.board.journal import Journal, finished, journal_for
+from lampest.apps.board.journal import Journal, UnwrittenError, finished, journal_for
 from lampest.apps.board.several import samples_of
 from lampest.apps.board.stream import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
+    HOST_CLOCK_SET,
     UNFIT_SECONDS,
     Sample,
     Samples,
@@ -45,6 +46,8 @@ class Recorded:
         Restarts of the board, and jumps of its clock.
     clock_stopped : bool
         Whether the board's clock stood still at any time.
+    host_clock_set : int
+        Number of frames before which this computer's clock was set.
     parted : int
         Frames without the readings of a module.
     behind : int
@@ -66,6 +69,7 @@ class Recorded:
     restarts: int
     clock_jumps: int
     clock_stopped: bool
+    host_clock_set: int
     parted: int
     behind: int
     ended_by: str
@@ -83,9 +87,9 @@ class Progress:
     sample : Sample or None
         Newest sample; None while waiting for the board.
     frames, lost : int
-        Numbers of frames, and of lost frames, so far.
+        Numbers of frames in the file, and of lost frames, so far.
     state : str
-        Sentence on the state of the board, or ''.
+        Sentence on the state of the board or of the disk, or ''.
     """
 
     sample: Sample | None
@@ -125,9 +129,12 @@ class Tally:
         self.count.update(sample.events)
         self.unestimated.update(filter(None, [sample.frame.unestimated]))
 
-    def progress(self, sample: Sample | None, state: str = "") -> Progress:
-        """Return the progress with the newest sample, or with the state of the board."""
-        return Progress(sample, self.frames, self.count["lost"], state)
+    def progress(self, sample: Sample | None, state: str = "", pending: int = 0) -> Progress:
+        """Return the progress with the newest sample, or with the state of the board.
+
+        `pending` frames are not in the file yet.
+        """
+        return Progress(sample, self.frames - pending, self.count["lost"], state)
 
     def results(self) -> dict[str, Any]:
         """Return the counts by the names of `Recorded`."""
@@ -135,6 +142,7 @@ class Tally:
             **{name: self.count[name] for name in ("frames", "lost", "parted", "behind")},
             "clock_jumps": self.count[CLOCK_JUMPED],
             "clock_stopped": self.count[CLOCK_STOPPED] > 0,
+            "host_clock_set": self.count[HOST_CLOCK_SET],
             "unestimated": tuple(self.unestimated.items()),
         }
 
@@ -181,8 +189,8 @@ def record(  # noqa: PLR0913 # the options of a command
     Raises
     ------
     InputError
-        If the board does not answer or fit, `out` exists, or no frame arrives. Earlier frames are
-        in the file.
+        If the board does not answer or fit, `out` exists, no frame arrives, or the disk takes no
+        more frames. Earlier frames are in the file.
     """
     check_output(out)
     if out.exists():
@@ -205,17 +213,21 @@ def record(  # noqa: PLR0913 # the options of a command
                         journal.append(batch, baseline - tally.frames, keys)
                     for sample in batch:
                         tally.add(sample, behind=bool(ended_by()))
-                        on_progress(tally.progress(sample))
+                        assert journal is not None
+                        on_progress(tally.progress(sample, journal.trouble, journal.pending))
                     if not batch and states[-1]:
                         on_progress(tally.progress(None, states[-1]))
         except KeyboardInterrupt:
             if not tally.last:
                 raise
+        except UnwrittenError as error:
+            raise InputError(f"{out}: {error}{_end_of(out)}") from error
         except InputError as error:
             before = f"; the {tally.frames} frames that came before are in {out}"
+            if tally.last:
+                finished(out)
             raise InputError(f"{error}{before if tally.last else ''}") from error
-        finally:
-            made = finished(out) if tally.last else None
+        made = finished(out) if tally.last else None
         if made is None or tally.last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         complete = bool(ended_by()) or tally.frames == frames
@@ -230,6 +242,15 @@ def record(  # noqa: PLR0913 # the options of a command
             noise_lsb=noise,
             silent=round(silent, 3),
         )
+
+
+def _end_of(out: Path) -> str:
+    """Finish a recording that a disk refused, and return what remains to be done, or ''."""
+    try:
+        finished(out)
+    except InputError:
+        return f"; lampest check --repair {out} completes the file once there is room"
+    return ""
 
 
 def _silence(last: Sample, seconds: float) -> float:

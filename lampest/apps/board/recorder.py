@@ -46,7 +46,6 @@ class Recorder:
         self._journal: Journal | None = None  # that grows
         self._open = contextlib.ExitStack()
         self._path: Path  # of the journal, with its frames
-        self._frames: int
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
@@ -102,7 +101,6 @@ class Recorder:
         Raises InputError if the file exists.
         """
         self._path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
-        self._frames = 0
         if self._path.exists():
             raise InputError(f"{self._path}: exists already; a recording is never written over")
         self._journal = self._open.enter_context(journal_for(sample, self._path))
@@ -116,8 +114,10 @@ class Recorder:
         Of the samples, the first `unloaded` ones are unloaded.
         """
         journal.append(samples, unloaded)
-        self._frames += len(samples)
-        self._say(f"recording {self._path}: {self._frames} frames", self._journal is not None)
+        refused = f"; {journal.trouble}; it is tried again" if journal.pending else ""
+        self._say(
+            f"recording {self._path}: {journal.frames} frames{refused}", self._journal is not None
+        )
 
     def _end(self, trouble: str = "") -> None:
         """Close the journal, and rewrite it as a recording in another thread.
@@ -128,9 +128,12 @@ class Recorder:
             self._say(f"not recorded: {trouble}", self._journal is not None)
             return
         path = self._path
-        frames = self._frames
+        frames = self._journal.frames
         self._journal = None
-        self._open.close()
+        try:
+            self._open.close()
+        except InputError as error:
+            trouble = trouble or str(error)
         self._say(f"closing {path}", self._journal is not None)
 
         def finish() -> None:

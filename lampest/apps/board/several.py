@@ -1,10 +1,10 @@
 """Several boards as one.
 
 Each scans a module, and their simultaneous frames form a frame of the whole image. A board's time
-on the host's clock is its own time plus the least delay of its newest frames, s = min(arrival −
-time). The board of the first module leads, or the next one while it is absent: its frames define
-the times of the image. Every other board contributes its frame nearest in time. An absent board is
-missing from the image until it returns.
+on the host's steady clock is its own time plus the least delay of its newest frames,
+s = min(arrival − time). The board of the first module leads, or the next one while it is absent:
+its frames define the times of the image. Every other board contributes its frame nearest in time.
+An absent board is missing from the image until it returns.
 """
 
 from collections import deque
@@ -15,7 +15,7 @@ from dataclasses import replace
 from itertools import chain
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
-from time import time
+from time import monotonic
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from lampest.recording.acquisition import NO_SUM
 
 POLL_SECONDS = 0.02  # s between looks whether a recording ends
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
-Stamped = tuple[float, Sample]  # start of the scan in s on the host's clock, and the sample
+Stamped = tuple[float, Sample]  # start of the scan in s on the host's steady clock, and the sample
 # board, and its sample, state, error or end
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]
 
@@ -88,7 +88,7 @@ class Alignment:
     delays : list of deque of float
         Recent delays of each board in s; the least of these relates the two clocks.
     moment, began : float or None
-        Times of the newest and of the first frame of the image in s on the host's clock.
+        Times of the newest and of the first frame of the image in s on the host's steady clock.
     elapsed : float
         Time between these in s, once there is a frame.
     missing : tuple of int
@@ -118,7 +118,7 @@ class Alignment:
         delays = self.delays[board]
         if not frames or frames[-1][1].session != sample.session:
             delays.clear()
-        delays.append(sample.host_time - sample.time)
+        delays.append(sample.arrived - sample.time)
         self.waiting[board].append((sample.time + min(delays), sample))
 
     def frame(self, now: float) -> dict[int, Sample] | None:
@@ -264,7 +264,7 @@ def _new_images(
     images = list[Sample]()
     while True:
         before = copy(current)
-        parts = current.frame(time() if waits else np.inf)
+        parts = current.frame(monotonic() if waits else np.inf)
         if parts is None:
             return tuple(images)
         images.append(_image(scene, numbers, parts, before, current))
@@ -315,6 +315,7 @@ def _image(
         session=sum(last[1].session for last in after.shown if last is not None),
         events=tuple(dict.fromkeys(events)),
         missing=len(after.missing),
+        arrived=max(sample.arrived for sample in parts.values()),
     )
 
 

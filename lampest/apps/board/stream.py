@@ -25,6 +25,10 @@ RETRY_SECONDS = 0.2  # s between attempts to open a port
 # labels of events
 CLOCK_STOPPED = "clock stopped"
 CLOCK_JUMPED = "clock jump"
+HOST_CLOCK_SET = "host clock set"
+# s, and 0.1 % of the time between two frames, by which the host's clocks differ unless one was set:
+# adjtime disciplines a clock by 0.05 %, and a busy machine reads the two clocks 0.1 s apart
+HOST_CLOCK_STEP = 1.0
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
@@ -96,9 +100,10 @@ class Sample:
         Scene of `scene_of`.
     time : float
         Time since the first frame in s, by the board's clock; across a restart of the board by the
-        host's.
+        host's steady clock.
     host_time : float
-        Arrival in s since 1970-01-01 UTC.
+        Arrival in s since 1970-01-01 UTC. This clock may be set: it is a label, and no duration
+        depends on it.
     lost : int
         Frames missing before this one.
     session : int
@@ -107,6 +112,8 @@ class Sample:
         Labels marked at this time, such as CLOCK_JUMPED.
     missing : int
         Number of modules that are read but absent from the image.
+    arrived : float
+        Arrival in s on the host's steady clock, which nobody sets.
     """
 
     frame: Frame
@@ -118,6 +125,7 @@ class Sample:
     session: int
     events: tuple[str, ...] = ()
     missing: int = 0
+    arrived: float = 0.0
 
     @property
     def recorded(self) -> Array:
@@ -154,12 +162,12 @@ class Scanning:
         Newest estimate of the board, which precedes its frame.
     stray : Frame, or None
         Newest frame that did not follow another one.
-    stray_host_time : float
-        Its arrival in s since 1970-01-01 UTC.
+    stray_host_time, stray_arrived : float
+        Its arrival in s since 1970-01-01 UTC, and on the steady clock.
     stopped : bool
         Whether the clock stands still.
     since : float
-        Start of the board in s since 1970-01-01 UTC.
+        Start of the board in s on the host's steady clock.
     """
 
     hello: Hello
@@ -171,8 +179,9 @@ class Scanning:
     estimate: Estimate | None = None
     stray: Frame | None = None
     stray_host_time: float = 0.0
+    stray_arrived: float = 0.0
     stopped: bool = False
-    since: float = field(default_factory=time.time)
+    since: float = field(default_factory=time.monotonic)
 
     def take(self, frame: Frame) -> tuple[Sample, ...]:
         """Take a further frame, and return the new samples.
@@ -187,7 +196,7 @@ class Scanning:
             lost = frame.sequence if 990 * frame.sequence * self.hello.period <= time_ms else 0
             return (self._accept(self._sample(frame, 0.0, lost)),)
         for newest in (self.last or self.before, self.before):  # these differ after `doubt`
-            if self._follows(frame, newest.frame, newest.host_time):
+            if self._follows(frame, newest.frame, newest.arrived):
                 steps, elapsed_ms = _since(newest.frame, frame)
                 self.before = newest
                 at = newest.time + elapsed_ms / 1000
@@ -203,6 +212,7 @@ class Scanning:
                 return (self._accept(resumed), *self.take(frame))
         self.stray = frame
         self.stray_host_time = time.time()
+        self.stray_arrived = time.monotonic()
         return ()
 
     def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
@@ -227,6 +237,7 @@ class Scanning:
             lost=steps - 1,
             session=self.session,
             events=(CLOCK_JUMPED,),
+            arrived=self.stray_arrived,
         )
         self.last = sample
         return (sample,)
@@ -270,20 +281,33 @@ class Scanning:
 
         `anew` is 1 after a restart.
         """
-        time_now = time.time()
-        if self.last is not None and at <= self.last.time:
-            at = self.last.time + max(time_now - self.last.host_time, self.hello.period)
+        host_time = time.time()
+        arrived = time.monotonic()
+        if self.last is not None:
+            elapsed = arrived - self.last.arrived
+            if at <= self.last.time:
+                at = self.last.time + max(elapsed, self.hello.period)
+            if abs(host_time - self.last.host_time - elapsed) > HOST_CLOCK_STEP + 1e-3 * elapsed:
+                events = (*events, HOST_CLOCK_SET)
         return Sample(
-            frame, self.hello, self.scene, at, time_now, lost, self.session + anew, events
+            frame=frame,
+            hello=self.hello,
+            scene=self.scene,
+            time=at,
+            host_time=host_time,
+            lost=lost,
+            session=self.session + anew,
+            events=events,
+            arrived=arrived,
         )
 
-    def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
+    def _follows(self, frame: Frame, before: Frame, arrived: float) -> bool:
         """Return whether number and clock of a frame can follow those of an earlier one.
 
-        The earlier one was received at host_time.
+        The earlier one arrived at this time of the host's steady clock.
         """
         steps, elapsed_ms = _since(before, frame)
-        most_ms = self._most_ms(host_time)
+        most_ms = self._most_ms(arrived)
         # The board counts its missed scans; either scan may begin up to a period late.
         most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
         return (
@@ -291,13 +315,13 @@ class Scanning:
             and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
         )
 
-    def _most_ms(self, host_time: float) -> float:
+    def _most_ms(self, moment: float) -> float:
         """Return the largest possible advance of the board's clock in ms.
 
-        It is that since a time of the host's.
+        It is that since a time of the host's steady clock.
         """
         # The factor 1000 covers simulated boards, which run 300 times as fast as a real one.
-        return 1e3 * (1000 * max(time.time() - host_time, 0.0) + 10 + 3 * self.hello.period)
+        return 1e3 * (1000 * max(time.monotonic() - moment, 0.0) + 10 + 3 * self.hello.period)
 
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
         """Return the first sample after a jump of the clock or a restart of the numbers.
@@ -307,17 +331,15 @@ class Scanning:
         """
         assert self.before is not None and self.last is not None
         steps, elapsed_ms = _since(self.before.frame, frame)
-        if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(
-            self.before.host_time
-        ):
+        if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.arrived):
             moved = (steps + frame.missed) * self.hello.period
             return self._sample(frame, self.last.time + moved, steps - 1, 0, CLOCK_JUMPED)
-        if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.time())):
+        if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.monotonic())):
             return None
         # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
         moved = min(
             elapsed_ms / 1000,
-            SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period),
+            SILENCE_SECONDS + max(time.monotonic() - self.last.arrived, self.hello.period),
         )
         return self._sample(
             frame, self.last.time + moved, max(round(moved / self.hello.period) - 1, 0), anew=1

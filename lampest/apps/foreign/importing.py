@@ -77,7 +77,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
 
     The suffix determines the format: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, those of
     layouts, and a text table for any other; a folder of such files holds frames one after the
-    other. docs/howto/import.md.
+    other. docs/apps/foreign/import.md.
 
     Parameters
     ----------

@@ -273,7 +273,7 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
     def on_progress(progress: Progress) -> None:
         if progress.sample is not None:
             take_sample(engine, progress.sample)
-        elif progress.state:
+        if progress.state:
             engine.say(progress.state)
 
     how: dict[str, Any] = {"frames": frames, "baseline": board.baseline, "period": board.period}

@@ -34,7 +34,7 @@ MAX_FRAMES = 40
 # Of a product of all frames together: a minute for all budgets at 64 × 64 cells.
 MAX_OPERATIONS = 2_000_000
 # Instructions of a Cortex-M4F, fitted to 60 counts of QEMU from 4 × 4 to 16 × 16 cells, all within
-# 10 % (tests/board/test_estimate.py): of a product for each operation of its matrices and each
+# 10 % (tests/apps/board/test_estimate.py): of a product for each operation of its matrices and each
 # cell, of a step, of a frame.
 FOR_OPERATION = 3.56
 FOR_CELL = 136.0
