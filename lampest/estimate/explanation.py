@@ -87,7 +87,8 @@ class Explanation:
             Explanation by a similar circuit: the fits begin at its cells, and `like` applies.
         patient : bool
             Whether the fit is searched for from every start and accepted with any misfit. Otherwise
-            the circuit is given up at the first frame that it does not explain.
+            the fit of the loaded frame begins at the cells of the unloaded panel, and the circuit
+            is given up at the first frame that it does not explain.
         specified : Explanation or None
             Explanation by the scene's circuit, for a rival of it. A rival whose score is larger by
             FAR with the channels and moved cells of that explanation keeps them.
@@ -151,22 +152,18 @@ def _fits(
 ) -> tuple[CellsFit, ...]:
     """Return the fits of the frames, see `Explanation.of`; () where one is not explained."""
     readings = frames.readings(rival)
-    starts = [None] * len(readings) if near is None else [fit.cells for fit in near.fits]
     fits: list[CellsFit] = []
-    # Loads contradict a wrong circuit more often than the unloaded panel: the loaded frame is first.
-    for number in reversed(range(len(readings))):
-        fit = fitted(rival.scene, readings[number], starts[number], patient=patient)
-        if fit is None:
+    for number, frame in enumerate(readings):
+        start = None if near is None else near.fits[number].cells
+        if start is None and fits and not patient:
+            start = fits[0].cells
+        fit = fitted(rival.scene, frame, start, patient=patient)
+        # of two panels that read alike the one that continues the unloaded panel is meant
+        if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
+            fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
+        if fit is None or (not patient and fit.tail < SIGNIFICANCE):
             return ()
-        fits.insert(0, fit)
-    # of two panels that read alike the one that continues the unloaded panel is meant
-    if len(fits) == 2 and branch(fits[1].network) != branch(fits[0].network):
-        again = fitted(rival.scene, readings[1], fits[0].cells, patient=patient)
-        if again is None:
-            return ()
-        fits[1] = again
-    if not patient and any(fit.tail < SIGNIFICANCE for fit in fits):
-        return ()
+        fits.append(fit)
     return tuple(fits)
 
 
@@ -389,7 +386,7 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
-    """Return whether a parameter may raise the evidence, by linear theory; True where unknown.
+    """Return whether a parameter may gain what it costs, by linear theory; True where unknown.
 
     Parameters
     ----------
@@ -400,7 +397,7 @@ def _may_gain(explanation: Explanation, response: Array | None) -> bool:
     if explanation.pair is None or response is None:
         return True
     pair = explanation.pair
-    return pair.explained(response[:, None]).score < pair.evidence.score
+    return pair.explained(response[:, None]).score < pair.evidence.score - PARAMETER_COST
 
 
 def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:
