@@ -261,6 +261,10 @@ def report_recorded(done: "Recorded") -> None:
             f"this computer's clock was set {counted(done.host_clock_set, 'time')}; events mark "
             "where, and no time of a frame depends on it",
         ),
+        (
+            done.other_board,
+            "another board sends on the same line; its frames are left out, and events mark where",
+        ),
         (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
         *(
             (True, f"the board did not estimate {count} of the {done.frames} frames: {reason}")

@@ -83,6 +83,7 @@ COUNTS = {
     "clock_jumps": 0,
     "clock_stopped": False,
     "host_clock_set": 0,
+    "other_board": False,
     "parted": 0,
     "behind": 0,
 }
@@ -95,6 +96,7 @@ ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
     ({"clock_jumps": 1}, "1 jump of the board's clock; "),
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
+    ({"other_board": True}, "another board sends on the same line; "),
     ({"host_clock_set": 1}, "this computer's clock was set 1 time; "),
     ({"clock_stopped": True}, "the board's clock stood still; "),
     ({"parted": 3}, "3 of the 7 frames lack a module; "),

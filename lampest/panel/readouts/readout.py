@@ -284,6 +284,14 @@ class Readout(Converter, ABC):
 
     # Information of readings on the circuit.
 
+    def largest_possible(self, measured: Array) -> Array:
+        """Return the largest value of each reading that the others allow, (..., rows, columns).
+
+        Infinite readings in `measured` allow anything. The result is infinite where no law limits a
+        reading.
+        """
+        return np.full(measured.shape, np.inf)
+
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return tests of inequalities that the circuit's readings satisfy for any cells.
 
