@@ -15,7 +15,7 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from lampest.estimate.cells_fit import CellsFit, fitted
+from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.fitted_pair import FittedPair
@@ -46,6 +46,8 @@ MAX_MEMORY = MEMORIES[-1] * 1.9
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
+# Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.
+SAME_COST = SMALL_CHI_SQUARE
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
 
@@ -116,9 +118,7 @@ class Explanation:
         """
         if self.pair is None or near.pair is None:
             return self
-        pair = replace(
-            self.pair, known_channels=near.pair.channels, start=near.pair.evidence.moved
-        )
+        pair = replace(self.pair, known_channels=near.pair.channels, start=near.pair.evidence.moved)
         return replace(self, pair=pair)
 
     @cached_property
@@ -254,7 +254,10 @@ def _best_candidate(
         has_memory = candidate.rival.scene.converter_memory != specified_memory
         return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory)
 
-    return min(valid, key=cost, default=None)
+    # of circuits that differ in the names of lines alone, the one that keeps the file's order
+    least = min(map(cost, valid), default=0.0)
+    tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
+    return min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
 
 
 def _compared(

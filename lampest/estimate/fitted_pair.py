@@ -316,8 +316,10 @@ class FittedPair:
                 return None
             resting = refitted
         loaded_fit = loaded.refitted(loaded.measured, tuple(stepped))
-        return None if loaded_fit is None else replace(
-            self, frames=(resting, loaded_fit), known_channels=self.channels
+        return (
+            None
+            if loaded_fit is None
+            else replace(self, frames=(resting, loaded_fit), known_channels=self.channels)
         )
 
     def _halved_until_fitted(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":

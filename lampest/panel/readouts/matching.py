@@ -16,7 +16,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 
 MAX_DENSE = 400  # cells whose Jacobian is factored
-# An iteration that gains less than a hundredth of the misfit cannot reach readings that no cells give.
+# Where no cells give the readings, the misfit falls by ever less: below 1 % an iteration it ends.
 DAMPED = LevenbergMarquardt(evaluations=100, settled=1e-12, share=0.01, damping=0.1)
 MAX_ITERATIONS = 20
 MAX_PRODUCTS = 30

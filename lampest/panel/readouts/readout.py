@@ -410,9 +410,7 @@ class Readout(Converter, ABC):
         rows, columns = cells.shape
         return np.stack(
             [
-                self.from_recorded(
-                    self.simulated(cells, scene, extra[:rows], extra[rows:]), scene
-                )
+                self.from_recorded(self.simulated(cells, scene, extra[:rows], extra[rows:]), scene)
                 - unchanged
                 for extra in channel * np.eye(rows + columns)
             ]
