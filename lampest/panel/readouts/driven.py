@@ -507,8 +507,8 @@ class DrivenCircuit(Readout):
         unchanged = self.exact_reading(cells, scene.wiring)
         every = lines[driven].sum(axis=0)
         with_every = self.with_channels(*np.split(channel * every, [len(cells)]))
-        ties = (circuit._equation(cells.shape).ties for circuit in (self, with_every))
-        if np.array_equal(*ties):
+        ties = self._equation(cells.shape).ties
+        if np.array_equal(ties, with_every._equation(cells.shape).ties):
             together = error(every)
             for line, one in zip(driven, lines[driven], strict=True):
                 of_line = one[: len(cells), None] if self.driven == "rows" else one[len(cells) :]
