@@ -61,6 +61,7 @@ from .panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
 from .panel.readouts import Readout as Readout
 from .panel.readouts import TwoPointReadout as TwoPointReadout
 from .panel.readouts import VirtualGroundReadout as VirtualGroundReadout
+from .panel.readouts.characteristic import Characteristic as Characteristic
 from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.floating import two_point_resistance as two_point_resistance
 from .panel.readouts.lines import SeriesPerLine as SeriesPerLine

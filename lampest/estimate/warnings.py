@@ -134,7 +134,8 @@ def _unit(recording: Recording, readings: Readings) -> str:
         recorded = np.where(readings.plain, recorded, np.nan)
     # In a wrong unit all readings are near a rail; of an open film all but the loaded ones are.
     volt = circuit.volt_from_recorded(recorded)
-    steps = float(np.nanmax(np.minimum(volt, readout.full_scale_volt - volt))) / readout.lsb_volt
+    least, most = readout.range_volt
+    steps = float(np.nanmax(np.minimum(volt - least, most - volt))) / readout.lsb_volt
     if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (

@@ -205,11 +205,12 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     # once in 500 times.
     if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
+    least, most = readout.range_volt
     # Many programs take the latter.
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
-        scale = steps / readout.full_scale_volt * readout.readings
+        scale = steps / (most - least) * readout.readings
         for offset, (volt, slack) in product((0.0, 0.5), (nearest, cut)):
-            sums = volt * scale - offset * readout.readings
+            sums = (volt - least) * scale - offset * readout.readings
             if np.all(
                 np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))
             ):
@@ -226,7 +227,7 @@ def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
     elif unit == "code":
-        ends = [readout.lsb_volt * end for end in ends]
+        ends = [readout.volt_from_code(end) for end in ends]
     low, volt, high = ends
     return volt, np.abs(high - low) / 2
 
@@ -266,12 +267,15 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source
         )
         floored = finite <= (readout.floor_code or -1)
         recorded = readout.recorded_from_volt(
-            np.where(floored, 0.0, readout.volt_from_code(finite))
+            np.where(floored, readout.zero_volt, readout.volt_from_code(finite))
         )
     else:
-        largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-        outside = (finite < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
-        refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
+        least = min(0.0, readout.range_volt[0])
+        most = max(readout.full_scale_volt, readout.range_volt[1])
+        outside = np.isfinite(values) & ((scaled < least) | (scaled > most))
+        ends = f"{least / FACTORS[unit]:g} to {most / FACTORS[unit]:g}"
+        name = "V" if unit == "volt" else unit
+        refuse(outside, f"lies outside {ends} {name}, the range of the readout's converter")
         recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
     if readout is not None:
         _check_shorted(scene, readout, recorded, unit, source)
