@@ -42,6 +42,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.alternation import Alternation
 from lampest.panel.readouts.branches import LEVELS, MAX_MISFIT, misfit, panels_alike, uniform_panels
+from lampest.panel.readouts.channels import errors_of_channels
 from lampest.panel.readouts.characteristic import MAX_VOLT
 from lampest.panel.readouts.converter import MIN_VOLT
 from lampest.panel.readouts.diode import Diode
@@ -673,34 +674,7 @@ class DrivenCircuit(Readout):
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
-        """Return the effect of each line's channel on the readings, rows first.
-
-        Channels of sensed lines have none where `sense_ohm` is zero. Where idle driven lines are
-        not connected through `drive_ohm`, the channel of a driven line changes the readings of this
-        line alone, so that one simulation shows all of them.
-        """
-        lines = np.eye(sum(cells.shape))
-        driven, sensed = of_side(self.driven, *np.split(np.arange(len(lines)), [len(cells)]))
-        errors = np.zeros((len(lines), *cells.shape))
-
-        def error(chosen: Array) -> Array:
-            with_channel = self.with_channels(*np.split(channel * chosen, [len(cells)]))
-            return np.asarray(with_channel.exact_reading(cells, scene.wiring) - unchanged)
-
-        unchanged = self.exact_reading(cells, scene.wiring)
-        every = lines[driven].sum(axis=0)
-        with_every = self.with_channels(*np.split(channel * every, [len(cells)]))
-        ties = self._equation(cells.shape).ties
-        if np.array_equal(ties, with_every._equation(cells.shape).ties):
-            together = error(every)
-            for line, one in zip(driven, lines[driven], strict=True):
-                of_line = one[: len(cells), None] if self.driven == "rows" else one[len(cells) :]
-                errors[line] = together * of_line
-        else:
-            errors[driven] = [error(one) for one in lines[driven]]
-        if self.sense_ohm:
-            errors[sensed] = [error(one) for one in lines[sensed]]
-        return errors
+        return errors_of_channels(self, cells, scene.wiring, channel)
 
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
         """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm."""
