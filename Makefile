@@ -24,7 +24,7 @@ OUT = results/table1
 # Chosen by the functions that a second of each test file calls, of a record of the fast tests (python -m tests.mutation --guards),
 # four variants of each test: laws, defaults and golden results but the longest, then import, wrong input, pressure.
 QUICK = --variants 4 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
-        tests/oracles/test_pressure.py
+        tests/apps/film/test_pressure.py
 PYTEST = $(BIN)/python -m pytest -q
 SPREAD = --numprocesses auto --maxprocesses 4 --dist worksteal
 

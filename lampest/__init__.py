@@ -19,12 +19,12 @@ import lazy_loader
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from lampest.apps.film.tare import Tare
     from lampest.cost.terms import Term
     from lampest.estimate.estimator import AutoWeight, Bounds
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
     from lampest.estimate.witness import Verify
-    from lampest.loads.tare import Tare
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.solution import Settings

@@ -6,6 +6,9 @@ Editors, type checkers and `lazy_loader` read them from here.
 import collections.abc
 import typing
 
+from .apps.film.tare import Tare as Tare
+from .apps.foreign.arrays import Layout as Layout
+from .apps.foreign.importing import import_file as import_file
 from .cost.losses import Absolute as Absolute
 from .cost.losses import Huber as Huber
 from .cost.losses import Loss as Loss
@@ -45,13 +48,6 @@ from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .estimate.witness import Verify as Verify
 from .files.errors import InputError as InputError
-from .loads.shapes import Block as Block
-from .loads.shapes import OralDisc as OralDisc
-from .loads.shapes import Ring as Ring
-from .loads.shapes import Rod as Rod
-from .loads.shapes import Shape as Shape
-from .loads.shapes import SuctionCup as SuctionCup
-from .loads.tare import Tare as Tare
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature
@@ -79,12 +75,16 @@ from .panel.scene import Scene as Scene
 from .panel.scene_file import read_scene as read_scene
 from .panel.sizes import Systematic as Systematic
 from .recording import datasets as datasets
-from .recording.foreign.arrays import Layout as Layout
-from .recording.foreign.importing import import_file as import_file
 from .recording.readings import Readings as Readings
 from .recording.recording import MEASURED as MEASURED
 from .recording.recording import UNLOADED as UNLOADED
 from .recording.recording import Recording as Recording
+from .recording.shapes import Block as Block
+from .recording.shapes import OralDisc as OralDisc
+from .recording.shapes import Ring as Ring
+from .recording.shapes import Rod as Rod
+from .recording.shapes import Shape as Shape
+from .recording.shapes import SuctionCup as SuctionCup
 from .recording.simulation import Cells as Cells
 from .recording.simulation import Course as Course
 from .recording.simulation import Simulation as Simulation

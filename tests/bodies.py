@@ -1,7 +1,7 @@
 """What a board sends, packed as its firmware does: the reverse of what the package reads."""
 
-from lampest.recording.board import protocol
-from lampest.recording.board.protocol import (
+from lampest.apps.board import protocol
+from lampest.apps.board.protocol import (
     ACROSS,
     PROTOCOL_VERSION,
     RESULT_CODES,

@@ -17,11 +17,12 @@ from lampest.files.process import ONE_THREAD
 # Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and
 # faster.
 os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
-sys.path.insert(0, str(Path(__file__).parent))
+TESTS = Path(__file__).parent
+sys.path.insert(0, str(TESTS))
 
 
 FAST_VARIANTS = 2  # variants of a test that `make test` runs where there are many
-THINNED = ("board", "oracles", "units")  # laws and contracts keep all of theirs
+THINNED = ("apps", "oracles", "units")  # laws and contracts keep all of theirs
 UNTHINNED = "test_table.py"  # the golden table keeps all of its rows with `--variants`, too
 
 
@@ -47,7 +48,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     thinned = [
         item
         for item in items
-        if item.path.name != UNTHINNED and (chosen or item.path.parent.name in THINNED)
+        if item.path.name != UNTHINNED
+        and (chosen or item.path.relative_to(TESTS).parts[0] in THINNED)
     ]
     for item in surplus(thinned, chosen or FAST_VARIANTS):
         item.add_marker(pytest.mark.slow)

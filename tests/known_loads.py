@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lampest import Course, Panel, Recording, Rod, Scene, Shape, TwoPointReadout, Unmodelled
-from lampest.estimate.calibration.known_loads import KnownLoad
+from lampest.apps.calibration.known_loads import KnownLoad
 from lampest.panel.response import AnyResponse
 from lampest.recording.simulation.measure import measured
 from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from lampest import Array, CaseResult, Estimator, Panel, Scene
-from lampest.report.live.engine import Engine, FrameSource
-from lampest.report.live.message import Picture
-from lampest.report.live.watcher import Scan
+from lampest.apps.live.engine import Engine, FrameSource
+from lampest.apps.live.message import Picture
+from lampest.apps.live.watcher import Scan
 
 METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from lampest.apps.board.journal import Journal
+from lampest.apps.board.stream import Sample
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import Rows
-from lampest.recording.board.journal import Journal
-from lampest.recording.board.stream import Sample
 
 READINGS = 20
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampest.recording.board.protocol import Answer, Frame, Hello, Kind, Result, message, unstuffed
+from lampest.apps.board.protocol import Answer, Frame, Hello, Kind, Result, message, unstuffed
 from tests.bodies import answer_body, frame_body, hello_body
 
 IDLE = Hello(

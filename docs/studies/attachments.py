@@ -28,16 +28,16 @@ import numpy as np
 from docs.studies.mouth_scenes import MAKERS, MOUTHS, Film, film, patch_means, sampled
 from docs.studies.mouth_scenes import Scene as Made
 from lampest import two_point_resistance
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.detect.answer import LAMPREY, Detected
+from lampest.apps.recognition.detect.detection import Known, known_of, measured_frames
+from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.report.detect.answer import LAMPREY, Detected
-from lampest.report.detect.detection import Known, known_of, measured_frames
 
 UNLOADED = 5
 TOUCH_S = 2.0

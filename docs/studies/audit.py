@@ -13,6 +13,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from docs.studies import script
+from lampest.apps.studies import study
+from lampest.apps.studies.common import StudyMethod
+from lampest.apps.studies.study import column
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
@@ -27,9 +30,6 @@ from lampest.recording.simulation.measure import Unmodelled, random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
-from lampest.studies import study
-from lampest.studies.common import StudyMethod
-from lampest.studies.study import column
 
 # percent of 95 % intervals that shall cover the truth
 LEAST = 90.0

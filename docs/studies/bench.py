@@ -15,6 +15,9 @@ from scipy import sparse
 from scipy.optimize import least_squares, minimize
 
 from docs.studies import script
+from lampest.apps.studies import bench
+from lampest.apps.studies.bench import BenchFile, BenchLimits
+from lampest.apps.studies.study import read_settings
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method, OptimalMethod
@@ -24,9 +27,6 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.solvers.multistart import evaluable, starts
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, check
-from lampest.studies import bench
-from lampest.studies.bench import BenchFile, BenchLimits
-from lampest.studies.study import read_settings
 
 # scipy's own tests of a step and of a gain shall not end a solve before the gradient does
 STALLED = 1e-14

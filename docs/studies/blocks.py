@@ -17,12 +17,12 @@ from time import process_time
 import numpy as np
 
 import lampest
+from lampest.apps.studies.common import inverse_time
 from lampest.estimate.batch import push_block, push_streams
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.solvers.projected_lbfgs import InverseHessians
-from lampest.studies.common import inverse_time
 
 FRAMES = 24
 METHODS: dict[str, tuple[lampest.Term, ...]] = {

@@ -22,7 +22,7 @@ from lampest import (
     TwoPointReadout,
     VirtualGroundReadout,
 )
-from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
+from lampest.apps.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.panel.panel import Array
 from lampest.recording.simulation.measure import Unmodelled, sums_of_codes
 

@@ -17,12 +17,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from lampest.apps.recognition.detect.answer import Detected
+from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.files.document import read_document, validated
-from lampest.loads.shapes import Rod
 from lampest.panel.panel import Panel
+from lampest.recording.shapes import Rod
 from lampest.recording.simulation import Simulation, simulate
-from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import detect_recording
 from lampest.runs.starter import MAT, SIMULATION, write_starter
 
 CIRCUITS = (

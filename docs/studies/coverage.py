@@ -21,11 +21,11 @@ from lampest.cost.terms import (
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
+from lampest.recording.shapes import OralDisc
 
 METHODS = {
     "LSM": (Misfit(),),

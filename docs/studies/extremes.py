@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from docs.studies import script
+from lampest.apps.studies.extreme_scenes import CASES, GRID
+from lampest.apps.studies.extremes import STUDY, Solve
 from lampest.report.compare import grouped
 from lampest.report.plots.style import ORANGE, RAISED, SMALL_POINT, TEXT_POINT, new_figure
-from lampest.studies.extreme_scenes import CASES, GRID
-from lampest.studies.extremes import STUDY, Solve
 
 COLOURS = "YlGnBu"
 

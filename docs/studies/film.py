@@ -19,10 +19,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.conditions import Water
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -30,9 +30,9 @@ from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
+from lampest.recording.shapes import OralDisc, Rod
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
-from lampest.report.detect.detection import detect_recording
 
 AFTER = 300
 PANEL = Panel(10, 10)

@@ -15,10 +15,10 @@ from time import process_time
 
 import numpy as np
 
+from lampest.apps.studies.bench import BenchFile
+from lampest.apps.studies.study import read_settings
 from lampest.estimate.sequence import first_stream
 from lampest.solvers.solution import Solution
-from lampest.studies.bench import BenchFile
-from lampest.studies.study import read_settings
 
 FRAMES = 3  # the first, and later ones, of which the median counts
 

@@ -26,13 +26,13 @@ from lampest.cost.terms import (
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.shapes import OralDisc, Rod
 from lampest.recording.simulation.measure import Unmodelled, measured
 
 FRAMES = 21

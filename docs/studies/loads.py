@@ -18,16 +18,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from lampest.apps.calibration.known_loads import KnownLoads
+from lampest.apps.calibration.loads import calibrate_loads
 from lampest.cost.terms import Misfit
-from lampest.estimate.calibration.known_loads import KnownLoads
-from lampest.estimate.calibration.loads import calibrate_loads
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.shapes import Rod
-from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PowerResponse, PublishedResponse
 from lampest.panel.scene import Scene
+from lampest.recording.shapes import Rod
+from lampest.recording.shapes.shape import Shape
 from tests.known_loads import RESTING, Bench, moved_over, rod
 
 FILMS = {"published": None, "power 0.8": PowerResponse(exponent=0.8, scale_kpa=2.0)}

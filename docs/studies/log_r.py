@@ -15,6 +15,7 @@ import casadi
 import numpy as np
 
 from docs.studies import script
+from lampest.apps.studies.study import Cases, Study, of_cases
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
@@ -24,7 +25,6 @@ from lampest.report.compare import Columns
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import sharp_hessian
-from lampest.studies.study import Cases, Study, of_cases
 
 DENSE = casadi.Sparsity.dense
 NO_DUAL = np.zeros(0)

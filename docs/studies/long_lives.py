@@ -16,10 +16,10 @@ import numpy as np
 import psutil
 
 import lampest
+from lampest.apps.live.engine import Engine, FrameSource
+from lampest.apps.live.watcher import Scan
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array
-from lampest.report.live.engine import Engine, FrameSource
-from lampest.report.live.watcher import Scan
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7))
 METHOD = Estimator(

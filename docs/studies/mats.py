@@ -23,6 +23,8 @@ import numpy as np
 from scipy.optimize import NoConvergence, least_squares, newton_krylov
 
 from docs.studies.bench import ScipyMethod
+from lampest.apps.studies.common import clocked, inverse_time
+from lampest.apps.studies.study import markdown
 from lampest.cost.given import Background
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
@@ -33,8 +35,6 @@ from lampest.recording.readings import Readings
 from lampest.report.compare import grouped, screen_table
 from lampest.report.words import text_of
 from lampest.solvers.solution import Settings
-from lampest.studies.common import clocked, inverse_time
-from lampest.studies.study import markdown
 
 # conductances of the published test
 LEAST_S = 2e-5

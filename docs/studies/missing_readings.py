@@ -11,11 +11,11 @@ import numpy as np
 from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, Recording
+from lampest.recording.shapes import OralDisc
 from lampest.recording.simulation.simulation import Simulation, simulate
 
 METHODS: dict[str, tuple[Term, ...]] = {

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from docs.studies import script
 from docs.studies.as_published import left_by_solver
+from lampest.apps.studies.paper import MEASURED, TIME, Published, Side, paper_study, shown, unloaded
 from lampest.report.compare import statistics
-from lampest.studies.paper import MEASURED, TIME, Published, Side, paper_study, shown, unloaded
 
 
 def its_solver(panel: Side, published: Published) -> Side:

@@ -25,15 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.studies.as_published import METHODS, WEIGHTS, Weights, left_by_solver
-from lampest.loads.shapes import Block, OralDisc
+from lampest.apps.studies.paper import FILE, read_published
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED
+from lampest.recording.shapes import Block, OralDisc
 from lampest.recording.simulation import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
-from lampest.studies.paper import FILE, read_published
 
 # What is searched: name → least, most, and whether by its logarithm.
 BOX: Mapping[str, tuple[float, float, bool]] = {

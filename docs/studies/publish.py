@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lampest.apps.live.run import Outlets, Replay, chosen, live
 from lampest.recording.recording import MEASURED, Recording
-from lampest.report.live.run import Outlets, Replay, chosen, live
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 RATE = 30.0

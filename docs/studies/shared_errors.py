@@ -17,7 +17,7 @@ import numpy as np
 from docs.studies import mouth_scenes
 from docs.studies.limit import METHODS
 from lampest import two_point_resistance
-from lampest.estimate.calibration.channels import calibrate_channels
+from lampest.apps.calibration.channels import calibrate_channels
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from docs.studies import script
+from lampest.apps.studies.study import Cases, Study, of_cases
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.recording.recording import Recording
@@ -17,7 +18,6 @@ from lampest.report.compare import Columns
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
-from lampest.studies.study import Cases, Study, of_cases
 
 
 @dataclass(frozen=True)

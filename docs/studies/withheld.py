@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.studies import script
+from lampest.apps.studies import study
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.outliers import impossible_readings
@@ -26,7 +27,6 @@ from lampest.report.compare import Columns
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.studies import study
 
 # Of the estimator's weights, the heaviest first: each solve begins at the last.
 FACTORS = (100.0, 10.0, 1.0, 0.1)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lampest.cli import screen
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, counted
 
 if TYPE_CHECKING:
-    from lampest.estimate.calibration import Calibration
-    from lampest.recording.board.record import Progress, Recorded
+    from lampest.apps.board.record import Progress, Recorded
+    from lampest.apps.calibration import Calibration
 
 PORT = (
     "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each "
@@ -54,8 +54,8 @@ def record(
     list_
         List the serial ports, likely ones first, and exit.
     """
-    from lampest.recording.board.port import ports, pressed_keys
-    from lampest.recording.board.record import record as record_board
+    from lampest.apps.board.port import ports, pressed_keys
+    from lampest.apps.board.record import record as record_board
 
     if list_:
         available = ports()
@@ -150,16 +150,16 @@ def _calibrated(
     recordings = [Recording.load(file) for file in files]
     with screen.progress("calibrating"):
         if loads is not None:
-            from lampest.estimate.calibration.known_loads import read_known_loads
-            from lampest.estimate.calibration.loads import calibrate_loads
+            from lampest.apps.calibration.known_loads import read_known_loads
+            from lampest.apps.calibration.loads import calibrate_loads
 
             return calibrate_loads(recordings, read_known_loads(loads), tolerance)
         if from_recording:
-            from lampest.estimate.calibration.channels import calibrate_channels
+            from lampest.apps.calibration.channels import calibrate_channels
 
             return calibrate_channels(recordings)
-        from lampest.estimate.calibration.resistors import calibrate_resistors
-        from lampest.estimate.calibration.trials import known_resistors
+        from lampest.apps.calibration.resistors import calibrate_resistors
+        from lampest.apps.calibration.trials import known_resistors
 
         named = zip(recordings, words * (len(recordings) // len(words)), strict=True)
         tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
@@ -206,9 +206,9 @@ def live(
         lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest.
         Repeatable.
     """
+    from lampest.apps.live.run import LiveBoard, Outlets, Replay, chosen
+    from lampest.apps.live.run import live as run_live
     from lampest.files.process import ending_signals
-    from lampest.report.live.run import LiveBoard, Outlets, Replay, chosen
-    from lampest.report.live.run import live as run_live
 
     if recording is not None and (port or scene or period or out):
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
@@ -255,6 +255,11 @@ def report_recorded(done: "Recorded") -> None:
             done.clock_stopped,
             "the board's clock stood still; an event marks since when, and time goes on by this "
             "computer's clock",
+        ),
+        (
+            done.host_clock_set,
+            f"this computer's clock was set {counted(done.host_clock_set, 'time')}; events mark "
+            "where, and no time of a frame depends on it",
         ),
         (done.parted, f"{parted} lack a module; events mark which was gone, and when it was back"),
         *(

@@ -219,8 +219,8 @@ def import_(
     resting
         The resting frame that firmware subtracted, for baseline: subtracted.
     """
+    from lampest.apps.foreign.importing import import_file
     from lampest.audit.health import Health
-    from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
 
     agreed = screen.scene_of(scene, assign)

@@ -14,9 +14,9 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lampest.report.detect.answer import Detected
-    from lampest.report.detect.pressed import PressedCells
-    from lampest.report.detect.visits import Visit
+    from lampest.apps.recognition.detect.answer import Detected
+    from lampest.apps.recognition.detect.pressed import PressedCells
+    from lampest.apps.recognition.detect.visits import Visit
 
 FramesNamed = Annotated[
     str | None, screen.option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")
@@ -62,7 +62,7 @@ def compare(
         if csv:
             write_csv(csv, rows)
         if report:
-            from lampest.report.page.page import write_report
+            from lampest.apps.page.page import write_report
 
             write_report(results, report, on_recording, _frames(frames))
     blocks = screen_blocks(rows, published=published)
@@ -174,8 +174,8 @@ def _export_sketch(
     wishes: tuple[float | None, float | None, str | None],
 ) -> None:
     """Write a sketch for a microcontroller, and print what budgets buy."""
-    from lampest.report.export.microcontroller.sketch import Wishes, export_sketch
-    from lampest.report.export.microcontroller.trade import table_of
+    from lampest.apps.microcontroller.sketch import Wishes, export_sketch
+    from lampest.apps.microcontroller.trade import table_of
 
     sketch = export_sketch(results, out, recording, estimator, Wishes(*wishes))
     for line in sketch.about:
@@ -221,14 +221,14 @@ def detect(
     estimator
         Estimator whose force and area are printed, such as LSM. Default: the first.
     """
-    from lampest.files.hdf5 import format_of
-    from lampest.report.detect.detection import (
+    from lampest.apps.recognition.detect.detection import (
         detect_recording,
         detect_results,
         named_apart,
         recordings_in,
     )
-    from lampest.report.detect.pressed import pressed
+    from lampest.apps.recognition.detect.pressed import pressed
+    from lampest.files.hdf5 import format_of
     from lampest.runs.results import read_results
 
     sources = recordings_in(files)
@@ -276,17 +276,17 @@ def _tell(
     everything: bool,
 ) -> None:
     """Write the files of the answers, and print their sentences and tables."""
-    from lampest.files.whole import refuse_inputs
-    from lampest.report.detect import visits
-    from lampest.report.detect.answer import (
+    from lampest.apps.recognition.detect import visits
+    from lampest.apps.recognition.detect.answer import (
         FILE,
         event_table,
         headline,
         load_table,
         write_detections,
     )
-    from lampest.report.detect.pressed import FILE as PRESSED
-    from lampest.report.detect.pressed import pressed_table, write_pressed
+    from lampest.apps.recognition.detect.pressed import FILE as PRESSED
+    from lampest.apps.recognition.detect.pressed import pressed_table, write_pressed
+    from lampest.files.whole import refuse_inputs
 
     season = visits.visits_of(answers)
     files = [folder / FILE, folder / visits.FILE]
@@ -325,10 +325,10 @@ def _tell(
 
 def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path) -> list[Path]:
     """Draw the timelines of the answers, and the visits, and return the files."""
+    from lampest.apps.recognition.detect import visits
+    from lampest.apps.recognition.detect.season import plot_season
+    from lampest.apps.recognition.detect.timeline import plot_timelines, timeline_files
     from lampest.files.whole import refuse_inputs
-    from lampest.report.detect import visits
-    from lampest.report.plots.season import plot_season
-    from lampest.report.plots.timeline import plot_timelines, timeline_files
 
     files = list(timeline_files(answers, folder))
     if season:
@@ -422,7 +422,7 @@ def check(
 
 
 def _repaired(file: Path) -> str:
-    from lampest.recording.board.journal import repair
+    from lampest.apps.board.journal import repair
 
     frames, dropped = repair(file)
     single = dropped == 1

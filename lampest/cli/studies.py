@@ -10,14 +10,14 @@ import typer
 from lampest.cli import screen
 
 if TYPE_CHECKING:
-    from lampest.studies.study import Study
+    from lampest.apps.studies.study import Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]")]
 # Word → module of the study, and its help text. To add a study, write a module with its STUDY and
 # add it here.
 STUDIES = {
     "bench": (
-        "lampest.studies.bench",
+        "lampest.apps.studies.bench",
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames),
@@ -26,15 +26,15 @@ STUDIES = {
         """,
     ),
     "tradeoff": (
-        "lampest.studies.tradeoff",
+        "lampest.apps.studies.tradeoff",
         "Measure accuracy against speed of all formulations; table, HDF5 and figure.",
     ),
     "extremes": (
-        "lampest.studies.extremes",
+        "lampest.apps.studies.extremes",
         "Solve scenes at the limits of measurement and report how each ended; table and HDF5.",
     ),
     "weights": (
-        "lampest.studies.weights",
+        "lampest.apps.studies.weights",
         "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's "
         "choice.",
     ),
@@ -100,7 +100,7 @@ def paper(
     jobs
         Number of processes, such as 2. Default: all cores.
     """
-    from lampest.studies.paper import paper_study
+    from lampest.apps.studies.paper import paper_study
 
     folder = out or Path("results/paper")
     run_study(paper_study(folder, jobs), config, folder, None)

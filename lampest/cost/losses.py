@@ -156,6 +156,8 @@ class Loss(Configuration):
 @guarded
 def _halves(loss: "Loss", residual: Array) -> tuple[Array, Array]:
     """Return (½ρ', ½ρ'') of every residual, (rows,) each."""
+    if loss.squared:
+        return residual, np.ones_like(residual)
     # One evaluation of (½ρ', ½ρ'') for all residuals: CasADi maps the function over the columns of
     # (1, rows).
     slope, second = _derivatives(loss)(residual[None])

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.film.memory import FilmKnown
+from lampest.apps.film.pressure import Pressure, pressure_of
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check import ModelCheck
@@ -15,8 +17,6 @@ from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.warnings import unsolved
 from lampest.files.levels import TWO_SIDED
-from lampest.loads.film import FilmKnown
-from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty

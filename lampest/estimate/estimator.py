@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+from lampest.apps.film.tare import Tare
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
@@ -10,7 +11,6 @@ from lampest.estimate.objective import Bounds as Bounds
 from lampest.estimate.objective import Objective, checked_terms
 from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
-from lampest.loads.tare import Tare
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS

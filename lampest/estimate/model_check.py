@@ -12,14 +12,14 @@ from functools import cached_property
 
 import numpy as np
 
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.observation import patch_of
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
 from lampest.estimate.explanation import Explanation, better_rival
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.observation import patch_of
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
 from lampest.posterior.interval import largest_of

@@ -43,6 +43,7 @@ MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
+BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +161,10 @@ class NoiseEstimate:
         key : str
             Key of the scene.
         size : (float, float)
-            Number and standard deviation.
+            Number and standard deviation. Where either is NaN, the number is undetermined.
         """
+        if np.isnan(size).any():
+            return self.undetermined(key, BROKE_DOWN)
         return replace(self, estimated={**self.estimated, key: size})
 
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":

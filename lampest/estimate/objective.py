@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.film.tare import Tare
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
@@ -18,7 +19,6 @@ from lampest.cost.terms import Term, term_kind
 from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration
-from lampest.loads.tare import Tare
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring

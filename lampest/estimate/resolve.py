@@ -18,14 +18,16 @@ from lampest.estimate.cells_fit import fitted
 from lampest.estimate.changed_cells import mostly_still
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.model_error import scaled, with_model_error
-from lampest.estimate.noise import NoiseEstimate, without_effects
+from lampest.estimate.noise import BROKE_DOWN, NoiseEstimate, without_effects
 from lampest.estimate.nuisances import CircuitEffects
+from lampest.estimate.saturation import passed_range
 from lampest.estimate.scan_motion import UNKNOWN_SHARE, Share, share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
+from lampest.panel.panel import as_panels_have
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import ESTIMATED, Systematic
+from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
 from lampest.panel.systematic import (
     READING_ERROR,
     SHARED_ERRORS,
@@ -290,7 +292,7 @@ def resolved(
         except BROKEN:
             for key in entry.keys:
                 if specified(recording.scene, key) == ESTIMATED:
-                    noise = noise.undetermined(key, "arithmetic broke down over its readings")
+                    noise = noise.undetermined(key, BROKE_DOWN)
     return noise
 
 
@@ -311,28 +313,48 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     """Return the scene with numbers in place of `estimated`.
 
     It has them as far as the recording determines them. An error that it cannot determine has its
-    prior, any other effect is absent.
+    prior, any other effect is absent. A number that the scene's key does not allow is the nearest
+    allowed one.
     """
     keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS]
     requested = [key for key in keys if specified(scene, key) == ESTIMATED]
     if not requested:
         return scene
-    numbers = {key: size[0] for key, size in noise.estimated.items()}
+    estimated = {
+        key: (_allowed(scene, key, number), _limited(deviation))
+        for key, (number, deviation) in noise.estimated.items()
+    }
+    numbers = {key: size[0] for key, size in estimated.items()}
     systematic: Any = scene.systematic
     if isinstance(systematic, Systematic):
         sizes = noise.possible_errors.sizes if noise.possible_errors else systematic_of(scene)
         changes = {name: getattr(sizes, name) for name in estimated_errors(scene)}
         changes["model_error"] = numbers.get("systematic.model_error", changes.get("model_error"))
-        systematic = replace(
-            systematic, **{name: changes[name] for name in estimated_errors(scene)}
-        )
+        within: dict[str, Any] = {
+            name: None if changes[name] is None else _allowed(scene, name, changes[name])
+            for name in estimated_errors(scene)
+        }
+        systematic = replace(systematic, **within)
     readout: Any = scene.readout
     if specified(scene, "readout.noise_lsb") == ESTIMATED:
         readout = replace(readout, noise_lsb=numbers.get("readout.noise_lsb"))
     if specified(scene, PASSES) == ESTIMATED:
-        low, high = noise.estimated.get(PASSES, (0.0, np.inf))
-        readout = replace(readout, passes_volt=(low, high) if np.isfinite(high) else None)
+        passes = None
+        if PASSES in estimated:
+            passes = passed_range(estimated[PASSES], readout.full_scale_volt)
+        readout = replace(readout, passes_volt=passes)
     own: dict[str, Any] = {key: numbers.get(key) for key in requested if "." not in key}
-    return replace(
-        scene, readout=readout, systematic=systematic, estimated=dict(noise.estimated), **own
-    )
+    return replace(scene, readout=readout, systematic=systematic, estimated=estimated, **own)
+
+
+def _allowed(scene: Scene, key: str, number: float) -> float:
+    """Return the number nearest to a determined one that a scene may state under its key."""
+    name = key.rpartition(".")[2]
+    if name == "noise_lsb" and scene.readout is not None:
+        return min(max(_limited(number), 0.0), 2.0**scene.readout.adc_bits)
+    return within_limits(name, number) if name in LIMITS else _limited(number)
+
+
+def _limited(number: float) -> float:
+    """Return a number within the range of physical quantities: zero or infinity beyond it."""
+    return float(as_panels_have(np.asarray(number)))

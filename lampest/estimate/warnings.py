@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.recognition.observation import ModelErrors
+from lampest.apps.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
+from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.module_noise import named_modules
@@ -13,9 +16,6 @@ from lampest.estimate.rivals import changes_beyond_noise, choices
 from lampest.estimate.variance_components import NO_RIPPLE
 from lampest.files.errors import first_and_more
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.loads.recognition.observation import ModelErrors
-from lampest.loads.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
-from lampest.loads.recognition.watch_parts import WatchSetup
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording

@@ -35,6 +35,8 @@ MAX_ATTRIBUTE_BYTES = 4_000  # HDF5 may store larger ones without a checksum
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file,
 # root, checksum.
 SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
+WRITTEN = 1  # flag of a superblock: a process writes the file
+SWMR = 4  # flag of a superblock: other processes may read the file meanwhile
 
 
 @contextmanager
@@ -254,13 +256,32 @@ def _superblock(path: Path) -> tuple[Any, ...]:
 def is_left_open(path: Path) -> bool:
     """Return whether a file has an intact superblock that marks it as being written."""
     fields = _superblock(path)
-    return bool(fields[4] & 4) and fields[9] == lookup3(SUPERBLOCK.pack(*fields))
+    return bool(fields[4] & SWMR) and fields[9] == lookup3(SUPERBLOCK.pack(*fields))
 
 
 def bytes_beyond(path: Path) -> int:
     """Return the number of bytes after the end that the superblock of a closed file states."""
     fields = _superblock(path)
-    return 0 if fields[1] < 2 or fields[4] & 4 else path.stat().st_size - int(fields[7])
+    return 0 if fields[1] < 2 or fields[4] & SWMR else path.stat().st_size - int(fields[7])
+
+
+def marked_as_written(data: bytes) -> bytes:
+    """Return the bytes of a superblock that says SWMR with the flag of its writer as well.
+
+    HDF5 sets that flag only for its own files, and other processes read with both flags alone.
+    Other bytes are returned unchanged.
+    """
+    fields = SUPERBLOCK.unpack(data) if len(data) == SUPERBLOCK.size else (0,) * 10
+    if fields[:2] != (b"\x89HDF\r\n\x1a\n", 3) or fields[4] != SWMR:
+        return data
+    return _with_flags(list(fields), SWMR | WRITTEN)
+
+
+def _with_flags(fields: list[Any], flags: int) -> bytes:
+    """Return a superblock with other flags, and its checksum."""
+    fields[4] = flags
+    fields[9] = lookup3(SUPERBLOCK.pack(*fields))
+    return SUPERBLOCK.pack(*fields)
 
 
 class Closed(io.FileIO):
@@ -272,10 +293,8 @@ class Closed(io.FileIO):
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")
         fields = list(_superblock(path))
-        fields[4] = 0
         fields[7] = path.stat().st_size
-        fields[9] = lookup3(SUPERBLOCK.pack(*fields))
-        self._head = SUPERBLOCK.pack(*fields)
+        self._head = _with_flags(fields, 0)
         self._path = path
 
     def __repr__(self) -> str:

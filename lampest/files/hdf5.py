@@ -10,7 +10,7 @@ import os
 import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lampest.files import checksums
 from lampest.files.errors import InputError
+from lampest.files.patient import PatientFile
 from lampest.files.typed import as_double
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
@@ -91,9 +92,13 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
     """
     with whole_file(path) as unfinished:
         check_room(path, size)
-        with h5py.File(unfinished, "w", libver=FORMAT) as file:
-            yield file
-            checksums.seal(file)
+        unfinished.unlink()
+        with closing(PatientFile(unfinished)) as storage:
+            if not storage.reserve(size) and storage.trouble is not None:
+                raise storage.trouble
+            with h5py.File(storage, "w", libver=FORMAT) as file:
+                yield file
+                checksums.seal(file)
 
 
 @contextmanager

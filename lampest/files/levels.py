@@ -15,24 +15,26 @@ NOISE_REACH = 3.0
 
 # Standard deviations of one number among a few hundred, such as the change of a cell, the
 # difference of two lines, the answer of a load: noise alone exceeds it once in 15,000
-# (tests/oracles/test_wires.py, test_noise.py and test_calibration.py).
+# (tests/oracles/test_wires.py, tests/oracles/test_noise.py,
+# tests/apps/calibration/test_calibration.py).
 UNUSUAL = 4.0
 
 # Standard deviations of a deviation that is named or taken off: noise alone exceeds it once in 1.7
 # million numbers, of 32 channels once in 50,000 calibrations (tests/oracles/test_nuisances.py,
-# tests/oracles/test_calibration.py). A line that differs from others by this root mean square is
-# distinct: panels whose lines are all nearly equal name no touching lines
+# tests/apps/calibration/test_calibration.py). A line that differs from others by this root mean
+# square is distinct: panels whose lines are all nearly equal name no touching lines
 # (tests/oracles/test_wires.py).
 SIGNIFICANT = 5.0
 
 # Standard deviations of one among very many numbers, readings or patterns of all frames: noise
 # alone exceeds it once in 500 million, in one of 200,000 recordings of 2,400 readings
-# (tests/oracles/test_noise.py, tests/units/test_watch.py).
+# (tests/oracles/test_noise.py, tests/apps/recognition/test_watch.py).
 OUTLIER_THRESHOLD = 6.0
 
 # Mean square of about a hundred deviations over their variance: noise alone exceeds it, three
 # standard deviations of a mean of a hundred squares, once in 700 frames. Beyond, frames are not at
-# rest or a shape does not explain them (tests/oracles/test_film.py, tests/oracles/test_detect.py).
+# rest or a shape does not explain them (tests/apps/film/test_film.py,
+# tests/apps/recognition/test_detector.py).
 MAX_MEAN_SQUARE = 1.4
 
 # Probability under noise alone of one of a recording's handful of tests: cells that do not explain

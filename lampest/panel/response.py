@@ -2,7 +2,7 @@
 
 The response is ln(r/r0) = κ·ln f(p) with a strictly decreasing curve f of the film, f(0) = 1, and a
 gain κ of each cell. The operators of hysteresis and creep, with their sources, are in
-`lampest.loads.film`.
+`lampest.apps.film.memory`.
 """
 
 from abc import abstractmethod

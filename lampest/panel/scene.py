@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.typed import Configuration, check_range
+from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel, connected_parts
@@ -159,11 +159,7 @@ class Scene(Configuration):
             check_resistors("series_resistance_ohm", self.series_resistance_ohm, open_end=False)
         if self.known_memory is not None and not 0 <= self.known_memory < 1:
             raise ValueError("converter_memory must be zero or positive, and below 1")
-        check_sizes(self, 1.0, "gain", "motion")
-        creep = plain_size(self.creep)
-        if creep is not None:
-            check_range("creep", creep, -1, 1)
-        check_sizes(self, 2.0**32, "ripple")
+        check_sizes(self, "gain", "motion", "creep", "ripple")
         if self.contact_prior is not None:
             # Lists of the wrong length raise.
             self.contact_prior.mean(self.panel.shape)

@@ -5,13 +5,32 @@ effects.
 """
 
 from dataclasses import dataclass
+from math import nextafter
 from typing import Any, Final, Literal
 
+from lampest.files.document import MIN_NUMBER
 from lampest.files.typed import Configuration, check_ranges
 from lampest.panel.readouts.lines import MAX_OHM
 
 ESTIMATED: Final = "estimated"  # in place of a number: the recording determines it
 Size = float | Literal["estimated"]
+BELOW_ONE = nextafter(1.0, 0.0)
+# Key of a size, without its section -> least and largest number that a scene may state.
+LIMITS = {
+    "converter_memory": (0.0, BELOW_ONE),
+    "gain": (0.0, 1.0),
+    "motion": (0.0, 1.0),
+    "creep": (-1.0, 1.0),
+    "ripple": (0.0, 2.0**32),
+    "reference_tolerance": (0.0, BELOW_ONE),
+    "channel_spread_ohm": (0.0, MAX_OHM),
+    "series_tolerance_ohm": (0.0, MAX_OHM),
+    "wire_ohm_per_cell": (0.0, MAX_OHM),
+    "inl_lsb": (0.0, 2.0**32),
+    "reading_error": (0.0, 10.0),
+    "response_sd": (0.0, 10.0),
+    "model_error": (0.0, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -64,11 +83,15 @@ class Systematic(Configuration):
         if not 0 <= (plain_size(self.reference_tolerance) or 0.0) < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
         check_sizes(
-            self, MAX_OHM, "channel_spread_ohm", "series_tolerance_ohm", "wire_ohm_per_cell"
+            self,
+            "channel_spread_ohm",
+            "series_tolerance_ohm",
+            "wire_ohm_per_cell",
+            "inl_lsb",
+            "reading_error",
+            "response_sd",
+            "model_error",
         )
-        check_sizes(self, 2.0**32, "inl_lsb")
-        check_sizes(self, 10, "reading_error", "response_sd")
-        check_sizes(self, 1e6, "model_error")
 
 
 def plain_size(size: Size | None) -> float | None:
@@ -76,9 +99,21 @@ def plain_size(size: Size | None) -> float | None:
     return None if isinstance(size, str) else size
 
 
-def check_sizes(owner: Any, most: float, *names: str) -> None:
+def check_sizes(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is valid.
 
-    A field is valid if it is None, 'estimated', or lies between 0 and `most`.
+    A field is valid if it is None, 'estimated', or lies within its LIMITS.
     """
-    check_ranges(owner, 0, most, *(name for name in names if getattr(owner, name) != ESTIMATED))
+    for name in names:
+        if getattr(owner, name) != ESTIMATED:
+            check_ranges(owner, *LIMITS[name], name)
+
+
+def within_limits(name: str, number: float) -> float:
+    """Return the number nearest to one that a recording determined which a scene may state.
+
+    Numbers below the range of physical quantities are zero, numbers outside LIMITS are the limit.
+    """
+    low, high = LIMITS[name]
+    limited = min(max(number, low), high)
+    return 0.0 if abs(limited) < MIN_NUMBER else limited

@@ -9,6 +9,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.foreign.labelled import (
+    frames_of_table,
+    labelled_array,
+    named_units,
+    panel_of,
+)
+from lampest.apps.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.files import hdf5
 from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated, typed
@@ -18,13 +25,6 @@ from lampest.panel.scene import Scene
 from lampest.panel.scene_file import read_scene, scene_text
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
-from lampest.recording.foreign.labelled import (
-    frames_of_table,
-    labelled_array,
-    named_units,
-    panel_of,
-)
-from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.recording.readings import Readings, check_sigma
 
 UNLOADED = 0
@@ -266,8 +266,8 @@ class Recording(Validated):
         """Return the recording of a pandas.DataFrame, or of another table.
 
         The other table has `columns` and `itertuples`. The names of its columns are understood as
-        those of a file's header (docs/howto/import.md): a line for each frame, each row of a frame,
-        or each value. An index with a name, or of dates, is a column, too.
+        those of a file's header (docs/apps/foreign/import.md): a line for each frame, each row of a
+        frame, or each value. An index with a name, or of dates, is a column, too.
 
         Parameters
         ----------

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.board.own_estimate import board_sentence
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
@@ -22,7 +23,6 @@ from lampest.recording.acquisition import FORMAT as RECORDING
 from lampest.recording.processed import processing_of
 from lampest.recording.recording import MEASURED, UNLOADED, UNREFERENCED, Recording
 from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
-from lampest.report.board import board_sentence
 from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases

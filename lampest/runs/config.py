@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from lampest.apps.film.tare import Tare
 from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
@@ -27,7 +28,6 @@ from lampest.files.document import (
 from lampest.files.errors import InputError, meant
 from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
-from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened

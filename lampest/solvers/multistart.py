@@ -41,34 +41,39 @@ class Effort:
     starts : int
     requested : bool
         Whether the settings state the number of starts, so that the iterations have no limit.
+    continues : bool
+        Whether the frame begins at the estimate of an earlier one.
     """
 
     starts: int
     requested: bool
+    continues: bool = False
 
     @classmethod
-    def of(cls, solver: Solver, data: Data) -> "Effort":
+    def of(cls, solver: Solver, data: Data, previous: Array | None) -> "Effort":
         """Return the effort of a frame.
 
         It is MAX_MINIMA starts where the cost may have several minima.
         """
         if solver.settings.starts is not None:
             return cls(solver.settings.starts, requested=True)
-        return cls(MAX_MINIMA if several_minima(solver.cost, data) else 1, requested=False)
+        starts = MAX_MINIMA if several_minima(solver.cost, data) else 1
+        continues = previous is not None and not data.first
+        return cls(starts, requested=False, continues=continues)
 
     def is_spent(self, best: Solution, tried: int, iterations: int) -> bool:
         """Return whether no further start is tried after `tried` starts with this best solution.
 
-        The cost was convex wherever the solver looked if it met no direction of negative curvature
-        on its way from the first start; further starts then rarely find a lower minimum
-        (docs/studies/speed.md).
+        A strict minimum from the first start is kept in two cases: in a frame that continues an
+        earlier one, and where the solver met no direction of negative curvature on its way. Further
+        starts then rarely find a lower minimum (docs/studies/speed.md).
         """
         if self.requested:
             return tried >= self.starts
         if not best.solved:
             return iterations > MAX_UNSOLVED
-        convex = tried == 1 and best.strict and best.convex
-        return tried >= self.starts or convex or iterations > MAX_SPENT
+        kept = tried == 1 and best.strict and (best.convex or self.continues)
+        return tried >= self.starts or kept or iterations > MAX_SPENT
 
 
 def best_solution(
@@ -89,7 +94,7 @@ def best_solution(
         What the solution of the previous frame carries, see `Outcome`.
     """
     solver = solver.continued(carried)
-    effort = Effort.of(solver, data)
+    effort = Effort.of(solver, data, previous)
     further = scattered(data) if effort.requested else ()
     best = None
     branch = None

@@ -12,19 +12,19 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from apps.live.test_stalled_listeners import message as frame
 from attack.attack import PASSED, Outcomes, Rng, attack, environment
 from contracts.test_publish import MOSQUITTO, broker, free_port
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
-from units.test_stalled_listeners import message as frame
 from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
-from lampest.recording.board import stream
-from lampest.recording.board.journal import repair
-from lampest.recording.board.protocol import Hello, message
-from lampest.recording.board.record import record
-from lampest.report.live.publish import publish_at
+from lampest.apps.board import stream
+from lampest.apps.board.journal import repair
+from lampest.apps.board.protocol import Hello, message
+from lampest.apps.board.record import record
+from lampest.apps.live.publish import publish_at
 from tests.bodies import hello_body
 
 pytestmark = pytest.mark.slow
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 LIMIT_S = 0.5
 SLACK_S = 15.0
 RECORDER = (
-    "import sys; from pathlib import Path; from lampest.recording.board.record import record\n"
+    "import sys; from pathlib import Path; from lampest.apps.board.record import record\n"
     "tell = lambda now: print(now.frames, flush=True)\n"
     "record(sys.argv[1], Path(sys.argv[2]), period=0.01, baseline=3, on_progress=tell)"
 )

@@ -21,10 +21,10 @@ from lampest import (
     read_results,
     write_results,
 )
+from lampest.apps.board.journal import repair
 from lampest.files import hdf5
 from lampest.files.checksums import BLOCKS, DATASETS, nodes_below
 from lampest.files.document import plain_content
-from lampest.recording.board.journal import repair
 
 pytestmark = pytest.mark.slow
 HARMS = ("bits", "bits", "end", "gap", "twice", "zeros")

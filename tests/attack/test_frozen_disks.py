@@ -12,8 +12,8 @@ import pytest
 from wild_board import hundred_a_second, wild_board
 
 from lampest import Recording
-from lampest.recording.board.journal import Journal
-from lampest.recording.board.record import record
+from lampest.apps.board.journal import Journal
+from lampest.apps.board.record import record
 
 FRAMES = 300  # of three seconds
 FROZEN_S = 2.0

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from lampest import InputError, Panel
-from lampest.report.detect.answer import Detected
-from lampest.report.live.handover import Newest
-from lampest.report.live.message import UNKNOWN, Message, Picture, View
-from lampest.report.live.publish import MAX_DATAGRAM, OscPublish, publishing
+from lampest.apps.live.handover import Newest
+from lampest.apps.live.message import UNKNOWN, Message, Picture, View
+from lampest.apps.live.publish import MAX_DATAGRAM, OscPublish, publishing
+from lampest.apps.recognition.detect.answer import Detected
 
 SMALL_PANEL = 3, 4
 LARGE_PANEL = 72, 72  # three maps exceed a datagram

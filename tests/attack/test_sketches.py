@@ -23,8 +23,8 @@ from lampest import (
     TwoPointReadout,
     reconstruct,
 )
-from lampest.report.export.microcontroller.constants import Constants
-from lampest.report.export.microcontroller.header import header
+from lampest.apps.microcontroller.constants import Constants
+from lampest.apps.microcontroller.header import header
 
 NUMBERS = (0.0, -1.0, np.nan, np.inf, -np.inf, 1e39, 1e-40, 1e300, -1e300)
 VALUES = (

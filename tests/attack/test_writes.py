@@ -11,7 +11,7 @@ import pytest
 from attack.attack import PASSED, Outcomes, Rng, attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
-from lampest.recording.board.journal import Journal
+from lampest.apps.board.journal import Journal
 
 WRITERS: tuple[tuple[str, ...], ...] = (
     ("run", "run.yaml", "--jobs", "1", "--out"),

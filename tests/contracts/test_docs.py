@@ -298,13 +298,15 @@ def anchors(page: Path) -> set[str]:
 def test_architecture_names_every_module_once_in_its_room() -> None:
     text = (DOCS / "reference" / "architecture.md").read_text(encoding="utf-8")
     house = REPOSITORY / "lampest"
-    for room in sorted(path.parent for path in house.glob("*/__init__.py")):
-        _, heading, chapter = text.partition(f"\n### {room.name}\n")
-        assert heading, f"the room {room.name}"
+    inits = [*house.glob("*/__init__.py"), *house.glob("apps/*/__init__.py")]
+    for room in sorted(path.parent for path in inits):
+        name = room.relative_to(house).as_posix()
+        _, heading, chapter = text.partition(f"\n### {name}\n")
+        assert heading, f"the room {name}"
         rows = re.findall(r"^\| `([^`]+)` \|", chapter.split("\n##")[0], flags=re.MULTILINE)
         parts = [f"{path.name}/" if path.is_dir() else path.name for path in room.iterdir()]
         modules = {part for part in parts if not part.startswith("__")}
-        assert sorted(rows) == sorted(modules), room.name
+        assert sorted(rows) == sorted(modules), name
 
 
 def test_the_glossary_names_where_things_are_defined() -> None:
@@ -411,8 +413,15 @@ def test_every_word_is_spelt_right() -> None:
 
 # The way of mats, insoles and skins, and pages beside other programs.
 
-HOW_TOS = ("import", "readouts", "outlines", "flexitac", "ros")
-OF_MATS = ("tutorial/mats.md", "tutorial/own_panel.md", *(f"howto/{name}.md" for name in HOW_TOS))
+OF_MATS = (
+    "tutorial/mats.md",
+    "tutorial/own_panel.md",
+    "howto/readouts.md",
+    "howto/outlines.md",
+    "apps/foreign/import.md",
+    "apps/board/flexitac.md",
+    "apps/live/ros.md",
+)
 
 
 @pytest.mark.parametrize(
@@ -442,7 +451,9 @@ def test_the_page_for_mats_links_such_pages_and_names_existing_columns() -> None
 
 def test_the_ros_example_turns_a_message_into_an_image(tmp_path: Path) -> None:
     (code,) = (
-        block for language, block in fences(DOCS / "howto" / "ros.md") if language == "python"
+        block
+        for language, block in fences(DOCS / "apps" / "live" / "ros.md")
+        if language == "python"
     )
     names: dict[str, Any] = {}
     exec(compile(code, "cells.py", "exec"), names)

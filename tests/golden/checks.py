@@ -15,6 +15,23 @@ from golden.circuits import PANEL, SHAPES, Rows, cells_of
 from golden.estimates import simulated
 
 import lampest as lp
+from lampest.apps.recognition import observation
+from lampest.apps.recognition.attachment import Attachment, continued_by
+from lampest.apps.recognition.breath import Breath, breath, too_slow
+from lampest.apps.recognition.breathing import Breathing
+from lampest.apps.recognition.candidates import Several
+from lampest.apps.recognition.detect import detection
+from lampest.apps.recognition.detect.answer import Detected, alarming, event_table, load_table
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.fit import Fit, Verdict, prior_cost
+from lampest.apps.recognition.image import ImageWatch
+from lampest.apps.recognition.pumping import Pumping
+from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water, settled
+from lampest.apps.recognition.suction import may_suck, suctions
+from lampest.apps.recognition.swings import Patterns, patterns_of
+from lampest.apps.recognition.watch import Watch
+from lampest.apps.recognition.watch_parts import Look, WatchSetup
+from lampest.apps.recognition.window import Window
 from lampest.estimate import changed_cells, noise, outliers
 from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.deciding import baseline_readings, deciding_frames
@@ -26,26 +43,9 @@ from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
 from lampest.estimate.scan_motion import displacement
 from lampest.estimate.variance_components import noted_excess, repeated_scatter, scatter
-from lampest.loads.recognition import observation
-from lampest.loads.recognition.attachment import Attachment, continued_by
-from lampest.loads.recognition.breath import Breath, breath, too_slow
-from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.recognition.candidates import Several
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fit, Verdict, prior_cost
-from lampest.loads.recognition.image import ImageWatch
-from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.recognition.steady_frames import SteadyFrames, changes_without_water, settled
-from lampest.loads.recognition.suction import may_suck, suctions
-from lampest.loads.recognition.swings import Patterns, patterns_of
-from lampest.loads.recognition.watch import Watch
-from lampest.loads.recognition.watch_parts import Look, WatchSetup
-from lampest.loads.recognition.window import Window
 from lampest.panel.effects import LineLeak, LooseContact
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.scene import OwnOfModule
-from lampest.report.detect import detection
-from lampest.report.detect.answer import Detected, alarming, event_table, load_table
 
 # Preparation
 

@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 import lampest as lp
+from lampest.apps.film.memory import ERRORS, FilmKnown, FilmMemory
+from lampest.apps.film.pressure import (
+    pressure_of,
+    response_sd,
+    scatter_sd,
+    total_force,
+    water_pressure,
+)
+from lampest.apps.film.tare import TareWatch
+from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
-from lampest.loads.film import ERRORS, FilmKnown, FilmMemory
-from lampest.loads.pressure import pressure_of, response_sd, scatter_sd, total_force, water_pressure
-from lampest.loads.recognition import candidates
-from lampest.loads.shapes import shape_types
-from lampest.loads.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
-from lampest.loads.shapes.kinds import RoundShape
-from lampest.loads.shapes.shape import Candidate
-from lampest.loads.tare import TareWatch
 from lampest.panel import effects, systematic
 from lampest.panel.network import NormalByLines
 from lampest.panel.panel import EachModule, Modules
@@ -27,6 +29,10 @@ from lampest.panel.response import BentSuction, ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
 from lampest.recording.readings import Readings
+from lampest.recording.shapes import shape_types
+from lampest.recording.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
+from lampest.recording.shapes.kinds import RoundShape
+from lampest.recording.shapes.shape import Candidate
 
 Thunk = Callable[[], Any]
 Rows = dict[str, Thunk]

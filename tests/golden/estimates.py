@@ -14,12 +14,13 @@ from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
 from unclosed import unclosed_recording
 
 import lampest as lp
+from lampest.apps.calibration import known_loads
+from lampest.apps.calibration.channels import calibrate_channels
+from lampest.apps.calibration.loads import calibrate_loads
+from lampest.apps.calibration.resistors import calibrate_resistors, noise_of
+from lampest.apps.studies.common import CONFIGS, paper_methods
 from lampest.cost.given import Background
 from lampest.estimate.batch import push_streams
-from lampest.estimate.calibration import known_loads
-from lampest.estimate.calibration.channels import calibrate_channels
-from lampest.estimate.calibration.loads import calibrate_loads
-from lampest.estimate.calibration.resistors import calibrate_resistors, noise_of
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.joint import Joint, error_bars
@@ -50,7 +51,6 @@ from lampest.report.reconstruction import Reconstruction
 from lampest.runs.filling import frame_noise_of
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.solution import Settings
-from lampest.studies.common import CONFIGS, paper_methods
 
 # Recordings
 

@@ -20,11 +20,11 @@ from golden.estimates import COURSE
 from scipy.io import savemat
 
 import lampest as lp
+from lampest.apps.foreign import lines as foreign_lines
+from lampest.apps.studies import bench, extreme_scenes, tradeoff
 from lampest.files.errors import InputError
-from lampest.recording.foreign import lines as foreign_lines
 from lampest.report.info import understood_lines
 from lampest.runs import executors
-from lampest.studies import bench, extreme_scenes, tradeoff
 
 # Foreign files
 

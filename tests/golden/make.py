@@ -18,6 +18,7 @@ import inspect
 import json
 import os
 import pkgutil
+import re
 import signal
 import subprocess
 import sys
@@ -76,7 +77,7 @@ def constants() -> dict[str, dict[str, list[str]]]:
     table: dict[str, dict[str, list[str]]] = {}
     for entry in pkgutil.walk_packages(lampest.__path__, "lampest."):
         module = importlib.import_module(entry.name)
-        room = table.setdefault(entry.name.split(".")[1], {})
+        room = table.setdefault(re.match(r"lampest\.((apps\.)?\w+)", entry.name)[1], {})
         own = [
             value
             for value in vars(module).values()

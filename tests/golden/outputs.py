@@ -29,21 +29,11 @@ from support import Patient, invented_case
 
 import lampest as lp
 from lampest import cli
-from lampest.files.process import in_bytes
-from lampest.loads.pressure import Force
-from lampest.loads.recognition import breathing
-from lampest.loads.recognition.attachment import Attachment
-from lampest.panel.panel import EachModule, Modules
-from lampest.report import compare, plots, words
-from lampest.report.detect import pressed
-from lampest.report.detect.answer import Detected, write_detections
-from lampest.report.detect.detection import detect_results
-from lampest.report.export import nwb
-from lampest.report.info import describe, shaded_map, text_map, understood_lines
-from lampest.report.live import publish, watcher
-from lampest.report.live.engine import Engine, with_picture
-from lampest.report.live.handover import News
-from lampest.report.live.message import (
+from lampest.apps.film.pressure import Force
+from lampest.apps.live import publish, watcher
+from lampest.apps.live.engine import Engine, with_picture
+from lampest.apps.live.handover import News
+from lampest.apps.live.message import (
     HISTORY_FRAMES,
     Message,
     Picture,
@@ -53,14 +43,24 @@ from lampest.report.live.message import (
     view_text,
     with_detected,
 )
-from lampest.report.live.publish import publish_at
-from lampest.report.live.run import METHODS as LIVE
-from lampest.report.live.run import chosen, from_recording, scan_of
-from lampest.report.live.state import PanelState, solved_scan, verdict_of
-from lampest.report.live.watcher import Scan, Unloaded, Watched, in_one_batch
-from lampest.report.page import compared, page
+from lampest.apps.live.publish import publish_at
+from lampest.apps.live.run import METHODS as LIVE
+from lampest.apps.live.run import chosen, from_recording, scan_of
+from lampest.apps.live.state import PanelState, solved_scan, verdict_of
+from lampest.apps.live.watcher import Scan, Unloaded, Watched, in_one_batch
+from lampest.apps.page import compared, page
+from lampest.apps.recognition import breathing
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.detect import pressed
+from lampest.apps.recognition.detect.answer import Detected, write_detections
+from lampest.apps.recognition.detect.detection import detect_results
+from lampest.apps.recognition.detect.timeline import timeline
+from lampest.files.process import in_bytes
+from lampest.panel.panel import EachModule, Modules
+from lampest.report import compare, plots, words
+from lampest.report.export import nwb
+from lampest.report.info import describe, shaded_map, text_map, understood_lines
 from lampest.report.plots import PLOTS, maps, plot_of, style
-from lampest.report.plots.timeline import timeline
 from lampest.report.reconstruction import Reconstruction
 from lampest.report.strongest import strongest_index
 from lampest.report.words import digits

@@ -22,21 +22,18 @@ from golden.outputs import command, drawn_row, refusal, stored
 from support import invented_case
 
 import lampest as lp
-from lampest.estimate.estimator import Estimator
-from lampest.runs import config
-from lampest.solvers.solution import Status
-from lampest.studies import bench, common, extreme_scenes, extremes, paper, tradeoff, weights
-from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
-from lampest.studies.certified import (
+from lampest.apps.studies import bench, common, extreme_scenes, extremes, paper, tradeoff, weights
+from lampest.apps.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
+from lampest.apps.studies.certified import (
     correct_digits,
     exact_cost,
     exact_residual,
     exact_scale,
     fifty_digits,
 )
-from lampest.studies.common import StudyMethod
-from lampest.studies.study import Cases, Study, read_settings
-from lampest.studies.weight_curves import (
+from lampest.apps.studies.common import StudyMethod
+from lampest.apps.studies.study import Cases, Study, read_settings
+from lampest.apps.studies.weight_curves import (
     Curves,
     WeightSubject,
     l_curve,
@@ -45,7 +42,10 @@ from lampest.studies.weight_curves import (
     trace,
     tune,
 )
-from lampest.studies.weights import why_not
+from lampest.apps.studies.weights import why_not
+from lampest.estimate.estimator import Estimator
+from lampest.runs import config
+from lampest.solvers.solution import Status
 
 
 def timed(made: type[Any], **known: Any) -> list[Any]:

@@ -30,6 +30,9 @@ from typer.main import get_command
 
 import lampest as lp
 from lampest import cli
+from lampest.apps.page import compared, page
+from lampest.apps.studies.weights import why_not
+from lampest.apps.studies.weights_figure import weights_figure
 from lampest.cost import problem
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
@@ -42,7 +45,6 @@ from lampest.files.errors import InputError
 from lampest.recording.simulation import simulation
 from lampest.recording.stored import save_parts
 from lampest.report.info import checked_sentence, describe
-from lampest.report.page import compared, page
 from lampest.runs import batch
 from lampest.runs.case import ATTRIBUTES, COLUMNS, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
@@ -53,8 +55,6 @@ from lampest.solvers.certificate import certificate
 from lampest.solvers.convex import convex_cells
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.smoothing import Smoothing
-from lampest.studies.weights import why_not
-from lampest.studies.weights_figure import weights_figure
 
 # Large panels and long recordings
 

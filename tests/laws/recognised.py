@@ -3,14 +3,14 @@
 import numpy as np
 
 from lampest import Panel, Recording, Scene, Shape, Simulation, TwoPointReadout, simulate
+from lampest.apps.recognition.candidates import LOADS
+from lampest.apps.recognition.detect.answer import Detected
+from lampest.apps.recognition.detect.detection import Frames, Known, known_of, measured_frames
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.fit import Verdict
+from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.estimate.prepared import Prepared
-from lampest.loads.recognition.candidates import LOADS
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Verdict
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.loads.shapes.shape import Candidate
-from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import Frames, Known, known_of, measured_frames
+from lampest.recording.shapes.shape import Candidate
 
 PANEL = Panel(10, 10)
 PATCH_MM = 6.0

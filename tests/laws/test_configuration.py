@@ -35,11 +35,11 @@ from lampest import (
     Student,
     Unmodelled,
 )
+from lampest.apps.film.pressure import pressure_of
 from lampest.cost.terms import Arrival, Gradient, Misfit, term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
-from lampest.loads.pressure import pressure_of
 from lampest.panel.faults import Faults
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.lines import SeriesPerLine

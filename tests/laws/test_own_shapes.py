@@ -11,11 +11,11 @@ import pytest
 from laws.recognised import verdict_on
 
 from lampest import Array, Panel, Recording, Rod, Scene, Shape, Simulation, simulate
+from lampest.apps.recognition.candidates import LOADS
 from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.loads.recognition.candidates import LOADS
-from lampest.loads.shapes.disc import Disc, contact_of_weight
-from lampest.loads.shapes.kinds import RoundCandidate
-from lampest.loads.shapes.shape import Candidate, Prior, Template, centre_priors
+from lampest.recording.shapes.disc import Disc, contact_of_weight
+from lampest.recording.shapes.kinds import RoundCandidate
+from lampest.recording.shapes.shape import Candidate, Prior, Template, centre_priors
 
 PANEL = Panel(10, 10)
 FINE_PANEL = Panel(180, 180, 0.5)

@@ -12,15 +12,15 @@ import pytest
 from laws.recognised import PATCH_MM, frame_under
 
 from lampest import Array, Panel, Rod, Scene, Simulation
+from lampest.apps.recognition.candidates import FIELD, LOADS, UNIFORM
+from lampest.apps.recognition.fit import Fitting
+from lampest.apps.recognition.observation import Whitening
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.files.levels import SIGNIFICANT
-from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
-from lampest.loads.recognition.fit import Fitting
-from lampest.loads.recognition.observation import Whitening
-from lampest.loads.shapes import OralDisc, Shape, shape_types
-from lampest.loads.shapes.disc import Disc, Unevenness, pressure_at_places
-from lampest.loads.shapes.kinds import RoundCandidate
-from lampest.loads.shapes.shape import POINTS, Candidate, Template
+from lampest.recording.shapes import OralDisc, Shape, shape_types
+from lampest.recording.shapes.disc import Disc, Unevenness, pressure_at_places
+from lampest.recording.shapes.kinds import RoundCandidate
+from lampest.recording.shapes.shape import POINTS, Candidate, Template
 
 PANEL = Panel(10, 10)
 FINE_PANEL = Panel(180, 180, 0.5)

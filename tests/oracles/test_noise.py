@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest.apps.recognition.detect.detection import detect_recording
+from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.outliers import detect_outliers, frozen_readings
@@ -26,8 +28,6 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.detect.detection import detect_recording
-from lampest.studies.study import read_settings
 from tests.estimates import in_intervals, log_errors, recording_of
 
 LINES = 10

@@ -13,12 +13,12 @@ from laws.recognised import every_frame, known_before
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
+from lampest.apps.recognition.detect.detection import Known, known_of
+from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
 from lampest.estimate.prepared import Prepared
 from lampest.files.levels import UNUSUAL
 from lampest.panel.panel import EachModule, Modules
-from lampest.report.detect.detection import Known, known_of
-from lampest.studies.study import read_settings
 from tests.estimates import recording_of
 from tests.netlist import two_point_resistances
 

@@ -29,7 +29,6 @@ from lampest.cost.terms import AnyTerm, Gradient, GradientOfRelativeChange, Misf
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.response import ratio_from_pressure
@@ -38,6 +37,7 @@ from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.sampled import SampledErrors
+from lampest.recording.shapes import OralDisc, Rod, Shape, SuctionCup
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from tests.estimates import log_errors, recording_of, rms

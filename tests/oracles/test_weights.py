@@ -27,6 +27,7 @@ from lampest import (
     read_run,
     two_point_resistance,
 )
+from lampest.apps.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from lampest.cost.given import Background
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import CellResistance, Gradient, LogGradient, Term
@@ -40,7 +41,6 @@ from lampest.posterior.spectrum import Spectrum, best_weight, settled_weights
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings
-from lampest.studies.weight_curves import WeightSubject, bound_evidence, solve_at
 from tests.estimates import recording_of, rms
 from tests.least_cost import LeastCost, Penalty
 

@@ -27,18 +27,18 @@ from lampest import (
     TwoPointReadout,
     two_point_resistance,
 )
+from lampest.apps.calibration.loads import Loaded, fit_loads, response_of
+from lampest.apps.calibration.resistors import calibrate_resistors
+from lampest.apps.film.memory import FilmMemory
+from lampest.apps.film.pressure import pressure_of
+from lampest.apps.recognition.detect.detection import detect_recording
+from lampest.apps.recognition.suction import may_suck, suctions
 from lampest.cost import problem as problem_module
 from lampest.cost.given import Background
 from lampest.estimate import model_error
-from lampest.estimate.calibration.loads import Loaded, fit_loads, response_of
-from lampest.estimate.calibration.resistors import calibrate_resistors
 from lampest.estimate.methods import method as method_module
 from lampest.estimate.prepared import Prepared
-from lampest.loads.film import FilmMemory
-from lampest.loads.pressure import pressure_of
-from lampest.loads.recognition.suction import may_suck, suctions
 from lampest.panel.response import PUBLISHED
-from lampest.report.detect.detection import detect_recording
 from lampest.solvers import direction
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated

@@ -32,15 +32,15 @@ from lampest import (
     read_scene,
     write_results,
 )
+from lampest.apps.board.record import Progress, Recorded
+from lampest.apps.live.engine import Engine
+from lampest.apps.live.run import from_recording
+from lampest.apps.studies.study import Row, Study
 from lampest.cli import app, screen
 from lampest.files.whole import sparing, write_whole
-from lampest.recording.board.record import Progress, Recorded
 from lampest.report.compare import compare
-from lampest.report.live.engine import Engine
-from lampest.report.live.run import from_recording
 from lampest.runs.batch import run_batch
 from lampest.runs.executors import Serial
-from lampest.studies.study import Row, Study
 
 Command = Callable[..., SimpleNamespace]
 GROUPS = ("show", "study")
@@ -82,6 +82,7 @@ COUNTS = {
     "restarts": 1,
     "clock_jumps": 0,
     "clock_stopped": False,
+    "host_clock_set": 0,
     "parted": 0,
     "behind": 0,
 }
@@ -94,6 +95,7 @@ ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
     ({"clock_jumps": 1}, "1 jump of the board's clock; "),
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
+    ({"host_clock_set": 1}, "this computer's clock was set 1 time; "),
     ({"clock_stopped": True}, "the board's clock stood still; "),
     ({"parted": 3}, "3 of the 7 frames lack a module; "),
     (
@@ -283,7 +285,7 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
             on_progress(Progress(None, 0, 0, "the board is gone"))
             return replace(RECORDED, **fields)
 
-        monkeypatch.setattr("lampest.recording.board.record.record", record)
+        monkeypatch.setattr("lampest.apps.board.record.record", record)
         completed = lampest(*words)
         assert requested.pop("places") == (["p"], Path("r.h5"))
         assert requested == {

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from lampest.estimate.calibration.loads import _responses
+from lampest.apps.calibration.loads import _responses
 from lampest.estimate.changed_cells import (
     MOVED_COST,
     scores_with_errors,
@@ -84,9 +84,9 @@ def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
     logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
     estimates = SimpleNamespace(frame=np.arange(2, 6), film=None)
-    monkeypatch.setattr("lampest.estimate.calibration.loads.reconstruct", lambda *_: estimates)
+    monkeypatch.setattr("lampest.apps.calibration.loads.reconstruct", lambda *_: estimates)
     monkeypatch.setattr(
-        "lampest.estimate.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04)
+        "lampest.apps.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04)
     )
     recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
     loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]

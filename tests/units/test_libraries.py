@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 import lampest
+from lampest.apps.recognition.detect.answer import Detected
 from lampest.cli.results import _tell
 from lampest.files.errors import PACKAGES, InputError, extra
-from lampest.report.detect.answer import Detected
 
 HOUSE = Path(__file__).parents[2]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
@@ -136,7 +136,7 @@ def test_a_process_imports_only_needed_libraries() -> None:
             "import lampest.report.info, lampest.report.compare",
             ("scipy.linalg", "casadi", "lampest.estimate"),
         ),
-        ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
+        ("import lampest.apps.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
         ("import lampest; assert len(dir(lampest)) > 50", (*HEAVY, "lampest.panel", "lampest.cli")),
         (

@@ -21,6 +21,11 @@ from lampest import (
     TwoPointReadout,
     datasets,
 )
+from lampest.apps.board.protocol import Frame, Hello
+from lampest.apps.board.stream import Sample
+from lampest.apps.live.engine import Engine
+from lampest.apps.live.run import from_recording, take_sample
+from lampest.apps.recognition.detect.detection import known_of
 from lampest.cost.terms import Arrival, LogGradient, Misfit, RelativeChange
 from lampest.estimate import prepared as preparation
 from lampest.estimate.prepared import Prepared
@@ -29,14 +34,9 @@ from lampest.panel.conditions import Water
 from lampest.panel.faults import Faults
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.recording.board.protocol import Frame, Hello
-from lampest.recording.board.stream import Sample
 from lampest.recording.readings import Readings
 from lampest.recording.simulation.measure import Unmodelled, measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.detect.detection import known_of
-from lampest.report.live.engine import Engine
-from lampest.report.live.run import from_recording, take_sample
 
 SHAPE = (8, 9)
 SOUND_SCENE = Scene(Panel(*SHAPE), TwoPointReadout(), 140.0)

@@ -10,12 +10,12 @@ import pytest
 from support import METHODS, invented_case
 
 from lampest import CaseResult, InputError, write_results
+from lampest.apps.page.compared import Batch
+from lampest.apps.page.page import report, write_report
+from lampest.apps.recognition.detect.pressed import pressed_of
 from lampest.cli.screen import print_table
 from lampest.panel.estimated import estimated_lines
 from lampest.report.compare import Table
-from lampest.report.detect.pressed import pressed_of
-from lampest.report.page.compared import Batch
-from lampest.report.page.page import report, write_report
 
 SHAPE = (3, 10, 10)
 DRAWS = 200  # the standard deviation of so many is known to 5 %

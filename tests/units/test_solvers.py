@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 import lampest
 from lampest import Array, Readings, Readout, Term
+from lampest.apps.studies.bench import BenchFile
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.sequence import first_stream
@@ -23,8 +24,7 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings, Status, check
-from lampest.studies.bench import BenchFile
+from lampest.solvers.solution import Outcome, Settings, Status, check
 
 TIMES = np.linspace(0.0, 2.0, 9)
 LOOP = LevenbergMarquardt(evaluations=200, settled=1e-20)
@@ -131,6 +131,22 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
     data, _ = previous.data_and_start(Readings.of(scene, recording.recorded[-1]))
     assert step.solution.status is Status.OPTIMUM
     return estimator.problem(scene, 1, 0.2).cost, data, step.cell_resistance[None]
+
+
+@pytest.mark.parametrize(("continues", "starts"), [(True, 1), (False, 3)])
+def test_a_later_frame_keeps_a_strict_minimum_in_spite_of_negative_curvature(
+    *, continues: bool, starts: int
+) -> None:
+    """A first frame searches."""
+
+    class Curved(ProjectedNewton):
+        def solve(self, data: Data, start: Evaluation) -> Outcome:
+            return replace(super().solve(data, start), convex=False)
+
+    cost, data, cells = problem(lampest.TwoPointReadout(**CONVERTER), "LSR-CR")
+    solver = Curved(cost, Settings())
+    solution = best_solution(solver, replace(data, first=not continues), 1.1 * cells)
+    assert solution.strict and solution.starts == starts
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -16,6 +16,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from lampest.apps.film.memory import FilmMemory
+from lampest.apps.film.pressure import water_pressure
 from lampest.files.document import Document, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
@@ -28,14 +30,12 @@ from lampest.files.typed import (
     typed,
 )
 from lampest.files.whole import check_room
-from lampest.loads.film import FilmMemory
-from lampest.loads.pressure import water_pressure
-from lampest.loads.shapes import AnyShape
 from lampest.panel.conditions import Water
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.shapes import AnyShape
 from lampest.recording.simulation.measure import (
     OPEN_OHM,
     SHORT_OHM,

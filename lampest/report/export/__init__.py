@@ -11,6 +11,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from lampest.apps.recognition.detect.export import export_visits
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
@@ -24,7 +25,6 @@ from lampest.report.export.formats import (
     ZarrExport,
 )
 from lampest.report.export.nwb import NwbExport
-from lampest.report.export.visits import export_visits
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 

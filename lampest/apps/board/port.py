@@ -1,0 +1,293 @@
+"""Serial port of a board: search, opening, HELLO, settings, start and reading.
+
+Also keys pressed meanwhile. No other module uses pyserial.
+"""
+
+import contextlib
+import os
+import select
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import count
+from typing import Any, NamedTuple
+
+import serial
+from serial.tools import list_ports
+
+from lampest.apps.board import protocol
+from lampest.apps.board.protocol import (
+    MAX_BASELINE,
+    Answer,
+    Estimate,
+    Foreign,
+    Frame,
+    Garbage,
+    Hello,
+    Kind,
+    Message,
+    command,
+)
+from lampest.files.errors import InputError
+
+# Silence after which a board is identified anew. A Mega's bootloader listens for one second after a
+# reset, and must not receive other bytes.
+SILENCE_SECONDS = 2.5
+HELLO_SECONDS = 8.0  # maximum wait for a board: a slow bootloader, and HELLOs a second apart
+ANSWER_SECONDS = 0.5  # wait for an answer
+# USB vendors: Arduino (two), and WCH and FTDI for clones
+ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
+
+
+class NoBoardError(InputError):
+    """No board answers at the port, which may be absent."""
+
+
+class PortName(NamedTuple):
+    """Serial port of this computer.
+
+    It has the URL to open, the system's description, and whether it looks like an Arduino.
+    """
+
+    url: str
+    description: str
+    likely: bool
+
+
+def ports() -> tuple[PortName, ...]:
+    """Return all serial ports, those that look like an Arduino first."""
+    names = (
+        PortName(port.device, port.description or "", port.vid in ARDUINO_VENDORS)
+        for port in list_ports.comports()
+    )
+    return tuple(sorted(names, key=lambda port: (not port.likely, port.url)))
+
+
+def only_port() -> str:
+    """Return the only port that looks like an Arduino.
+
+    Raises InputError if there is none or more than one.
+    """
+    likely = [port.url for port in ports() if port.likely]
+    if len(likely) == 1:
+        return likely[0]
+    reason = (
+        "several ports look like an Arduino: " + ", ".join(likely)
+        if likely
+        else "no port looks like an Arduino"
+    )
+    raise InputError(f"{reason}; name one (`lampest record --list` lists them)")
+
+
+class Board:
+    """Open port of a board, with its unread messages and the number of bytes received.
+
+    Every method raises OSError if the board is unplugged.
+    """
+
+    def __init__(self, port: serial.SerialBase, url: str) -> None:
+        self._port = port
+        self._url = url
+        self._receiver = protocol.Receiver()
+        self._waiting: list[Message] = []  # to be read
+        self._tags = count(1)
+        self.heard = 0
+
+    @classmethod
+    @contextmanager
+    def open(cls, url: str) -> Iterator["Board"]:
+        """Open a port by its name or pyserial URL (socket://, rfc2217://), and reset the board.
+
+        Raises NoBoardError.
+        """
+        try:
+            port = serial.serial_for_url(
+                url, protocol.BAUD, timeout=0.05, write_timeout=2.0, exclusive=True
+            )
+        except (OSError, ValueError) as error:
+            raise NoBoardError(
+                f"{url}: cannot be opened ({' '.join(str(error).split())})"
+            ) from error
+        try:
+            # Ports without DTR, which resets an Arduino, stay as they are.
+            with contextlib.suppress(OSError, ValueError):
+                port.reset_input_buffer()
+                port.dtr = False
+                time.sleep(0.1)
+                port.reset_input_buffer()
+                port.dtr = True
+            yield cls(port, url)
+        finally:
+            with contextlib.suppress(OSError):
+                port.close()
+
+    def messages(self) -> tuple[Message, ...]:
+        """Return complete messages; waits at most 0.05 s for a byte.
+
+        Raises InputError for another protocol version.
+        """
+        waiting = tuple(self._waiting)
+        self._waiting = []
+        return waiting or self._arrived()
+
+    def hello(self) -> Hello:
+        """Return the board's HELLO.
+
+        A board that did not reset is stopped and identified. Raises NoBoardError.
+        """
+        began = time.monotonic()
+        requested = began - ANSWER_SECONDS
+        while time.monotonic() < began + HELLO_SECONDS:
+            messages = self.messages()
+            for item in messages:
+                if isinstance(item, Hello) and not item.running:
+                    return item
+            # A board that sends frames without a HELLO was not reset by opening the port.
+            patient = 0.3 if any(isinstance(item, Frame) for item in messages) else SILENCE_SECONDS
+            if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
+                self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
+                requested = time.monotonic()
+        line = "though the line is not silent" if self.heard else "and nothing came"
+        raise NoBoardError(
+            f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {line}"
+        )
+
+    def order(self, kind: Kind, value: int = 0) -> None:
+        """Send a command until it is answered.
+
+        Raises InputError if it is refused, NoBoardError without an answer.
+        """
+        answer = self._ask(kind, value)
+        # A running board has carried out an earlier START whose answer was lost.
+        runs = kind is Kind.START and answer.result is protocol.Result.REFUSED_RUNNING
+        if answer.result is not protocol.Result.DONE and not runs:
+            raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
+
+    def identify(self) -> Hello:
+        """Request and return a HELLO. Raises NoBoardError without an answer."""
+        hello: Hello = self._ask(Kind.IDENTIFY)
+        return hello
+
+    def _ask(self, kind: Kind, value: int = 0) -> Any:
+        """Send a command until its answer arrives, and return it.
+
+        Other messages except garbage remain to be read.
+        """
+        tag = next(self._tags) % 256
+        expected = Hello if kind is Kind.IDENTIFY else Answer
+        for _ in range(4):  # a line may be disturbed
+            self._port.write(command(kind, tag, value))
+            until = time.monotonic() + ANSWER_SECONDS
+            while time.monotonic() < until:
+                arrived = [item for item in self._arrived() if not isinstance(item, Garbage)]
+                answers = [
+                    item
+                    for item in arrived
+                    if isinstance(item, expected) and getattr(item, "tag", tag) == tag
+                ]
+                self._waiting += [item for item in arrived if item not in answers[:1]]
+                if answers:
+                    return answers[0]
+        raise NoBoardError(f"{self._url}: the board does not answer {kind.name}")
+
+    def _arrived(self) -> tuple[Message, ...]:
+        """Return the messages that new bytes complete.
+
+        Raises InputError for another version, or an invalid HELLO.
+        """
+        data = self._port.read(self._port.in_waiting or 1)
+        self.heard += len(data)
+        self._receiver, messages = self._receiver.feed(data)
+        for item in messages:
+            if isinstance(item, Foreign):
+                raise InputError(
+                    f"{self._url}: the board speaks version {item.version} of the protocol and "
+                    "this lampest version "
+                    f"{protocol.PROTOCOL_VERSION}; upload the sketch in firmware/ that belongs to "
+                    "it"
+                )
+            if isinstance(item, Hello) and item.fault:
+                raise InputError(f"{self._url}: {item.fault} (firmware pins.h)")
+        return messages
+
+    def start(
+        self, rows: int, columns: int, readings: int, period_us: int | None, baseline: int = 0
+    ) -> Hello:
+        """Configure and start the board; return its settings.
+
+        A period of None is 1 s, or the shortest possible one.
+
+        The first `baseline` frames are the baseline of the board's own estimate, if it has one; 0
+        leaves the baseline.
+        Raises InputError if the board refuses a setting.
+        """
+        self.order(Kind.STOP)
+        self._waiting = []
+        for kind, value in (
+            (Kind.SET_ROWS, rows),
+            (Kind.SET_COLUMNS, columns),
+            (Kind.SET_READINGS, readings),
+        ):
+            self.order(kind, value)
+        # The command by which boards that estimate differ from others.
+        estimates = (
+            self._ask(Kind.SET_BASELINE, min(baseline, MAX_BASELINE)).result is protocol.Result.DONE
+        )
+        shortest = self.identify().shortest_period_us
+        if period_us is not None and period_us < shortest:
+            raise InputError(
+                f"a period of {period_us / 1e6:g} s is too short: {rows} × {columns} cells with "
+                f"{readings} readings "
+                f"each take {shortest / 1e6:g} s"
+            )
+        self.order(Kind.SET_PERIOD, max(1_000_000, shortest) if period_us is None else period_us)
+        settings = self.identify()
+        if settings.size != (rows, columns, readings):
+            raise NoBoardError(f"{self._url}: the board restarted while it was being set")
+        self.order(Kind.START)
+        settings = replace(settings, estimates=estimates)
+        # HELLOs from before the start would look like a restart.
+        self._waiting = [item for item in self._waiting if isinstance(item, Frame | Estimate)]
+        return settings
+
+    def stop(self) -> tuple[Message, ...]:
+        """Stop the board, and return all messages up to its answer that arrive within 2 s.
+
+        Missing boards and missing answers are ignored.
+        """
+        with contextlib.suppress(OSError, InputError):
+            self.order(Kind.STOP)
+        waiting = tuple(self._waiting)
+        self._waiting = []
+        return waiting
+
+
+@contextmanager
+def pressed_keys() -> Iterator[Callable[[], str]]:
+    """Yield a function that returns the keys pressed since its last call.
+
+    The terminal is restored at the end.
+    """
+    try:
+        import termios
+        import tty
+
+        descriptor = sys.stdin.fileno()
+        before = termios.tcgetattr(descriptor)
+        if os.tcgetpgrp(descriptor) != os.getpgrp():
+            raise OSError("in the background, where touching the terminal would stop the process")
+    except Exception:  # no POSIX terminal: then nothing can be marked
+        yield lambda: ""
+        return
+
+    def pressed() -> str:
+        ready = select.select([descriptor], [], [], 0)[0]
+        return os.read(descriptor, 64).decode("ascii", "ignore") if ready else ""
+
+    try:
+        tty.setcbreak(descriptor)
+        yield pressed
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -1,0 +1,286 @@
+"""Recording of a board into a file, frame by frame, until it is complete or a signal ends it.
+
+Frames are appended to a journal (`lampest.apps.board.journal`), which is rewritten as a
+recording at the end.
+"""
+
+import contextlib
+import dataclasses
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lampest.apps.board.journal import Journal, UnwrittenError, finished, journal_for
+from lampest.apps.board.several import samples_of
+from lampest.apps.board.stream import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    HOST_CLOCK_SET,
+    UNFIT_SECONDS,
+    Sample,
+    Samples,
+)
+from lampest.files.errors import InputError
+from lampest.files.process import ending_signals
+from lampest.files.whole import check_output
+from lampest.panel.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """Result of `record`.
+
+    Attributes
+    ----------
+    path : Path
+    scene : Scene
+    frames : int
+        Frames in the file.
+    lost : int
+        Frames known to be missing.
+    restarts, clock_jumps : int
+        Restarts of the board, and jumps of its clock.
+    clock_stopped : bool
+        Whether the board's clock stood still at any time.
+    host_clock_set : int
+        Number of frames before which this computer's clock was set.
+    parted : int
+        Frames without the readings of a module.
+    behind : int
+        Frames that the port still contained at the end.
+    ended_by : str
+        Signal that ended the recording, such as SIGINT (Ctrl-C), or ''.
+    noise_lsb : float, or None
+        Noise of one reading from the baseline's repeats, if these suffice.
+    silent : float
+        Time without frames at the end of the requested duration, in s.
+    unestimated : tuple of (str, int)
+        Reasons why a board that estimates did not estimate frames, and their numbers.
+    """
+
+    path: Path
+    scene: Scene
+    frames: int
+    lost: int
+    restarts: int
+    clock_jumps: int
+    clock_stopped: bool
+    host_clock_set: int
+    parted: int
+    behind: int
+    ended_by: str
+    noise_lsb: float | None
+    silent: float
+    unestimated: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a recording.
+
+    Attributes
+    ----------
+    sample : Sample or None
+        Newest sample; None while waiting for the board.
+    frames, lost : int
+        Numbers of frames in the file, and of lost frames, so far.
+    state : str
+        Sentence on the state of the board or of the disk, or ''.
+    """
+
+    sample: Sample | None
+    frames: int
+    lost: int
+    state: str
+
+
+@dataclass(eq=False)
+class Tally:
+    """Counts of a recording while it grows.
+
+    Attributes
+    ----------
+    count : Counter
+        Frames, lost frames, frames without the readings of a module, frames that the port still
+        contained at the end, and events.
+    unestimated : Counter
+        Reasons why a board that estimates did not estimate frames.
+    last : Sample or None
+        Newest sample; None before the first one.
+    """
+
+    count: Counter[str] = dataclasses.field(default_factory=Counter)
+    unestimated: Counter[str] = dataclasses.field(default_factory=Counter)
+    last: Sample | None = None
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.count["frames"]
+
+    def add(self, sample: Sample, *, behind: bool) -> None:
+        """Count a frame, frames lost before it, missing readings of a module, and its events."""
+        self.last = sample
+        self.count.update(frames=1, lost=sample.lost, parted=sample.missing > 0, behind=behind)
+        self.count.update(sample.events)
+        self.unestimated.update(filter(None, [sample.frame.unestimated]))
+
+    def progress(self, sample: Sample | None, state: str = "", pending: int = 0) -> Progress:
+        """Return the progress with the newest sample, or with the state of the board.
+
+        `pending` frames are not in the file yet.
+        """
+        return Progress(sample, self.frames - pending, self.count["lost"], state)
+
+    def results(self) -> dict[str, Any]:
+        """Return the counts by the names of `Recorded`."""
+        return {
+            **{name: self.count[name] for name in ("frames", "lost", "parted", "behind")},
+            "clock_jumps": self.count[CLOCK_JUMPED],
+            "clock_stopped": self.count[CLOCK_STOPPED] > 0,
+            "host_clock_set": self.count[HOST_CLOCK_SET],
+            "unestimated": tuple(self.unestimated.items()),
+        }
+
+
+def record(  # noqa: PLR0913 # the options of a command
+    ports: str | Sequence[str] | None,
+    out: Path,
+    *,
+    frames: int | None = None,
+    seconds: float | None = None,
+    scene: Scene | None = None,
+    baseline: int = 0,
+    period: float | None = None,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+    keys: Callable[[], str] = lambda: "",
+) -> Recorded:
+    """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
+
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the recording; frames that the port has received by then
+    are included.
+
+    Parameters
+    ----------
+    ports : str, sequence of str, or None
+        Port name or pyserial URL; for a panel of modules those of all boards in the order of the
+        modules. None: the only port that looks like an Arduino.
+    out : Path
+        File that must not exist yet.
+    frames : int, or None
+        Number of frames after which to end.
+    seconds : float, or None
+        Time after which to end.
+    scene : Scene, or None
+        Scene that the board must fit, and by which it is configured; by default the board's own.
+    baseline : int
+        Number of unloaded frames at the beginning.
+    period : float, or None
+        Time between frames in s; by default 1 s, or the shortest possible if that is longer.
+    on_progress : callable
+        Called after every frame, and when the board appears or disappears.
+    keys : callable
+        Returns the keys pressed since its last call; each marks an event.
+
+    Raises
+    ------
+    InputError
+        If the board does not answer or fit, `out` exists, no frame arrives, or the disk takes no
+        more frames. Earlier frames are in the file.
+    """
+    check_output(out)
+    if out.exists():
+        raise InputError(f"{out}: exists already; a recording is never written over")
+    urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
+    tally = Tally()
+    states = [""]
+    with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
+        try:
+            with contextlib.ExitStack() as stack:
+                batches = samples_of(
+                    urls, scene, period, states.append, lambda: bool(ended_by()), baseline
+                )
+                stack.enter_context(contextlib.closing(batches))
+                journal: Journal | None = None
+                for batch in _wanted(batches, frames, seconds, period or 1.0):
+                    if batch:
+                        states[:] = [""]
+                        journal = journal or stack.enter_context(journal_for(batch[0], out))
+                        journal.append(batch, baseline - tally.frames, keys)
+                    for sample in batch:
+                        tally.add(sample, behind=bool(ended_by()))
+                        assert journal is not None
+                        on_progress(tally.progress(sample, journal.trouble, journal.pending))
+                    if not batch and states[-1]:
+                        on_progress(tally.progress(None, states[-1]))
+        except KeyboardInterrupt:
+            if not tally.last:
+                raise
+        except UnwrittenError as error:
+            raise InputError(f"{out}: {error}{_end_of(out)}") from error
+        except InputError as error:
+            before = f"; the {tally.frames} frames that came before are in {out}"
+            if tally.last:
+                finished(out)
+            raise InputError(f"{error}{before if tally.last else ''}") from error
+        made = finished(out) if tally.last else None
+        if made is None or tally.last is None:
+            raise InputError(f"{out}: ended before the first frame; nothing is written")
+        complete = bool(ended_by()) or tally.frames == frames
+        silent = 0.0 if seconds is None or complete else _silence(tally.last, seconds)
+        scene, _, noise = made
+        return Recorded(
+            path=out,
+            scene=scene,
+            restarts=tally.last.session,
+            **tally.results(),
+            ended_by=ended_by(),
+            noise_lsb=noise,
+            silent=round(silent, 3),
+        )
+
+
+def _end_of(out: Path) -> str:
+    """Finish a recording that a disk refused, and return what remains to be done, or ''."""
+    try:
+        finished(out)
+    except InputError:
+        return f"; lampest check --repair {out} completes the file once there is room"
+    return ""
+
+
+def _silence(last: Sample, seconds: float) -> float:
+    """Return the time without frames at the end of the requested duration, s."""
+    return max(seconds - last.time - last.hello.period, 0.0)
+
+
+def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
+    """Yield batches up to a number of frames, or up to a time in s on the board's clock.
+
+    The host's clock ends a timed recording 5 %, a period and 1 s later. Raises InputError if frames
+    are counted and none has arrived for UNFIT_SECONDS and three periods.
+    """
+    most = math.inf if frames is None else frames
+    until = math.inf if seconds is None else seconds
+    count = 0
+    began = 0.0
+    heard = time.monotonic()
+    for batch in batches:
+        time_now = time.monotonic()
+        began = began or time_now
+        heard = time_now if batch else heard
+        if frames is not None and time_now - heard > UNFIT_SECONDS + 3 * period:
+            raise InputError(f"no frame came for {time_now - heard:.0f} s")
+        last = [
+            number >= most or item.time + item.hello.period > until - 1e-3
+            for number, item in enumerate(batch, count + 1)
+        ]
+        batch = batch[: last.index(True) + 1] if any(last) else batch
+        count += len(batch)
+        yield batch
+        if any(last) or time_now - began > 1.05 * until + period + 1:
+            return

@@ -1,0 +1,344 @@
+"""Several boards as one.
+
+Each scans a module, and their simultaneous frames form a frame of the whole image. A board's time
+on the host's steady clock is its own time plus the least delay of its newest frames,
+s = min(arrival − time). The board of the first module leads, or the next one while it is absent:
+its frames define the times of the image. Every other board contributes its frame nearest in time.
+An absent board is missing from the image until it returns.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from copy import copy
+from dataclasses import replace
+from itertools import chain
+from queue import Empty, SimpleQueue
+from threading import Event, Thread
+from time import monotonic
+
+import numpy as np
+
+from lampest.apps.board.port import only_port
+from lampest.apps.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
+from lampest.files.errors import InputError
+from lampest.panel.scene import Scene
+from lampest.recording.acquisition import NO_SUM
+
+POLL_SECONDS = 0.02  # s between looks whether a recording ends
+LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
+Stamped = tuple[float, Sample]  # start of the scan in s on the host's steady clock, and the sample
+# board, and its sample, state, error or end
+Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]
+
+
+def samples_of(
+    ports: Sequence[str],
+    scene: Scene | None = None,
+    period: float | None = None,
+    on_state: Callable[[str], None] = lambda sentence: None,
+    ending: Callable[[], bool] = lambda: False,
+    baseline: int = 0,
+) -> Samples:
+    """Return samples as `board_samples`, of one board or of one for each module in order.
+
+    The one board is by default the only one. Of modules the boards' own estimates are left out.
+    """
+    if scene is None or scene.panel.modules is None:
+        if len(ports) > 1:
+            raise InputError(
+                "--port: several boards need a scene with panel: {modules: ...}, a board for each "
+                "module"
+            )
+        return board_samples(
+            ports[0] if ports else only_port(), scene, period, on_state, ending, baseline
+        )
+    layout = scene.panel.modules
+    numbers = [number for number in range(layout.count) if number not in scene.dead_modules]
+    if len(ports) != len(numbers):
+        named = ", ".join(str(list(layout.place(number))) for number in numbers[:4])
+        raise InputError(
+            f"the scene reads {len(numbers)} modules: name as many ports, --port once for each, in "
+            f"the order {named}"
+            f"{', …' if len(numbers) > 4 else ''}; not {len(ports)}"
+        )
+    readings = {
+        module.readout.readings
+        for module in map(scene.of_modules.__getitem__, numbers)
+        if module.readout
+    }
+    if len(readings) != 1:
+        raise InputError(
+            "modules that are recorded together need a readout with one number of readings for all"
+        )
+    return _images(scene, numbers, ports, period, on_state, ending)
+
+
+class Alignment:
+    """Alignment of several boards in time.
+
+    Attributes
+    ----------
+    boards : int
+        Number of boards.
+    waiting : list of list of Stamped
+        Waiting frames of each board, oldest first.
+    shown : list of Stamped or None
+        Last frame of each board in the image.
+    delays : list of deque of float
+        Recent delays of each board in s; the least of these relates the two clocks.
+    moment, began : float or None
+        Times of the newest and of the first frame of the image in s on the host's steady clock.
+    elapsed : float
+        Time between these in s, once there is a frame.
+    missing : tuple of int
+        Boards that are missing from the newest frame.
+    frames : int
+        Number of frames of the image so far.
+    """
+
+    def __init__(self, boards: int) -> None:
+        self.boards = boards
+        self.frames = 0
+        self.moment: float | None = None
+        self.began: float | None = None
+        self.elapsed: float
+        self.missing: tuple[int, ...] = ()
+        self.waiting: list[list[Stamped]] = [[] for _ in range(boards)]
+        self.shown: list[Stamped | None] = [None] * boards
+        self.delays = [deque[float](maxlen=50) for _ in range(boards)]
+
+    def _frames_of(self, board: int) -> list[Stamped]:
+        """Return the last shown frame of a board, if any, and those that wait."""
+        return [*filter(None, [self.shown[board]]), *self.waiting[board]]
+
+    def take(self, board: int, sample: Sample) -> None:
+        """Take a frame of a board; its delays begin anew after a restart."""
+        frames = self._frames_of(board)
+        delays = self.delays[board]
+        if not frames or frames[-1][1].session != sample.session:
+            delays.clear()
+        delays.append(sample.arrived - sample.time)
+        self.waiting[board].append((sample.time + min(delays), sample))
+
+    def frame(self, now: float) -> dict[int, Sample] | None:
+        """Advance to the next frame and return its samples by board.
+
+        None while a present board may still send.
+        """
+        led = self._led(now)
+        if led is None:
+            return None
+        at = led[0]
+        period = led[1].hello.period
+        late = now > at + 1.5 * period + LATE_SECONDS
+        parts = dict[int, Stamped]()
+        for board in range(self.boards):
+            frames = self._frames_of(board)
+            newest = frames[-1][0] if frames else -np.inf
+            # A missing board is waited for as soon as it sends again: its next frame may be the
+            # nearer one.
+            silent = board in self.missing and newest < at - 1.5 * period
+            if not (late or silent) and newest < at - period / 2:
+                return None
+            nearest = min(frames, key=lambda stamped: abs(stamped[0] - at), default=None)
+            # Half a period, plus the jitter of clocks.
+            if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
+                parts[board] = nearest
+        ends = [parts[board][0] if board in parts else at - period for board in range(self.boards)]
+        self.waiting = [
+            [part for part in waiting if part[0] > end]
+            for waiting, end in zip(self.waiting, ends, strict=True)
+        ]
+        self.shown = [parts.get(board, last) for board, last in enumerate(self.shown)]
+        self.missing = tuple(board for board in range(self.boards) if board not in parts)
+        self.moment = at
+        self.frames = self.frames + 1
+        self.began = at if self.began is None else self.began
+        self.elapsed = at - self.began
+        return {board: sample for board, (_, sample) in parts.items()}
+
+    def _led(self, now: float) -> Stamped | None:
+        """Return the frame that defines the next time, from the first present board.
+
+        None before it has arrived.
+        """
+        if self.moment is None:
+            if not all(self.waiting):
+                return None
+            begin = max(waiting[0][0] for waiting in self.waiting)
+            return next(
+                (led for led in self.waiting[0] if led[0] > begin - led[1].hello.period / 2), None
+            )
+        for board, waiting in enumerate(self.waiting):
+            for led in waiting:
+                if led[0] > self.moment + led[1].hello.period / 2:
+                    return led
+            last = self.shown[board]
+            if (
+                board not in self.missing
+                and last
+                and now < self.moment + 2.5 * last[1].hello.period + LATE_SECONDS
+            ):
+                return None
+        return None
+
+
+def _images(
+    scene: Scene,
+    numbers: Sequence[int],
+    ports: Sequence[str],
+    period: float | None,
+    on_state: Callable[[str], None],
+    ending: Callable[[], bool],
+) -> Samples:
+    """Yield samples of the whole image in batches; see `board_samples`.
+
+    `numbers` are the modules of the boards.
+    """
+    assert scene.panel.modules is not None
+    places = [",".join(map(str, scene.panel.modules.place(number))) for number in numbers]
+    current = Alignment(len(numbers))
+    ended = Event()
+    arrived = Arrived()
+    states = [""] * len(numbers)
+    listening = set(range(len(numbers)))
+    with _listeners(scene, numbers, ports, period, arrived, ended):
+        while listening or not arrived.empty():
+            if ending():
+                ended.set()
+            with suppress(Empty):
+                board, item = arrived.get(timeout=POLL_SECONDS)
+                if isinstance(item, Sample):
+                    current.take(board, item)
+                    states[board] = ""
+                # No frame of this board came, so there is no image yet.
+                elif isinstance(item, InputError):
+                    raise item
+                elif item is None:
+                    listening.discard(board)
+                else:
+                    states[board] = item
+            images = _new_images(scene, numbers, current, waits=bool(listening))
+            yield images
+            if images and current.missing:
+                gone = (
+                    f"module {places[board]} at {ports[board]}: {states[board] or 'no frame came'}"
+                    for board in current.missing
+                )
+                on_state("; ".join(gone))
+                yield ()
+
+
+@contextmanager
+def _listeners(
+    scene: Scene,
+    numbers: Sequence[int],
+    ports: Sequence[str],
+    period: float | None,
+    arrived: Arrived,
+    ended: Event,
+) -> Iterator[None]:
+    """Listen to each board in a thread; end and join the threads on exit."""
+    threads = list[Thread]()
+    for board, (number, port) in enumerate(zip(numbers, ports, strict=True)):
+        arguments = (board, port, scene.of_modules[number], period, arrived, ended)
+        threads.append(Thread(target=_listen, args=arguments, daemon=True))
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+def _new_images(
+    scene: Scene, numbers: Sequence[int], current: Alignment, *, waits: bool
+) -> tuple[Sample, ...]:
+    """Advance an alignment as far as its frames allow, and return the new images.
+
+    `waits` states whether boards may still send; without any, nothing is waited for.
+    """
+    images = list[Sample]()
+    while True:
+        before = copy(current)
+        parts = current.frame(monotonic() if waits else np.inf)
+        if parts is None:
+            return tuple(images)
+        images.append(_image(scene, numbers, parts, before, current))
+
+
+def _image(
+    scene: Scene,
+    numbers: Sequence[int],
+    parts: dict[int, Sample],
+    before: Alignment,
+    after: Alignment,
+) -> Sample:
+    """Return the boards' frames as one sample.
+
+    It has the clock of the first board and the restarts of all.
+    """
+    layout = scene.panel.modules
+    first = next(iter(parts.values()))
+    assert layout is not None
+    rows, columns = layout.shape
+    module = layout.each
+    sums = np.full((layout.count, module.rows, module.columns), NO_SUM, dtype=np.uint16)
+    for board, sample in parts.items():
+        sums[numbers[board]] = sample.frame.sums
+    missed = max(sample.frame.missed for sample in parts.values())
+    fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
+    events = list(chain.from_iterable(sample.events for sample in fresh))
+    for word, inside, outside in (
+        ("gone", after.missing, before.missing),
+        ("back", before.missing, after.missing),
+    ):
+        places = [layout.place(numbers[board]) for board in inside if board not in outside]
+        events += [f"{word}: {','.join(map(str, place))}" for place in places]
+    frame = replace(
+        first.frame,
+        sequence=before.frames,
+        missed=missed,
+        sums=layout.joined(sums),
+        log_change=None,
+    )
+    return Sample(
+        frame=frame,
+        hello=replace(first.hello, rows=rows, columns=columns, estimates=False),
+        scene=scene,
+        time=after.elapsed,
+        host_time=max(sample.host_time for sample in parts.values()),
+        lost=min(sample.lost for sample in fresh) if before.frames else 0,
+        session=sum(last[1].session for last in after.shown if last is not None),
+        events=tuple(dict.fromkeys(events)),
+        missing=len(after.missing),
+        arrived=max(sample.arrived for sample in parts.values()),
+    )
+
+
+def _listen(
+    board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event
+) -> None:
+    """Queue a board's samples and states until the end, then None.
+
+    An error before the first sample ends all boards. After a later error the port is opened again,
+    any number of times: hubs that hang are unplugged and plugged in again.
+    """
+    sessions = 0
+    while not ended.is_set():
+        before = sessions
+        try:
+            samples = board_samples(
+                port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set
+            )
+            with closing(samples) as batches:
+                for sample in chain.from_iterable(batches):
+                    sessions = before + sample.session + 1
+                    arrived.put((board, replace(sample, session=sessions - 1)))
+        except InputError as error:
+            arrived.put((board, str(error) if sessions else error))
+            ended.wait(RETRY_SECONDS)
+    arrived.put((board, None))

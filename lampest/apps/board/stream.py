@@ -1,0 +1,536 @@
+"""Frames from a board in temporal order, despite lost frames, resets and unplugging."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lampest.apps.board.port import SILENCE_SECONDS, Board, NoBoardError
+from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, Message
+from lampest.files.errors import InputError
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts.lines import as_tuple
+from lampest.panel.scene import Scene
+from lampest.recording.acquisition import COUNTER, recorded_of_sums
+
+# Keys on which a board and a scene must agree, by the board's wiring.
+SHARED = {
+    "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
+    "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
+}
+UNFIT_SECONDS = 30.0  # s without a valid frame on a line that is not silent
+RETRY_SECONDS = 0.2  # s between attempts to open a port
+# labels of events
+CLOCK_STOPPED = "clock stopped"
+CLOCK_JUMPED = "clock jump"
+HOST_CLOCK_SET = "host clock set"
+# s, and 0.1 % of the time between two frames, by which the host's clocks differ unless one was set:
+# adjtime disciplines a clock by 0.05 %, and a busy machine reads the two clocks 0.1 s apart
+HOST_CLOCK_STEP = 1.0
+
+
+def scene_of(hello: Hello, scene: Scene | None) -> Scene:
+    """Return the user's scene, completed by the board's HELLO; without one, the board's.
+
+    Raises InputError. An error is raised if the two contradict each other, or if the scene exceeds
+    the limits of the board.
+    """
+    declared = declared_readout(hello)
+    if scene is None:
+        return Scene(Panel(hello.rows, hello.columns), declared)
+    ours = scene.readout
+    if ours is None:
+        return replace(scene, readout=declared)
+    if ours.kind != hello.wiring:
+        wired = f"but the board says that it is wired as {hello.wiring} (firmware pins.h)"
+        raise InputError(f"the scene's readout.kind is {ours.kind}, {wired}")
+    for name in SHARED[hello.wiring]:
+        theirs = getattr(declared, name)
+        for mine in as_tuple(getattr(ours, name)):
+            # A calibrated load differs from the one that is printed on it: 5 % of ordinary
+            # resistors, twice.
+            if mine != theirs and not (name == "load_ohm" and abs(mine - theirs) <= 0.1 * theirs):
+                both = [
+                    f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)
+                ]
+                raise InputError(
+                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} "
+                    "(firmware pins.h)"
+                )
+    size = (*scene.panel.shape, ours.readings)
+    most = (hello.most_rows, hello.most_columns, hello.most_readings)
+    for name, needed, possible in zip(
+        ("panel.rows", "panel.columns", "readout.readings"), size, most, strict=True
+    ):
+        if needed > possible:
+            raise InputError(
+                f"the scene's {name} is {needed}, but the board can do at most {possible}"
+            )
+    return scene
+
+
+def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
+    """Return the readout that a board declares in its HELLO."""
+    reference = hello.reference_milliohm / 1000
+    drive = hello.drive_milliohm / 1000
+    converter: dict[str, Any] = {
+        "supply_volt": hello.supply_millivolt / 1000,
+        "adc_bits": hello.adc_bits,
+        "readings": hello.readings,
+    }
+    if hello.wiring == "loaded_columns":
+        return LoadedColumnsReadout(load_ohm=reference, drive_ohm=drive, **converter)
+    return TwoPointReadout(
+        reference_ohm=reference, measured_across=hello.measured_across, **converter
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Frame with its position in the recording.
+
+    Attributes
+    ----------
+    frame : Frame
+    hello : Hello
+        Settings of the board.
+    scene : Scene
+        Scene of `scene_of`.
+    time : float
+        Time since the first frame in s, by the board's clock; across a restart of the board by the
+        host's steady clock.
+    host_time : float
+        Arrival in s since 1970-01-01 UTC. This clock may be set: it is a label, and no duration
+        depends on it.
+    lost : int
+        Frames missing before this one.
+    session : int
+        Number of restarts, reconnections and new starts of the board's numbers before the frame.
+    events : tuple of str
+        Labels marked at this time, such as CLOCK_JUMPED.
+    missing : int
+        Number of modules that are read but absent from the image.
+    arrived : float
+        Arrival in s on the host's steady clock, which nobody sets.
+    """
+
+    frame: Frame
+    hello: Hello
+    scene: Scene
+    time: float
+    host_time: float
+    lost: int
+    session: int
+    events: tuple[str, ...] = ()
+    missing: int = 0
+    arrived: float = 0.0
+
+    @property
+    def recorded(self) -> Array:
+        """Recorded values, (rows, columns) ohm or volt."""
+        return recorded_of_sums(self.scene, self.frame.sums, self.frame.readings)
+
+
+Samples = Generator[tuple[Sample, ...], None, None]
+
+
+@dataclass(eq=False)
+class Scanning:
+    """Run of a started board: frame numbers and clock increase together, modulo 2³².
+
+    A scan may begin up to a period late. Some lines repeat old messages, which are no frames. If
+    two consecutive frames follow each other but not the newest sample, either the clock has jumped
+    (the numbers continue), or the numbers have restarted (the clock continues). If the clock has
+    jumped for a single frame, whose number lies between those of its neighbours, the frame has the
+    time between theirs that its number says. A clock that stands still costs no frame.
+
+    Attributes
+    ----------
+    hello : Hello
+        Settings of the board.
+    scene : Scene
+        Scene of `scene_of`.
+    session : int
+        Session of the next frame.
+    last : Sample, or None
+        Newest sample of the recording.
+    before, earlier : Sample, or None
+        The two newest samples of this run.
+    estimate : Estimate, or None
+        Newest estimate of the board, which precedes its frame.
+    stray : Frame, or None
+        Newest frame that did not follow another one.
+    stray_host_time, stray_arrived : float
+        Its arrival in s since 1970-01-01 UTC, and on the steady clock.
+    stopped : bool
+        Whether the clock stands still.
+    since : float
+        Start of the board in s on the host's steady clock.
+    """
+
+    hello: Hello
+    scene: Scene
+    session: int
+    last: Sample | None
+    before: Sample | None = None
+    earlier: Sample | None = None
+    estimate: Estimate | None = None
+    stray: Frame | None = None
+    stray_host_time: float = 0.0
+    stray_arrived: float = 0.0
+    stopped: bool = False
+    since: float = field(default_factory=time.monotonic)
+
+    def take(self, frame: Frame) -> tuple[Sample, ...]:
+        """Take a further frame, and return the new samples.
+
+        They are one, two, or none if the frame does not follow.
+        """
+        frame = frame.with_estimate(self.estimate)
+        if self.before is None:
+            # Numbers start with 0: earlier frames are lost, unless the clock shows that there was
+            # no time for them.
+            time_ms = min(frame.device_ms + 2, self._most_ms(self.since))
+            lost = frame.sequence if 990 * frame.sequence * self.hello.period <= time_ms else 0
+            return (self._accept(self._sample(frame, 0.0, lost)),)
+        for newest in (self.last or self.before, self.before):  # these differ after `doubt`
+            if self._follows(frame, newest.frame, newest.arrived):
+                steps, elapsed_ms = _since(newest.frame, frame)
+                self.before = newest
+                at = newest.time + elapsed_ms / 1000
+                between = self._between(newest, frame, at)
+                steps_between = _since(newest.frame, between[0].frame)[0] if between else 0
+                sample = self._sample(frame, at, steps - 1 - steps_between)
+                return (*between, self._accept(sample))
+        # Two consecutive frames that follow each other: the clock has jumped, or the numbers have
+        # restarted.
+        if self.stray is not None and _since(self.stray, frame)[0] == 1:
+            resumed = self._resumed(self.stray, frame)
+            if resumed is not None:
+                return (self._accept(resumed), *self.take(frame))
+        self.stray = frame
+        self.stray_host_time = time.time()
+        self.stray_arrived = time.monotonic()
+        return ()
+
+    def _between(self, newest: Sample, frame: Frame, at: float) -> tuple[Sample, ...]:
+        """Return the stray frame as a sample, if its number is between those of its neighbours.
+
+        The neighbours are a sample and the next frame, which is at the time `at` in s. The clock
+        has jumped for the stray frame alone.
+        """
+        stray = self.stray
+        if stray is None or self.last is not newest or not at > newest.time:
+            return ()
+        steps = _since(newest.frame, stray)[0]
+        all_steps = _since(newest.frame, frame)[0]
+        if not 0 < steps < all_steps:
+            return ()
+        sample = Sample(
+            frame=stray,
+            hello=self.hello,
+            scene=self.scene,
+            time=newest.time + steps / all_steps * (at - newest.time),
+            host_time=self.stray_host_time,
+            lost=steps - 1,
+            session=self.session,
+            events=(CLOCK_JUMPED,),
+            arrived=self.stray_arrived,
+        )
+        self.last = sample
+        return (sample,)
+
+    def last_sample(self) -> tuple[Sample, ...]:
+        """Return the last frame of a run as a sample, if its clock alone does not follow."""
+        if (
+            self.stray is None
+            or self.before is None
+            or _since(self.before.frame, self.stray)[0] != 1
+        ):
+            return ()
+        resumed = self._resumed(self.stray, self.stray)
+        return () if resumed is None else (self._accept(resumed),)
+
+    def doubt(self) -> None:
+        """Forget the newest sample, after a silence.
+
+        If it was a wrong frame, no other frame would follow it.
+        """
+        self.before = self.earlier
+        self.stray = None
+
+    def _accept(self, sample: Sample) -> Sample:
+        """Continue from a sample, and return it, with an event if the clock stopped."""
+        # A late scan explains two frames with equal times, but not three.
+        elapsed_ms = _since(self.earlier.frame, sample.frame)[1] if self.earlier else 1
+        stopped = elapsed_ms == 0 and self.hello.period > 2e-3
+        if stopped and not self.stopped:
+            sample = replace(sample, events=(*sample.events, CLOCK_STOPPED))
+        self.session = sample.session
+        self.last = sample
+        self.stray = None
+        self.stopped = stopped
+        self.earlier = self.before
+        self.before = sample
+        return sample
+
+    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *events: str) -> Sample:
+        """Return a sample at a time in s, moved behind the last one if necessary.
+
+        `anew` is 1 after a restart.
+        """
+        host_time = time.time()
+        arrived = time.monotonic()
+        if self.last is not None:
+            elapsed = arrived - self.last.arrived
+            if at <= self.last.time:
+                at = self.last.time + max(elapsed, self.hello.period)
+            if abs(host_time - self.last.host_time - elapsed) > HOST_CLOCK_STEP + 1e-3 * elapsed:
+                events = (*events, HOST_CLOCK_SET)
+        return Sample(
+            frame=frame,
+            hello=self.hello,
+            scene=self.scene,
+            time=at,
+            host_time=host_time,
+            lost=lost,
+            session=self.session + anew,
+            events=events,
+            arrived=arrived,
+        )
+
+    def _follows(self, frame: Frame, before: Frame, arrived: float) -> bool:
+        """Return whether number and clock of a frame can follow those of an earlier one.
+
+        The earlier one arrived at this time of the host's steady clock.
+        """
+        steps, elapsed_ms = _since(before, frame)
+        most_ms = self._most_ms(arrived)
+        # The board counts its missed scans; either scan may begin up to a period late.
+        most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
+        return (
+            0 < steps < COUNTER // 2
+            and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
+        )
+
+    def _most_ms(self, moment: float) -> float:
+        """Return the largest possible advance of the board's clock in ms.
+
+        It is that since a time of the host's steady clock.
+        """
+        # The factor 1000 covers simulated boards, which run 300 times as fast as a real one.
+        return 1e3 * (1000 * max(time.monotonic() - moment, 0.0) + 10 + 3 * self.hello.period)
+
+    def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
+        """Return the first sample after a jump of the clock or a restart of the numbers.
+
+        None for a repetition. `after` is the next frame, whose clock follows that of `frame` if the
+        numbers have restarted.
+        """
+        assert self.before is not None and self.last is not None
+        steps, elapsed_ms = _since(self.before.frame, frame)
+        if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.arrived):
+            moved = (steps + frame.missed) * self.hello.period
+            return self._sample(frame, self.last.time + moved, steps - 1, 0, CLOCK_JUMPED)
+        if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.monotonic())):
+            return None
+        # Longer gaps are impossible here: after SILENCE_SECONDS the board is identified anew.
+        moved = min(
+            elapsed_ms / 1000,
+            SILENCE_SECONDS + max(time.monotonic() - self.last.arrived, self.hello.period),
+        )
+        return self._sample(
+            frame, self.last.time + moved, max(round(moved / self.hello.period) - 1, 0), anew=1
+        )
+
+
+def _since(before: Frame, frame: Frame) -> tuple[int, int]:
+    """Return the number of frames and the time in ms from one frame to another, modulo 2³²."""
+    return (frame.sequence - before.sequence) % COUNTER, (
+        frame.device_ms - before.device_ms
+    ) % COUNTER
+
+
+def board_samples(
+    url: str,
+    scene: Scene | None = None,
+    period: float | None = None,
+    on_state: Callable[[str], None] = lambda sentence: None,
+    ending: Callable[[], bool] = lambda: False,
+    baseline: int = 0,
+) -> Samples:
+    """Yield samples as they arrive, in batches, which may be empty.
+
+    Closing the generator stops the board.
+
+    Raises InputError if no board answers at first, if the board does not fit the scene or the
+    period, or if the line delivers no valid frame for UNFIT_SECONDS.
+
+    Parameters
+    ----------
+    url : str
+        Port name or pyserial URL.
+    scene : Scene or None
+        Scene that the board must fit.
+    period : float or None
+        Time between frames in s.
+    on_state : callable
+        Called with a sentence when the board disappears.
+    ending : callable
+        Called repeatedly; once it returns True, the messages that the port has received follow as a
+        last batch.
+    baseline : int
+        Number of unloaded frames at the beginning, for a board that estimates as well.
+    """
+    line = _Line(url, scene, period, ending, baseline)
+    while not ending():
+        heard = 0
+        try:
+            with Board.open(url) as board:
+                try:
+                    yield from line.connection(board)
+                    return
+                finally:
+                    heard = board.heard
+        except OSError as error:
+            if line.last is None:
+                raise NoBoardError(
+                    f"{url}: the board went away ({' '.join(str(error).split())})"
+                ) from error
+            reason = "the board is gone; waiting for it"
+        except NoBoardError:
+            if line.last is None:
+                raise
+            reason = "the board does not answer; waiting for it"
+        if not heard:
+            line.renew()
+        line.check()
+        on_state(reason)
+        yield ()
+        time.sleep(RETRY_SECONDS)
+
+
+class _Line:
+    """Connection to a board: settings, newest sample, and later messages.
+
+    These are the messages since then that were no valid frames.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        scene: Scene | None,
+        period: float | None,
+        ending: Callable[[], bool],
+        baseline: int = 0,
+    ) -> None:
+        self._url = url
+        self._scene = scene
+        self._period = period
+        self._ending = ending
+        self._baseline = baseline
+        self.last: Sample | None = None
+        self.renew()
+
+    def renew(self) -> None:
+        """Restart the time of invalid messages: a frame was valid, or no board is present."""
+        self._since = time.monotonic()
+        self._unfit = Counter[str]()
+
+    def check(self, period: float = 0.0) -> None:
+        """Raise InputError if the line delivered only invalid messages for too long.
+
+        Too long is for UNFIT_SECONDS and three periods.
+        """
+        waited = time.monotonic() - self._since
+        if self._unfit and waited > UNFIT_SECONDS + 3 * period:
+            came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
+            raise InputError(
+                f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent "
+                f"({came})"
+            )
+
+    def connection(self, board: Board) -> Samples:
+        """Yield samples until the board disappears or the end is requested.
+
+        Restarted boards are started again.
+        """
+        hello = board.hello()
+        try:
+            while True:
+                agreed = scene_of(hello, self._scene)
+                readings = agreed.readout.readings if agreed.readout else hello.readings
+                requested = None if self._period is None else round(self._period * 1e6)
+                # A board that comes back may be loaded.
+                unloaded = self._baseline if self.last is None else 0
+                settings = board.start(
+                    agreed.panel.rows, agreed.panel.columns, readings, requested, unloaded
+                )
+                for samples in self._run(board, settings, agreed):
+                    if samples:
+                        self.last = samples[-1]
+                        self._scene = agreed
+                    yield samples
+                if self._ending():
+                    return
+                yield ()
+                self.check(settings.period)
+                hello = board.hello()
+        finally:
+            board.stop()
+
+    def _run(self, board: Board, hello: Hello, scene: Scene) -> Samples:
+        """Yield samples of one run until the board restarts or the end is requested."""
+        run = Scanning(hello, scene, 0 if self.last is None else self.last.session + 1, self.last)
+        silent_after = max(SILENCE_SECONDS, 3 * hello.period)
+        heard = time.monotonic()
+        while True:
+            ending = self._ending()
+            samples, over = self._taken(run, board.stop() if ending else board.messages())
+            if over or ending:
+                samples += run.last_sample()
+            if samples:
+                heard = time.monotonic()
+            yield samples
+            if over or ending:
+                return
+            self.check(hello.period)
+            # Silence: identify the board, and end the run if it has restarted.
+            if time.monotonic() - heard > silent_after:
+                came = board.heard
+                try:
+                    identity = board.identify()
+                    self._unfit["answers"] += 1
+                    if not identity.running or identity.size != hello.size:
+                        return
+                    run.doubt()
+                except NoBoardError:
+                    if board.heard == came:  # a noisy line is no reason to reset the board
+                        raise
+                heard = time.monotonic()
+
+    def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[tuple[Sample, ...], bool]:
+        """Return the samples by which messages continue a run, and whether the board restarted."""
+        samples: tuple[Sample, ...] = ()
+        for item in messages:
+            if isinstance(item, Estimate):
+                run.estimate = item
+                continue
+            more = tuple[Sample, ...]()
+            instead = "answers"
+            if isinstance(item, Frame):
+                fits = (*item.sums.shape, item.readings) == run.hello.size
+                more = run.take(item) if fits else ()
+                instead = "frames out of order" if fits else "frames of another size"
+            elif isinstance(item, Garbage):
+                instead = "pieces that are no message"
+            samples += more
+            if more:
+                self.renew()
+            else:
+                self._unfit[instead] += 1
+            if isinstance(item, Hello) and not item.running:
+                return samples, True
+        return samples, False

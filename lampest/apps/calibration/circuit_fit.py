@@ -1,0 +1,351 @@
+"""Weighted least squares for the numbers of the electronics.
+
+    minimise (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e²,    covariance of θ: (JᵀJ)⁻¹ at the minimum
+
+y are measured voltages and V(θ) those of the circuit. θ contains, for each number of the circuit,
+its common value q and the offsets e of its lines in units of their spread. C is the covariance of
+noise, quantisation, and the tolerances of the resistors and of the reference.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from scipy.linalg import solve_triangular
+
+from lampest.apps.calibration.circuit_numbers import (
+    EXPECTED,
+    MEMORY,
+    RESISTOR_TOLERANCE,
+    TYPICAL_OHM,
+    WIRE,
+    WORST_OHM,
+    CircuitNumber,
+    LineOffsets,
+    scene_key,
+    with_numbers,
+)
+from lampest.apps.calibration.trials import Trial, usable_range, within_rails
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.panel.panel import Array
+from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
+from lampest.panel.readouts.readout import with_memory
+from lampest.panel.scene import Scene
+from lampest.recording.simulation.measure import SHORT_OHM
+
+MAX_KEPT_FRACTION = 0.9  # of a converter; with 1, nothing of a new reading would be seen
+CONVERTER_ERROR_LSB = 0.5  # integral nonlinearity of the ATmega2560, by its data sheet
+MAX_EVALUATIONS = 25  # good calibrations take 5, and 10 from numbers ten times too large
+STEP = 1e-5  # of an unknown, or of ln of a resistor, for forward differences
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """A number of the electronics within θ.
+
+    The value of a line is scale·q + spread·e. The prior of e is N(0, 1), so that lines without a
+    measurement have the mean of the others.
+
+    Attributes
+    ----------
+    number : LineNumber
+    index : int
+        Index of q in θ.
+    lines : dict
+        Slice of e in θ for each side.
+    specified : float
+        The scene's value; the mean where it lists one for each line.
+    """
+
+    number: LineNumber
+    index: int
+    lines: dict[Side, slice]
+    specified: float
+
+    @property
+    def scale(self) -> float:
+        """Value that corresponds to q = 1, in the number's unit."""
+        default = TYPICAL_OHM if self.number.channel else None
+        _, typical, _ = EXPECTED.get(self.number.name, ("", default, 0.0))
+        return typical or self.specified
+
+    @property
+    def start(self) -> float:
+        """q of the scene's value; for channels at least the typical one."""
+        least = len(self.number.sides) if self.number.channel else 1.0
+        return max(self.specified / self.scale, least)
+
+    def values(self, unknowns: Array) -> tuple[float, list[Array]]:
+        """Return the common value and the offsets of the lines of each side.
+
+        The value is in the number's unit; the offsets, spread·e, are in ohm. The spread of channels
+        is a third of the difference between worst and typical ones; that of resistors is the
+        standard deviation of RESISTOR_TOLERANCE.
+        """
+        common = self.scale * float(unknowns[self.index])
+        spread = RESISTOR_TOLERANCE / 3**0.5 * common
+        if self.number.channel:
+            spread = (WORST_OHM - TYPICAL_OHM) / 3
+        return common, [spread * unknowns[part] for part in self.lines.values()]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The least-squares problem: residuals of all readings of all trials as functions of θ.
+
+    Attributes
+    ----------
+    scene : Scene
+    trials : tuple of Trial
+    tolerance : float
+        Largest relative error of the resistors, uniformly distributed.
+    """
+
+    scene: Scene
+    trials: tuple[Trial, ...]
+    tolerance: float
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Numbers that resistors determine.
+
+        They are those of the readout, and memory and wires that the scene names.
+        """
+        scene = self.scene
+        unknowns = list[Unknown]()
+        memory = () if scene.known_memory is None else (MEMORY,)
+        numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
+        lengths = dict(zip(("rows", "columns"), scene.panel.shape, strict=True))
+        first = len(numbers)
+        for index, number in enumerate(numbers):
+            lines = dict[Side, slice]()
+            for side in number.sides:
+                lines[side] = slice(first, first + lengths[side])
+                first += lengths[side]
+            if number.in_scene and number.channel:
+                value = scene.series_ohm
+            else:
+                value = attrgetter(number.name)(scene if number.in_scene else scene.circuit)
+            unknowns.append(Unknown(number, index, lines, float(np.mean(value))))
+        return tuple(unknowns)
+
+    @cached_property
+    def start(self) -> Array:
+        """θ of the scene's numbers."""
+        lines = sum(
+            part.stop - part.start for unknown in self.unknowns for part in unknown.lines.values()
+        )
+        return np.array([unknown.start for unknown in self.unknowns] + [0.0] * lines)
+
+    def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
+        """Return the voltages at the converter, (rows, columns) V.
+
+        Parameters
+        ----------
+        unknowns : array
+            θ.
+        cells : array, shape (rows, columns)
+            Resistors in place of the cells, ohm.
+        reference_off : float
+            Relative error of the reference resistor.
+        """
+        channels: list[Array] = [np.zeros(lines) for lines in self.scene.panel.shape]
+        values = dict[str, Any]()
+        for unknown in self.unknowns:
+            common, offsets = unknown.values(unknowns)
+            if unknown.number.in_scene and offsets:
+                channels = [common / len(offsets) + ohm for ohm in offsets]
+            else:
+                # ln(1 + exp R) equals R from a few ohm on, is positive, and has a nonzero
+                # derivative everywhere.
+                numbers = np.logaddexp(0, common + offsets[0]) if offsets else np.array(common)
+                limited = np.clip(numbers, *self._limits(unknown)).tolist()
+                values[scene_key(unknown.number)] = tuple(limited) if offsets else limited
+        # Contacts and faults belong to the panel, which is unplugged.
+        panel = self.scene.panel
+        converter = self.scene.readout
+        memory = self.scene.known_memory
+        scene: Scene = with_numbers(
+            Scene(panel, converter, lines=self.scene.lines, converter_memory=memory), values
+        )
+        readout = scene.circuit
+        volt = readout.off_by(reference_off).volt_from_recorded(
+            readout.simulated(cells, scene, *channels)
+        )
+        return with_memory(readout, scene.known_memory, volt) if scene.known_memory else volt
+
+    def _limits(self, unknown: Unknown) -> tuple[float, float]:
+        """Return the range of a number in its unit, beyond which the circuit has no meaning."""
+        if unknown.number.unit == "1":
+            return 0.0, MAX_KEPT_FRACTION
+        if unknown.number.unit == "volt":
+            return self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
+        return SHORT_OHM if unknown.lines else 0.0, MAX_OHM
+
+    @cached_property
+    def measured(self) -> Array:
+        """Measured voltages clipped to the usable range of the converter, (readings,) V.
+
+        Measured and expected values are clipped alike, so that a reading at a rail is a one-sided
+        constraint.
+        """
+        volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
+        return np.asarray(np.clip(volt, *usable_range(self.scene.circuit)))
+
+    def expected(
+        self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0
+    ) -> Array:
+        """Return the expected voltages clipped to the usable range, (readings,) V.
+
+        Parameters
+        ----------
+        unknowns : array
+            θ.
+        resistor : (float, int), optional
+            Resistor that is multiplied by exp(STEP), see `Trial.resistors`.
+        reference : float
+            Relative error of the reference.
+        """
+        volts = []
+        for trial in self.trials:
+            cells = trial.cells.copy()
+            if resistor in trial.resistors:
+                cells[trial.resistors[resistor]] *= np.exp(STEP)
+            volts.append(self.volt(unknowns, cells, reference)[trial.used])
+        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.scene.circuit)))
+
+    def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
+        """Return the covariance C of the readings, (readings, readings) V².
+
+        It includes noise, quantisation, the tolerances of resistors and of the reference, and
+        `own_lsb`, the converter's own error in LSB.
+        """
+        at = self.expected(unknowns)
+        names = dict.fromkeys(name for trial in self.trials for name in trial.resistors)
+        moved = [
+            *(self.expected(unknowns, name) for name in names),
+            self.expected(unknowns, reference=STEP),
+        ]
+        # ∂V/∂ln R by forward differences, times tolerance/√3, the standard deviation of a uniform
+        # error
+        tolerances = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
+        sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
+        noise = own_lsb * self.scene.circuit.lsb_volt
+        return np.asarray(np.diag(sigma**2 + noise**2) + tolerances @ tolerances.T)
+
+    def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
+        """Return (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ.
+
+        The Cholesky factor `root` of C is given.
+        """
+
+        def residual(at: Array) -> Array:
+            weighted = solve_triangular(root, self.measured - self.expected(at), lower=True)
+            return np.concatenate([weighted, at[len(self.unknowns) :]])
+
+        return SumOfSquares(residual(unknowns), forward_differences(residual, unknowns))
+
+
+def forward_differences(function: Callable[[Array], Array], at: Array) -> Array:
+    """Return the Jacobian (values, unknowns) by forward differences."""
+    slopes = scipy.optimize.approx_fprime(at, function, STEP * np.maximum(1.0, np.abs(at)))
+    return np.asarray(slopes).reshape(-1, len(at))
+
+
+class CircuitFit(NamedTuple):
+    """The unknowns at the minimum and their covariance.
+
+    Attributes
+    ----------
+    problem : Problem
+    unknowns, covariance : array
+        θ and (JᵀJ)⁻¹.
+    chi_square, freedom : float, int
+        χ² of the residual, with the converter's own error in C, and its degrees of freedom.
+    residual, sigma : array, shape (readings,)
+        y − V(θ) and its standard deviation, V.
+    readings : int
+        Number of readings that are values.
+    """
+
+    problem: Problem
+    unknowns: Array
+    covariance: Array
+    chi_square: float
+    freedom: int
+    residual: Array
+    sigma: Array
+    readings: int
+
+
+def fit_circuit(problem: Problem) -> CircuitFit:
+    """Return the least-squares fit.
+
+    C is evaluated at the start, then once more near the minimum.
+    """
+    unknowns = problem.start
+    commons = len(problem.unknowns)
+    lower = np.where(np.arange(len(unknowns)) < commons, 0.0, -np.inf)
+    # Change of ½ χ²: the second one leaves an error of a hundredth of σ.
+    for settled in (1.0, 1e-4):
+        root = np.linalg.cholesky(problem.covariance(unknowns))
+        method = LevenbergMarquardt(MAX_EVALUATIONS, settled)
+        unknowns, squares = method.minimum(
+            partial(problem.squares, root), unknowns, (lower, np.inf)
+        )
+    residual = problem.measured - problem.expected(unknowns)
+    covariance = problem.covariance(unknowns, CONVERTER_ERROR_LSB)
+    weighted = solve_triangular(np.linalg.cholesky(covariance), residual, lower=True)
+    # A reading counts as a value unless both the measurement and its expectation lie at a rail.
+    inside = [
+        within_rails(problem.scene.circuit, volt)
+        for volt in (problem.measured, problem.expected(unknowns))
+    ]
+    values = int(np.sum(inside[0] | inside[1]))
+    chi_square = float(weighted @ weighted + unknowns[commons:] @ unknowns[commons:])
+    # (JᵀJ)⁻¹ = V S⁻² Vᵀ of J = U S Vᵀ, with a very large variance in the null space of J.
+    _, singular, right = np.linalg.svd(squares.jacobian, full_matrices=False)
+    inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
+    sigma = np.sqrt(np.diag(covariance))
+    return CircuitFit(
+        problem,
+        unknowns,
+        inverse.T @ inverse,
+        chi_square,
+        values - commons,
+        residual,
+        sigma,
+        values,
+    )
+
+
+def estimated_number(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
+    """Return a number with its uncertainty by linear propagation from θ."""
+    trials = fit.problem.trials
+    measured = {
+        side: np.any([trial.connected(side) for trial in trials], axis=0) for side in unknown.lines
+    }
+
+    def values(unknowns: Array) -> Array:
+        """Return the mean over measured lines, then the lines' offsets from it."""
+        common, offsets = unknown.values(unknowns)
+        means = [
+            offset[lines].mean() for offset, lines in zip(offsets, measured.values(), strict=True)
+        ]
+        return np.concatenate([[common + sum(means)], *map(np.subtract, offsets, means)])
+
+    at = values(fit.unknowns)
+    slopes = forward_differences(values, fit.unknowns)
+    # σ² = diag(S P Sᵀ), with S the derivatives of the values and P the covariance of θ
+    sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", slopes, fit.covariance, slopes), 0.0))
+    ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
+    parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
+    offsets = tuple(
+        LineOffsets(side, np.where(lines, offset, np.nan), np.where(lines, sd, np.nan))
+        for (side, lines), offset, sd in parts
+    )
+    return CircuitNumber(unknown.number, float(at[0]), float(sigma[0]), offsets)

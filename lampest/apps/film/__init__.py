@@ -1,0 +1,1 @@
+"""Films that remember, the zero of their pressures, and pressures with intervals."""

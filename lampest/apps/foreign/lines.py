@@ -1,0 +1,347 @@
+"""Lines and fields of texts and sheets.
+
+Encoding, separators, comments, a terminal's time before a line. Nothing here knows readings;
+`lampest.apps.foreign.table` finds the lines and columns that hold some.
+"""
+
+import csv
+import datetime
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.apps.foreign.arrays import Index, check_archive, reading
+from lampest.apps.foreign.words import has_decimal_comma, number_of
+from lampest.files.errors import InputError, extra
+
+DAMAGED = "\ufffd"  # in place of a byte that no text holds
+# Share of such bytes; a serial line loses one now and then, and binary files have many more.
+MAX_DAMAGED = 0.01
+# Letters of Western Europe in words, and µ and ° before a unit, in the single bytes that Excel
+# writes on Windows.
+WINDOWS_WORDS = re.compile(
+    rb"(?<=[A-Za-z])[\xc0-\xff]+|(?<![\xc0-\xff])[\xc0-\xff]+(?=[A-Za-z])|(?<!\d)[\xb0\xb5](?=[A-Za-z])"
+)
+# First bytes of files that are no text.
+PICKLE = "a pickle, which runs code when it is opened; save the array as .npy, .json or .csv"
+MARKS = {bytes([0x80, protocol]): PICKLE for protocol in range(2, 6)} | {
+    b"\x93NUMPY": "NumPy's format; name it .npy",
+    b"PK\x03\x04": "a zip archive; name a workbook .xlsx, NumPy's arrays .npz, and unpack others "
+    "first",
+    b"\x89HDF": "HDF5; save the array as .npy. lampest's own recordings need no import",
+    b"\xd0\xcf\x11\xe0": "an old Excel file; save it as .xlsx",
+    b"\x1f\x8b": "compressed; unpack it first",
+    b"PAR1": "Parquet; name it .parquet",
+}
+READ = (
+    "Other kinds: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet; `layout` names a layout of "
+    "your own"
+)
+MAX_FIELDS = 10_000_000  # 50 bytes each in memory
+SAMPLED = 50_000  # characters or fields at the beginning of a file that determine its notation
+SAMPLED_LINES = 1000
+DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
+# Not Excel's words for no number.
+COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)
+# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789]
+# ' of others
+DATE = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?"
+TIME = r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
+# 'ROW0=512,511', 'R0: 512 511'
+LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")
+LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
+
+
+class FieldLine(NamedTuple):
+    """Nonempty line of a file.
+
+    Attributes
+    ----------
+    number : int
+        Number of the line in the file.
+    texts : sequence of str
+        Fields.
+    stamp : str
+        A terminal's time before the line, or ''.
+    """
+
+    number: int
+    texts: Sequence[str]
+    stamp: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldLines:
+    """Nonempty lines of a text or of a sheet, comments included.
+
+    Attributes
+    ----------
+    source : str
+        Name of the file or sheet.
+    word : str
+        'line' or 'row'.
+    at : callable
+        Function (line number, field or None) → place in the file.
+    notes : tuple of str
+        Sentences on the interpretation of the file.
+    lines : sequence of FieldLine
+    fields : array of str, shape (lines, width)
+        Fields; '' beyond the end of a line.
+    counts : array of int, shape (lines,)
+        Number of fields.
+    comment, blank : boolean array, shape (lines,)
+        Whether a line is a comment, and whether an empty line precedes it.
+    """
+
+    source: str
+    word: str
+    at: Callable[[int, int | None], str]
+    notes: tuple[str, ...]
+    lines: Sequence[FieldLine]
+    fields: NDArray[Any]
+    counts: Index
+    comment: NDArray[np.bool_]
+    blank: NDArray[np.bool_]
+
+    def called(self, line: int) -> str:
+        """Return the name of a line: 'line 3'."""
+        return f"{self.word} {self.lines[line].number}"
+
+
+def field_lines(
+    source: str,
+    word: str,
+    at: Callable[[int, int | None], str],
+    notes: Iterable[str],
+    lines: Iterable[FieldLine],
+) -> FieldLines:
+    """Return lines as a table. Raises InputError if it is too large."""
+    read = list[FieldLine]()
+    total = 0
+    width = 0
+    for line in lines:
+        read.append(line)
+        total = total + len(line.texts)
+        width = max(width, len(line.texts))
+        if max(total, len(read) * width // 2) > MAX_FIELDS:
+            raise InputError(
+                f"{at(line.number, None)}: more than {MAX_FIELDS} fields are not imported"
+            )
+    fields = np.full((len(read), width), "", dtype=object)
+    for number, line in enumerate(read):
+        fields[number, : len(line.texts)] = line.texts
+    counts = np.array([len(line.texts) for line in read], dtype=np.intp)
+    comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
+    blank = np.diff(np.array([0, *(line.number for line in read)])) > 1
+    return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
+
+
+def lines_of_text(path: Path) -> FieldLines:
+    """Return the lines of a text file; the separator of fields is the sign that gives most numbers.
+
+    Raises InputError with the line if the file is no text or too large, or if a quotation mark is
+    not closed.
+    """
+    text, notes = _decoded(path)
+    read: list[FieldLine] = []
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+        if len(line) > 1_000_000:
+            raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
+        stamped = STAMPED.match(line)
+        content = _plain_content(line[stamped.end() :] if stamped else line.strip(" "))
+        if content.strip().strip(" \t;,"):
+            read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
+    contents = [line.texts[0] for line in read if not COMMENT.match(line.texts[0])]
+    records = sum(content.lstrip().startswith('{"') for content in contents)
+    if 2 * records > len(contents):
+        stamps = ", without the terminal's times" if any(line.stamp for line in read) else ""
+        raise InputError(f"{path}:{read[0].number}: lines of JSON; save them as .jsonl{stamps}")
+    delimiter = _delimiter(contents)
+    aligned = delimiter == "\t" and _is_aligned(contents)
+    if aligned:
+        read = [
+            line._replace(texts=[re.sub(r"\t+", "\t", line.texts[0]).strip("\t")]) for line in read
+        ]
+    if any(delimiter in content.strip() for content in contents):
+        notes.insert(
+            0, f"fields separated by {'one or more tabs' if aligned else DELIMITERS[delimiter]}"
+        )
+    notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
+
+    def at(number: int, field: int | None) -> str:
+        return f"{path}:{number}" + ("" if field is None else f":{field + 1}")
+
+    split = (
+        line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter))
+        for line in read
+    )
+    lines = field_lines(str(path), "line", at, notes, split)
+    if (
+        len(read) > 1
+        and not text.endswith(("\r", "\n"))
+        and lines.counts[-1] < np.median(lines.counts)
+    ):
+        lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
+        note = f"the last number of line {read[-1].number} is cut off and missing"
+        return replace(lines, notes=(*lines.notes, note))
+    return lines
+
+
+def _plain_content(content: str) -> str:
+    """Return a line without the brackets of a list, and with its label as a field."""
+    if LISTED.match(content):
+        content = re.sub(r"[\[\]{}()]", " ", content)
+    labelled = LABELLED.match(content)
+    if labelled is None:
+        return content
+    values = content[labelled.end() :]
+    sign = next((sign for sign in DELIMITERS if sign in values), " ")
+    return f"{labelled[1]}{sign}{values}"
+
+
+def _decoded(path: Path) -> tuple[str, list[str]]:
+    """Return the text of a file in UTF-8 or UTF-16, and notes on the encoding.
+
+    UTF-16 is recognised by its mark or its zero bytes.
+    """
+    data = path.read_bytes()
+    for mark, kind in MARKS.items():
+        if data.startswith(mark):
+            raise InputError(f"{path}: no text table, but {kind}")
+    count = max(data.count(b"\n"), data.count(b"\r"))
+    if count > MAX_FIELDS:
+        raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
+    encoding = _utf16_of(data)
+    data = data[: len(data) // 2 * 2] if encoding else data
+    text = (
+        data.decode(encoding or "utf-8", errors="replace")
+        .removeprefix("\ufeff")
+        .replace("\0", DAMAGED)
+    )
+    damaged = text.count(DAMAGED)
+    if damaged and not encoding and not data.isascii() and WINDOWS_WORDS.sub(b"", data).isascii():
+        return data.decode("cp1252", errors="replace"), ["Windows-1252"]
+    if damaged > max(1, MAX_DAMAGED * len(text)):
+        line = text.count("\n", 0, text.index(DAMAGED)) + 1
+        wrong = f"{damaged} of {len(text)} bytes are no text"
+        raise InputError(
+            f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}"
+        )
+    return text, ["UTF-16"] if encoding else []
+
+
+def _utf16_of(data: bytes) -> str:
+    """Return the byte order of UTF-16 by its mark or its zero bytes; '' for another encoding."""
+    if data[:2] == b"\xff\xfe":
+        return "utf-16-le"
+    if data[:2] == b"\xfe\xff":
+        return "utf-16-be"
+    if data[1:2] == b"\0":
+        return "utf-16-le"
+    return "utf-16-be" if data[:1] == b"\0" else ""
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """Return the sign that gives most numeric fields in the first lines.
+
+    Of equal signs the earlier in the list.
+    """
+    sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
+
+    def numbers(sign: str) -> tuple[int, bool]:
+        fields = [
+            field.strip(' "')
+            for line in sample
+            for field in line.split(None if sign == " " else sign)
+        ]
+        comma = has_decimal_comma(fields)
+        read = sum(field != "" and number_of(field, comma=comma) is not None for field in fields)
+        return read, any(sign in line for line in sample)
+
+    return max(DELIMITERS, key=numbers)
+
+
+def _is_aligned(lines: Sequence[str]) -> bool:
+    """Return whether lines agree in their number of fields only if consecutive tabs are one."""
+    single = Counter(line.count("\t") for line in lines[:SAMPLED_LINES])
+    joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in lines[:SAMPLED_LINES])
+    return max(joined.values(), default=0) > max(single.values(), default=0)
+
+
+def _split(place: str, line: str, delimiter: str) -> list[str]:
+    """Return the fields of a line.
+
+    Raises InputError with the place for a misplaced quotation mark.
+    """
+    if delimiter == " ":
+        return line.split()
+    if '"' not in line:
+        return [text.strip() for text in line.split(delimiter)]
+    try:
+        (fields,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
+    except csv.Error as error:
+        raise InputError(
+            f"{place}: a quotation mark that is not closed, or within a field"
+        ) from error
+    return [text.strip() for text in fields]
+
+
+def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:
+    """Return the lines of every nonempty sheet, or of the named one, by name in the file's order.
+
+    Sheets are read row by row, because a few bytes may claim 10¹⁰ cells. Raises
+    InputError if the file is no readable .xlsx, has no such sheet, or has a sheet that is too
+    large.
+    """
+    check_archive(path)
+    with extra("tables"):
+        import openpyxl  # takes 0.2 s
+    with (
+        reading(path),
+        path.open("rb") as stream,  # openpyxl leaves a file open that it cannot read
+        closing(openpyxl.load_workbook(stream, read_only=True, data_only=True)) as book,
+    ):
+        sheets = {str(sheet.title): sheet for sheet in book.worksheets}
+        if name is not None and name not in sheets:
+            raise InputError(f"{path}: no sheet '{name}'; there are {', '.join(sheets) or 'none'}")
+        tables: dict[str, FieldLines] = {}
+        for title in sheets if name is None else [name]:
+
+            def at(number: int, field: int | None, title: str = title) -> str:
+                letters = "" if field is None else openpyxl.utils.get_column_letter(field + 1)
+                return f"{path}: {title}!{letters}{number}"
+
+            rows = _rows_of_sheet(sheets[title])
+            tables[title] = field_lines(
+                f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows
+            )
+    return {title: lines for title, lines in tables.items() if lines.lines}
+
+
+def _rows_of_sheet(sheet: Any) -> Iterator[FieldLine]:
+    """Yield the nonempty rows without empty cells at their ends."""
+    sheet.reset_dimensions()  # a file's own statement of its size may be wrong
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        texts = [_text_of_cell(value) for value in row]
+        while texts and not texts[-1]:
+            texts.pop()
+        if texts:
+            yield FieldLine(number, texts)
+
+
+def _text_of_cell(value: Any) -> str:
+    """Return a cell as the text of a text file, with all digits of a number."""
+    if isinstance(value, datetime.datetime) and value.time() == datetime.time():
+        value = value.date()  # the time of day may be in the next cell
+    if value is None:
+        return ""
+    text = str(value).strip()
+    return text.removesuffix(".0") if isinstance(value, float) else text

@@ -1,0 +1,202 @@
+"""Records of foreign files: JSON, JSON lines, Parquet and Feather, as arrays or as a table."""
+
+import json
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lampest.apps.foreign.arrays import Arrays, check_count, reading
+from lampest.apps.foreign.lines import FieldLine, FieldLines, field_lines
+from lampest.apps.foreign.words import role_of
+from lampest.files.errors import InputError, extra
+
+MAX_TEXT = 100_000_000  # bytes of JSON: its values take ten times as much memory
+INDEX = "__index_level_0__"  # pandas' name of a row's number in Parquet
+
+Content = tuple[Any, tuple[str, ...]]  # a file's content, and notes on it
+
+
+def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
+    """Return the arrays of a file of records by name, and notes.
+
+    Records of single values are the lines of a table.
+
+    Raises InputError if the file is damaged or too large, or if its lists have different lengths.
+    """
+    content, notes = READERS[path.suffix.lower()](path)
+    held = _largest_records(content)
+    if held is None:
+        return _arrays(path, content if isinstance(content, dict) else {"": content}), notes
+    if all(_is_value(value) for record in held for value in record.values()):
+        return _table(path, held), notes
+    names = dict.fromkeys(name for record in held for name in record)
+    return _arrays(path, {name: [record.get(name) for record in held] for name in names}), notes
+
+
+def _largest_records(content: Any) -> list[dict[str, Any]] | None:
+    """Return the longest list of records in a file: the file itself, or one of its parts."""
+    lists = [content, *(content.values() if isinstance(content, dict) else ())]
+    records = [
+        part
+        for part in lists
+        if isinstance(part, list) and part and all(isinstance(r, dict) for r in part)
+    ]
+    return max(records, key=len, default=None)
+
+
+def _is_value(value: Any) -> bool:
+    return value is None or isinstance(value, str | int | float | datetime)
+
+
+def _arrays(path: Path, values: dict[str, Any]) -> Arrays:
+    """Return lists of numbers as arrays, and lists of dates as seconds since 1970.
+
+    Other parts are left out.
+    """
+    arrays = Arrays()
+    for name, value in values.items():
+        where = f"{path}: {name}" if name else str(path)
+        if isinstance(value, list) and any(
+            isinstance(part, list) or hasattr(part, "shape") for part in value
+        ):
+            arrays[name] = _numbers(value, where)
+        elif isinstance(value, list) and all(
+            isinstance(part, int | float | None) for part in value
+        ):
+            arrays[name] = np.array(value, dtype=float)
+        elif (
+            role_of(name) == "time"
+            and isinstance(value, list)
+            and all(_is_value(part) for part in value)
+        ):
+            with reading(path):
+                arrays[name] = np.array([_seconds(part) for part in value])
+    return arrays
+
+
+def _numbers(value: list[Any], where: str) -> Any:
+    """Return nested lists as an array; null is a missing reading.
+
+    Raises InputError with the place of a fault.
+    """
+    lengths = [len(part) if hasattr(part, "__len__") else 0 for part in value]
+    if len(set(lengths)) > 1:
+        usual = max(lengths, key=lengths.count)
+        odd = next(number for number, length in enumerate(lengths) if length != usual)
+        raise InputError(f"{where}[{odd}]: {lengths[odd]} values, where others have {usual}")
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{where}: its lists differ in length, or hold what is no number"
+        ) from error
+    check_count(where, array.size)
+    return array
+
+
+def _seconds(value: Any) -> float:
+    """Return a date as seconds since 1970, in UTC without a zone."""
+    if value is None:
+        return nan
+    date = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+
+
+def _table(path: Path, records: Sequence[dict[str, Any]]) -> FieldLines:
+    """Return records of single values as lines, of which line 0 holds the names."""
+    names = list(dict.fromkeys(name for record in records for name in record))
+
+    def at(number: int, field: int | None) -> str:
+        return f"{path}: record {number}" + ("" if field is None else f", {names[field]!r}")
+
+    lines = [FieldLine(0, ["" if name == INDEX else name for name in names])]
+    lines += [
+        FieldLine(n, [text_of_value(record.get(name)) for name in names])
+        for n, record in enumerate(records, 1)
+    ]
+    return field_lines(str(path), "record", at, [f"{len(records)} records"], lines)
+
+
+def text_of_value(value: Any) -> str:
+    """Return a value as the text of a text file, with all digits of a number."""
+    if value is None:
+        return ""
+    if isinstance(value, datetime):
+        return value.isoformat()
+    return (
+        repr(float(value)).removesuffix(".0")
+        if isinstance(value, int | float | np.number)
+        else str(value)
+    )
+
+
+def _of_json(path: Path) -> Content:
+    text = _text_of(path)
+    try:
+        return json.loads(text), ()
+    except ValueError as error:
+        if "Extra data" in str(error) and "\n" in text.strip():
+            return _of_json_lines(path)  # one value a line under the name of one value
+        with reading(path):
+            raise
+    except RecursionError:
+        with reading(path):
+            raise
+
+
+def _of_json_lines(path: Path) -> Content:
+    """Return one value for each line; a last line that is cut is left out, and named in a note."""
+    lines = [
+        (number, line) for number, line in enumerate(_text_of(path).splitlines(), 1) if line.strip()
+    ]
+    values = []
+    notes: tuple[str, ...] = ()
+    for number, line in lines:
+        try:
+            values.append(json.loads(line))
+        except (ValueError, RecursionError) as error:
+            if number != lines[-1][0] or not values:
+                raise InputError(
+                    f"{path}:{number}: no JSON ({' '.join(str(error).split())})"
+                ) from error
+            notes = (f"left out: line {number}, the last one, which is cut off",)
+    return values, notes
+
+
+def _text_of(path: Path) -> str:
+    size = path.stat().st_size
+    if size > MAX_TEXT:
+        raise InputError(
+            f"{path}: {size} bytes, more than {MAX_TEXT} of JSON are not imported; save it as .npy"
+        )
+    with reading(path):
+        return path.read_text(encoding="utf-8-sig")
+
+
+def _of_parquet(path: Path) -> Content:
+    with extra("export"):
+        from pyarrow import parquet
+    with reading(path):
+        known = parquet.read_metadata(path)
+        check_count(path, known.num_rows * known.num_columns)
+        return parquet.read_table(path).to_pylist(), ()
+
+
+def _of_feather(path: Path) -> Content:
+    with extra("export"):
+        from pyarrow import feather
+    with reading(path):
+        return feather.read_table(path).to_pylist(), ()
+
+
+READERS: dict[str, Callable[[Path], Content]] = {
+    ".json": _of_json,
+    ".jsonl": _of_json_lines,
+    ".ndjson": _of_json_lines,
+    ".parquet": _of_parquet,
+    ".feather": _of_feather,
+}

@@ -1,0 +1,532 @@
+"""Tables of foreign files: the lines and columns with readings, their header and their times."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.apps.foreign.arrays import Frames, Index, Shape, Timing, check_count
+from lampest.apps.foreign.lines import DAMAGED, SAMPLED, FieldLines
+from lampest.apps.foreign.words import (
+    clock_of,
+    has_decimal_comma,
+    is_stamp,
+    line_of,
+    names_pressure,
+    names_unit,
+    number_of,
+    parted,
+    pressures_in,
+    role_of,
+    states_unit,
+)
+from lampest.files.errors import InputError, first_and_more
+from lampest.panel.panel import Array
+
+# 'Frame 3, t = 1250 ms', 'Frame 3 @ 1250 ms', 'Measurement Time(sec),0.120', 'time: 2025-01-31
+# 12:00:01', 'millis=123'
+TITLE_TIME = re.compile(
+    r"(?:\b(?P<word>t|time|timestamp|elapsed|millis|micros|ms|us|zeit)\s*"
+    r"(?:[\[(]\s*(?P<inner>[^\W\d_]+)\s*[\])]\s*[:=]?|[:=])\s*|@\s*(?=[\d.,]+\s*[mµu]?s\b))(?P<value>\d[\d.,]*)\s*(?P<unit>[mµu]?s(?:ec)?\b)?(?![\d:/-])"
+    r"|(?P<stamp>\d{4}-\d{2}-\d{2}[T ]\d{1,2}:\d{2}(?::\d{2}(?:\.\d+)?)?(?:Z|[+-]\d{2}:?\d{2})?"
+    r"|\b\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)",
+    re.IGNORECASE,
+)
+NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingsTable:
+    """Lines and columns of a file with readings.
+
+    Attributes
+    ----------
+    source : FieldLines
+        All lines of the file.
+    lines : array of int
+        Numbers of the lines in `source`.
+    columns : array of int
+        Numbers of their fields.
+    fields : array of str, shape (lines, columns)
+        Texts.
+    values : array, shape (lines, columns)
+        Numbers of the texts; NaN for other texts.
+    words : boolean array, shape (lines, columns)
+        Whether a text is neither a number nor a missing reading.
+    comma : bool
+        Whether numbers have a decimal comma.
+    names : tuple of str
+        Names of the columns; '' without a header.
+    notes : tuple of str
+        Sentences on the interpretation of the file.
+    """
+
+    source: FieldLines
+    lines: Index
+    columns: Index
+    fields: NDArray[Any]
+    values: Array
+    words: NDArray[np.bool_]
+    comma: bool
+    names: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of fields of a line."""
+        return len(self.columns)
+
+    @cached_property
+    def before(self) -> list[dict[str, str]]:
+        """Texts between each line and the previous one, with their places such as 'line 3'.
+
+        '' for a blank line.
+        """
+        between = []
+        for last, line in pairwise([-1, *self.lines.tolist()]):
+            blank = {"": ""} if self.source.blank[last + 1 : line + 1].any() else {}
+            texts = {
+                " ".join(self.source.fields[at]).strip(): self.source.called(at)
+                for at in range(last + 1, line)
+            }
+            between.append(blank | texts)
+        return between
+
+    @cached_property
+    def kinds(self) -> list[set[str]]:
+        """Kinds of the texts between each line and the previous one.
+
+        Titles that differ in numbers only are equal.
+        """
+        return [set(map(kind_of, passed)) for passed in self.before]
+
+    def place(self, line: int, field: int | None) -> str:
+        """Return the place of a field in the file."""
+        number = self.source.lines[self.lines[line]].number
+        return self.source.at(number, None if field is None else int(self.columns[field]))
+
+    def only(self, lines: Any = slice(None), columns: Any = slice(None)) -> "ReadingsTable":
+        """Return the table with chosen lines and columns.
+
+        Other lines count as titles of the next line.
+        """
+        parts = {
+            name: getattr(self, name)[lines][:, columns] for name in ("fields", "values", "words")
+        }
+        names = tuple(np.array(self.names, dtype=object)[columns])
+        return replace(
+            self, lines=self.lines[lines], columns=self.columns[columns], names=names, **parts
+        )
+
+    def frames(
+        self, at: Sequence[Any], fields: Sequence[int], shape: Shape, timing: Timing, note: str
+    ) -> Frames:
+        """Return the frames of the readings in given fields.
+
+        Raises InputError if a reading is a word.
+
+        Parameters
+        ----------
+        at : sequence of array
+            Frame (-1: none), row and column of each reading, to be broadcast to (lines, fields).
+        fields : sequence of int
+            Fields of the readings.
+        shape : tuple of int
+            Rows and columns of the panel.
+        timing : callable or None
+            See `Frames`.
+        note : str
+            Note on the layout.
+        """
+        for field in fields:
+            self.refuse(
+                self.words[:, field], field, f"{{0!r}} is no number (field {field + 1} of the line)"
+            )
+        index = np.arange(len(self.lines))[:, None] * self.width + np.array(fields)
+        frame, row, column = (np.broadcast_to(part, index.shape) for part in at)
+        check_count(self.source.source, (int(frame.max()) + 1) * shape[0] * shape[1])
+        number = np.full((int(frame.max()) + 1, *shape), -1)
+        chosen = frame >= 0
+        number[frame[chosen], row[chosen], column[chosen]] = index[chosen]
+        names = tuple(self.names[field] for field in fields)
+        titles = [text for text in self.before[0] if text.split() != " ".join(self.names).split()]
+        # Where the readings' own names are silent, titles and the quantities beside the cells
+        # speak.
+        beside = (
+            name
+            for field, name in enumerate(self.names)
+            if field not in fields and names_pressure(name)
+        )
+        words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
+        words = words or tuple(f"values [{unit}]" for unit in self.stated_pressures)
+
+        def named(at: int) -> str:
+            return self.source.source if at < 0 else self.place(*divmod(at, self.width))
+
+        return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), words)
+
+    @property
+    def stated_pressures(self) -> list[str]:
+        """First unit of pressure that lines without readings state; empty without any."""
+        outside = np.setdiff1d(np.arange(len(self.source.lines)), self.lines)
+        texts = dict.fromkeys(" ".join(self.source.lines[line].texts) for line in outside.tolist())
+        return list(filter(None, map(pressures_in, texts)))[:1]
+
+    def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
+        """Raise InputError with the place of the first bad line.
+
+        `why` is a template for the field's text.
+        """
+        for line in np.flatnonzero(bad).tolist():
+            raise InputError(
+                f"{self.place(line, field)}: "
+                f"{why.format(self.fields[line, field][:40] or 'nothing')}"
+            )
+
+    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
+        """Return the times of frames from columns, otherwise from stamps.
+
+        The columns may be two, date and time of day.
+        """
+        if not columns:
+            stamps = [self.source.lines[self.lines[line]].stamp for line in lines]
+            if not all(stamps):
+                return None
+            return self._timing(stamps, "", lines, None, "the terminal's, ")
+        dates = [column for column in columns if role_of(self.names[column]) == "date"]
+        chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
+        texts = [" ".join(self.fields[line, chosen]) for line in lines]
+        name = self.names[chosen[-1]]
+        origin = f"column {name!r} in " if name else "first field in "
+        return self._timing(texts, name, lines, chosen[-1], origin)
+
+    def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
+        """Return the times of frames from titles of a kind before each block.
+
+        None if a block has none.
+        """
+        before = [self.before[line] for line in begins]
+        time_texts = [
+            " ".join(text for text in passed if title in (None, kind_of(text))) for passed in before
+        ]
+        matches = [
+            TITLE_TIME.search(text or " ".join(passed))
+            for text, passed in zip(time_texts, before, strict=True)
+        ]
+        texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
+        if len(texts) < len(begins) or not matches[0]:
+            return None
+        name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
+        # Titles may have a decimal comma where readings are whole numbers; '0,120' is no 120.
+        comma = any(text.startswith("0,") or number_of(text, comma=False) is None for text in texts)
+        comma = comma and not any(map(is_stamp, texts))
+        return self._timing(texts, name, begins, None, "before each block in ", comma=comma)
+
+    def _timing(
+        self,
+        texts: Sequence[str],
+        name: str,
+        lines: Sequence[int],
+        field: int | None,
+        origin: str,
+        *,
+        comma: bool = False,
+    ) -> Timing:
+        return lambda unit: clock_of(
+            texts,
+            name,
+            lambda at: self.place(lines[at], field),
+            comma=self.comma or comma,
+            unit=unit,
+        ).read_from(origin)
+
+
+def kind_of(text: str) -> str:
+    """Return a line with '#' in place of its numbers.
+
+    It is the same for the titles of all frames.
+    """
+    return NUMBER.sub("#", text)
+
+
+class Parsed(NamedTuple):
+    """Fields of all lines, (lines, fields) each.
+
+    Attributes
+    ----------
+    texts : array of str
+    values : array
+        Numbers of the texts; NaN for other texts.
+    words : boolean array
+        Whether a text is neither a number nor a missing reading.
+    damaged : boolean array
+        Whether a text has bytes that no text holds.
+    """
+
+    texts: NDArray[Any]
+    values: Array
+    words: NDArray[np.bool_]
+    damaged: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, fields: NDArray[Any], *, comma: bool) -> "Parsed":
+        """Return the numbers of fields, with a decimal comma or a point."""
+        damaged = np.array([DAMAGED in text for text in fields.flat], dtype=bool).reshape(
+            fields.shape
+        )
+        numbers = [
+            np.nan if DAMAGED in text else number_of(text, comma=comma) for text in fields.flat
+        ]
+        values = np.array(numbers, dtype=float).reshape(fields.shape)
+        words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
+        return cls(fields, values, words, damaged)
+
+    def with_separator(self, lines: NDArray[np.bool_]) -> "Parsed":
+        """Return the fields with the damaged one of some lines, (lines,), as two.
+
+        Its damaged byte was a separator.
+        """
+        if not np.any(lines):
+            return self
+        changed = Parsed(
+            self.texts.copy(), self.values.copy(), self.words.copy(), self.damaged.copy()
+        )
+        for line in np.flatnonzero(lines).tolist():
+            field = int(np.argmax(self.damaged[line]))
+            for part in changed:
+                part[line, field + 1 :] = part[line, field:-1].copy()
+        return changed
+
+
+def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
+    """Return the lines with readings, their header, and notes on omitted lines.
+
+    `layout` contains names of the columns, separated by commas, in place of the file's. Raises
+    InputError if there are no readings, if a line has more fields than the others, or if the layout
+    has another number of columns.
+    """
+    if source.fields.size == 0 or np.all(source.comment):
+        raise InputError(f"{source.source}: holds no values")
+    comma = has_decimal_comma(
+        [text for text in source.fields[~source.comment].ravel()[:SAMPLED] if text]
+    )
+    parsed = Parsed.of(source.fields, comma=comma)
+    data = _data_lines(source, parsed.words)
+    usual = _usual_count(source.counts[data])
+    complete = source.counts == usual
+    # A damaged byte in a line with one field less was a separator: the fields on both sides of it
+    # are missing.
+    separated = data & parsed.damaged.any(axis=1) & (source.counts == usual - 1)
+    parsed = parsed.with_separator(separated)
+    fields = parsed.texts
+    damaged = parsed.damaged.any(axis=1)
+    data &= ~damaged | complete | separated
+    width = _width(fields[data & complete], usual)
+    # The header may widen the table; a repeated header, and lines cut at the beginning, are no
+    # readings.
+    header = _header_line(fields, data, width)
+    titles = np.zeros(len(data), dtype=bool)
+    has_units_line = False
+    names = [""] * width
+    if header is None:
+        data[: int(np.argmax(data & complete))] = False  # a terminal opened in the middle of a line
+    else:
+        width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
+        titles = np.all(fields == fields[header], axis=1)  # a restarted board repeats the header
+        data &= ~titles
+    _check_widths(source, fields, data, width)
+    if header is not None:
+        names, has_units_line = _names(fields[:, :width], header)
+        titles[header - 1 if has_units_line else header] = True
+    excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
+    notes = (
+        ", ".join((*source.notes, *(["decimal commas"] if comma else []))),
+        _header_note(source, header, units=has_units_line),
+        _damage_note(source, data & damaged),
+        _excluded_note(source, fields, excluded),
+    )
+    table = ReadingsTable(
+        source=source,
+        lines=np.arange(len(data)),
+        columns=np.arange(fields.shape[1]),
+        fields=fields,
+        values=parsed.values,
+        words=parsed.words,
+        comma=comma,
+        names=("",) * fields.shape[1],
+        notes=tuple(filter(None, notes)),
+    )
+    table = replace(table.only(data, slice(width)), names=tuple(names))
+    return table if layout is None else _laid_out(table, layout)
+
+
+def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
+    """Return the table with the columns that a layout lists, without those named '-'."""
+    names = _layout_names(table.source, layout, table.width)
+    table = replace(table, names=tuple(names))
+    skipped = [field for field, name in enumerate(names) if name == "-"]
+    if not skipped:
+        return table
+    note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
+    named = [field for field in range(table.width) if field not in skipped]
+    return replace(table.only(columns=named), notes=(*table.notes, note))
+
+
+def _usual_count(counts: Index) -> int:
+    """Return the most frequent number of fields; 0 without a line.
+
+    Of equally frequent ones it is the largest one.
+    """
+    often = Counter(counts.tolist())
+    return max(often, key=lambda count: (often[count], count), default=0)
+
+
+def _width(fields: NDArray[Any], usual: int) -> int:
+    """Return the usual number of fields without empty ones at the end.
+
+    Those are left out that are empty in all complete lines.
+    """
+    width = usual
+    while width > 1 and np.all(fields[:, width - 1] == ""):
+        width -= 1
+    return width
+
+
+def _check_widths(
+    source: FieldLines, fields: NDArray[Any], data: NDArray[np.bool_], width: int
+) -> None:
+    """Raise InputError unless there are lines with readings, (lines,).
+
+    None of them may be wider than the table.
+    """
+    if not np.any(data):
+        raise InputError(f"{source.source}: holds a header but no values")
+    long = data & np.any(fields[:, width:] != "", axis=1)
+    if np.any(long):
+        line = int(np.argmax(long))
+        usual_line = int(np.argmax(data & ~long))
+        mismatch = f"{source.counts[line]} fields, where {source.called(usual_line)} has {width}"
+        raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
+
+
+def _header_note(source: FieldLines, header: int | None, *, units: bool) -> str:
+    """Return the sentence on the line that is the header; '' without one."""
+    if header is None:
+        return ""
+    if source.lines[header].number == 0:  # of records, whose names are no line
+        return f"{source.word}s name their fields"
+    above = ", with the names of the line above" if units else ""
+    return f"{source.called(header)} taken as header{above}"
+
+
+def _damage_note(source: FieldLines, damaged: NDArray[np.bool_]) -> str:
+    """Return the sentence on lines with bytes that are no text, (lines,); '' without any."""
+    if not np.any(damaged):
+        return ""
+    numbers = [source.lines[line].number for line in np.flatnonzero(damaged).tolist()]
+    return (
+        f"bytes that are no text: their fields in {source.word} {first_and_more(numbers)} are "
+        "missing"
+    )
+
+
+def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: NDArray[np.bool_]) -> str:
+    """Return the sentence on lines that are left out, (lines,); '' without any."""
+    lines = np.flatnonzero(excluded)
+    if not len(lines):
+        return ""
+    shown = " ".join(fields[lines[0]]).strip()[:40]
+    named = first_and_more([source.lines[line].number for line in lines.tolist()])
+    called = f"line {named} ({shown!r})"
+    if len(lines) > 1:
+        called = f"lines {named} (the first: {shown!r})"
+    return f"left out: {called.replace('line', source.word)}, no readings or cut off"
+
+
+def _layout_names(source: FieldLines, layout: str, width: int) -> list[str]:
+    """Return the names of columns that a layout lists.
+
+    Raises InputError unless it names each column.
+    """
+    names = [name.strip() for name in layout.split(",")]
+    if len(names) != width:
+        single = "" if len(names) > 1 else f", {layout!r}, which is no import format either"
+        raise InputError(
+            f"{source.source}: {width} columns, but `layout` names {len(names)}{single}"
+        )
+    return names
+
+
+def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
+    """Return the names of columns, and whether the header holds units only.
+
+    The line above then holds the names.
+    """
+    names = [text.lstrip("#% ") for text in fields[header]]
+    above = fields[header - 1] if header else np.full(len(names), "")
+    named = not np.any((above == "") & (fields[header] != ""))
+    if not named or not all(parted(f"x {unit}")[1] for unit in names if unit):
+        return names, False
+    return [f"{name} {unit}".strip() for name, unit in zip(above, names, strict=True)], True
+
+
+def _data_lines(source: FieldLines, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether a line has a number or a word for a missing one, boolean (lines,).
+
+    It must also have few other words.
+    """
+    fields = source.fields
+    filled = source.fields != ""
+    strange = {
+        text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None
+    }
+    foreign = np.zeros(len(fields), dtype=int)
+    total = filled.sum(axis=1)
+    np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
+    few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
+    alone = source.counts.max() <= 2 or np.median(source.counts[~source.comment]) == 1
+    # Dashes or a number alone are titles, unless most lines are such.
+    few &= (source.counts > 1) | alone
+    return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
+
+
+def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], width: int) -> int | None:
+    """Return the header, which names or counts the fields.
+
+    It is the first data line if it names or counts the fields, or the line before it if that does.
+    """
+    first = int(np.argmax(data))
+    following = fields[first + 1, 0] if first + 1 < len(fields) else ""
+    if (
+        width > 4
+        and [*fields[first, :width]] == [*map(str, range(width))]
+        and following != str(width)
+    ):
+        return first  # pandas names columns by numbers
+    if _names_fields(fields[first]):
+        return first
+    names: list[int] = np.flatnonzero(fields[first - 1] != "").tolist() if first else []
+    complete = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
+    texts = [text for text in fields[first - 1] if text]
+    named = all(number_of(text, comma=False) is None for text in texts) or _names_fields(
+        fields[first - 1]
+    )
+    return first - 1 if complete and named else None
+
+
+def _names_fields(texts: Sequence[str]) -> bool:
+    """Return whether texts are words, or an empty field, before or after numbers.
+
+    The numbers are 0, 1, 2 ... or 1, 2, 3 ...
+    """
+    numbers = [text for text in texts if text.isdecimal()]
+    words = [text for text in texts if text and not text.isdecimal()]
+    counted = [list(map(str, range(start, start + len(numbers)))) for start in (0, 1)]
+    plain = not any(text[0].isdigit() or text[0] in "-+." for text in words)
+    return len(numbers) > 1 and numbers in counted and plain and (len(words) > 0 or texts[0] == "")

@@ -1,0 +1,296 @@
+"""Unit of foreign numbers.
+
+It is specified, named in the header, or the only one that values and scene permit.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.apps.foreign.words import UNITS_OF_WORD
+from lampest.files.errors import InputError, meant
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.scene import Scene
+from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+
+FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
+Place = Callable[[int, int, int], str]  # frame, row and column of a value → its place in the source
+RESISTANCES = ("ohm", "kohm")
+# Least share of the converter's range that readings use; less indicates another unit.
+MIN_USED = 0.01
+# Share of zeros among resistances without a unit; more are pressures, or codes of open cells.
+MAX_SHORTED = 0.05
+MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
+
+
+def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
+    """Raise InputError if a unit is unknown, or the scene cannot convert it to recorded values."""
+    if unit is not None and unit not in FACTORS:
+        word = "volt" if unit.lower() == "v" else UNITS_OF_WORD.get(unit.lower(), "")
+        write = f"; write {word}" if word in FACTORS else meant(unit, FACTORS)
+        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}{write}")
+    if unit is not None and unit not in RESISTANCES and (scene is None or scene.readout is None):
+        raise InputError(
+            f"{source}: {unit} values need a scene with a readout, which says how they become ohm"
+        )
+    if unit in RESISTANCES and scene is not None and scene.circuit.unit != "ohm":
+        raise InputError(
+            f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code"
+        )
+
+
+def understood_unit(
+    values: Array, named: Sequence[str], scene: Scene | None, source: object
+) -> tuple[str, str]:
+    """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
+
+    `named` are the units that the header permits, () if it names none. Raises InputError if no unit
+    fits, or several.
+    """
+    readout = None if scene is None else scene.readout
+    allowed = [unit for unit in _possible_units(readout) if not named or unit in named]
+    if len(named) == 1 or not allowed:
+        check_unit(named[0], scene, source)
+        return named[0], f"unit {named[0]}, as the header says"
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
+    span = f"values from {finite.min():.6g} to {finite.max():.6g}"
+    if readout is None:
+        fitting, reason = _without_readout(finite, allowed if named else [*allowed, "code"])
+    else:
+        fitting, reason = _explaining(finite, allowed, readout)
+    if not fitting:
+        scene_text = ""
+        if readout is not None:
+            scene_text = f" in this scene, whose converter ends at {readout.full_scale_volt:g} V"
+        none = f"{span} fit none of {', '.join(allowed)}{scene_text}{reason}"
+        raise InputError(f"{source}: {none}; `unit` says what they are")
+    if len(fitting) > 1:
+        ways = " or ".join(f"`unit={unit!r}`" for unit in fitting)
+        raise InputError(
+            f"{source}: {span} may be {' or '.join(fitting)}{reason}; say which with {ways}"
+        )
+    how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
+    return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"
+
+
+def _possible_units(readout: Readout | None) -> Sequence[str]:
+    """Return the units in which a readout's values may be stored."""
+    if readout is None:
+        return RESISTANCES
+    return tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
+
+
+def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tuple[list[str], str]:
+    """Return the allowed units that explain the values, and the reason.
+
+    The reason is of one unit, why it is; of several, a remark.
+    """
+    top = 2**readout.adc_bits - 1
+    supply = readout.full_scale_volt
+    middle = float(np.median(finite))
+    largest = float(finite.max())
+    whole = bool(np.all(finite == np.round(finite)))
+    in_steps = {unit: _on_steps(finite, unit, readout) for unit in allowed}
+    # Codes are whole, or means of as many as a reading has; others are filtered, and compete with
+    # every other unit.
+    counted = whole or in_steps.get("code") is True or _are_means(finite, readout.readings)
+    fits = {
+        "code": largest <= top and (counted or largest > max(supply, MIN_USED * top)),
+        "volt": largest <= supply and not whole,
+        "mV": 1000 * supply * MIN_USED < largest <= 1000 * supply,
+    }
+    for unit in RESISTANCES:
+        share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
+        fits[unit] = MIN_USED <= share <= 1 - MIN_USED
+    units = [unit for unit in allowed if fits[unit]]
+    if len(units) > 1:
+        return _preferred(units, finite, in_steps, readout, counted=counted)
+    if units:
+        reasons = {
+            "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
+            "volt": f"within the converter's range of {supply:g} V",
+            "mV": f"within the converter's range of {1000 * supply:g} mV",
+        }
+        return units, reasons.get(units[0], "the divider can tell such resistances")
+    least, most = readout.rails()
+    if "ohm" in allowed and least <= middle <= most:
+        return ["ohm"], "no other unit is within the converter's rails"
+    return [], ""
+
+
+def _preferred(
+    units: Sequence[str],
+    finite: Array,
+    in_steps: Mapping[str, bool | None],
+    readout: Readout,
+    *,
+    counted: bool,
+) -> tuple[list[str], str]:
+    """Return those of several fitting units that explain the values best, and the reason.
+
+    Parameters
+    ----------
+    units : sequence of str
+        Units that fit.
+    finite : array
+        Values.
+    in_steps : mapping
+        Unit → whether the values lie on the converter's steps, or None.
+    readout : Readout
+    counted : bool
+        Whether the values may be codes or means of codes.
+    """
+    certain = [unit for unit in units if in_steps[unit] is True]
+    if len(certain) == 1:
+        return certain, "as such they lie on the converter's steps"
+    whole = bool(np.all(finite == np.round(finite)))
+    if whole and "code" in units and not set(RESISTANCES) & set(units):
+        top = 2**readout.adc_bits - 1
+        reason = f"whole numbers, within 0 to {top} of a {readout.adc_bits}-bit converter"
+        if "mV" in units and in_steps["mV"] is None:
+            reason += "; whole mV would look alike"
+        if np.median(finite) == 0:
+            reason += "; most are 0, as of open cells or in pressures, which are no readings"
+        return ["code"], reason
+    if counted or "code" not in units:
+        return list(units), ""
+    expected = "whole numbers"
+    if readout.readings > 1:
+        expected = f"means of {readout.readings} whole numbers"
+    return list(units), f" (codes would be {expected}, by the scene)"
+
+
+def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], str]:
+    """Return which resistances' units explain values that no readout describes, and the reason."""
+    middle = float(np.median(finite))
+    zeros = float(np.mean(finite == 0))
+    if zeros > MAX_SHORTED:
+        share = f"{100 * zeros:.0f} % of them are 0"
+        return [], f": {share}, as in pressures or codes; a resistance of 0 is a short circuit"
+    whole = bool(np.all(finite == np.round(finite))) and finite.max() <= MAX_CODE
+    fits = {"ohm": middle >= 1, "kohm": middle < 100, "code": whole}
+    units = [unit for unit in allowed if fits[unit]]
+    if len(units) > 1:
+        codes = ", the whole numbers of a converter, which need a scene"
+        return units, codes if "code" in units else ""
+    least = "too small for ohm" if units == ["kohm"] else "too large for kohm"
+    return units, f"their median, {middle:.3g}, is {least}; no readout describes them"
+
+
+def _are_means(finite: Array, readings: int) -> bool:
+    """Return whether values are means of whole numbers, rounded or cut to their written digits."""
+    sums = finite * readings
+    slack = 2 * _rounding(finite) * readings
+    distance = np.abs(sums - np.round(sums))
+    return 2 * slack < 1 and bool(np.all(distance <= slack + 1e-9 * np.maximum(1.0, np.abs(sums))))
+
+
+def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
+    """Return whether values in this unit would be means of the converter's codes.
+
+    None if undecidable.
+    """
+    values = np.unique(finite)
+    digit = _rounding(values)
+    # Written numbers are rounded to the nearest digit, or cut to the next lower one.
+    nearest = _in_volt(values, digit, unit, readout)
+    cut = _in_volt(values + digit, digit, unit, readout)
+    half = nearest[1]
+    # A value is on a step by chance with a probability of ½ at most: of twelve, in eight tries,
+    # once in 500 times.
+    if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
+        return None
+    # Many programs take the latter.
+    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
+        scale = steps / readout.full_scale_volt * readout.readings
+        for offset, (volt, slack) in product((0.0, 0.5), (nearest, cut)):
+            sums = volt * scale - offset * readout.readings
+            if np.all(
+                np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))
+            ):
+                return True
+    return False
+
+
+def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[Array, Array]:
+    """Return values in this unit as volt at the converter, and half their range.
+
+    The range is the one that values ± slack have there.
+    """
+    ends = [(values + sign * slack) * FACTORS[unit] for sign in (-1, 0, 1)]
+    if unit in RESISTANCES:
+        ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
+    elif unit == "code":
+        ends = [readout.lsb_volt * end for end in ends]
+    low, volt, high = ends
+    return volt, np.abs(high - low) / 2
+
+
+def _rounding(values: Array) -> float:
+    """Return half a unit of the last decimal digit with which values are written."""
+    slack = 1e-12 * np.maximum(1.0, np.abs(values))
+    digits = (
+        digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack)
+    )
+    return 0.5 * 10.0 ** -next(digits, 9)
+
+
+def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
+    """Return values converted from their unit to the readout's recorded quantity.
+
+    Shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail, infinite resistances
+    and those of zero remain bounds. Raises InputError with the place (frame, row, column) of an
+    impossible value, or with the source if most readings are at the rail of a shorted cell: unit or
+    range are probably wrong.
+    """
+    scaled = values * FACTORS[unit]
+    readout = scene.readout
+
+    def refuse(bad: NDArray[np.bool_], why: str) -> None:
+        for frame, row, column in np.argwhere(bad).tolist():
+            raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
+
+    finite = np.where(np.isinf(values), np.nan, values)
+    if unit in RESISTANCES or readout is None:
+        refuse(values < 0, "must be a positive resistance in ohm")
+        recorded = scaled
+    elif unit == "code":
+        refuse(
+            (finite < 0) | (finite > 2**readout.adc_bits - 1),
+            f"is no code of a {readout.adc_bits}-bit converter",
+        )
+        floored = finite <= (readout.floor_code or -1)
+        recorded = readout.recorded_from_volt(
+            np.where(floored, 0.0, readout.volt_from_code(finite))
+        )
+    else:
+        largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
+        outside = (finite < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
+        refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
+        recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
+    if readout is not None:
+        _check_shorted(scene, readout, recorded, unit, source)
+    return recorded
+
+
+def _check_shorted(
+    scene: Scene, readout: Readout, recorded: Array, unit: str, source: object
+) -> None:
+    """Raise InputError if most readings are at the rail that a shorted cell reaches."""
+    rail = AT_MOST if readout.unit == "ohm" else AT_LEAST
+    count = int((Readings.of(scene, recorded).side == rail).sum())
+    total = int(np.isfinite(recorded).sum())
+    if 2 * count <= total:
+        return
+    key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
+    wrong = (
+        f"{count} of {total} readings stand at the rail of the converter that a shorted cell "
+        "reaches"
+    )
+    scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
+    raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")

@@ -1,0 +1,327 @@
+"""The command `lampest live`: frames of a board or a recording, an engine and a server."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from lampest.apps.board.port import only_port
+from lampest.apps.board.record import Progress, Recorded, record
+from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.several import samples_of
+from lampest.apps.board.stream import Sample
+from lampest.apps.film.tare import Tare
+from lampest.apps.live.engine import Engine, FrameSource
+from lampest.apps.live.message import acknowledged
+from lampest.apps.live.publish import publish_at, publishing
+from lampest.apps.live.server import PageActions, address, serving
+from lampest.apps.live.watcher import Scan
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    GradientOfRelativeChange,
+    Misfit,
+    RelativeChange,
+    Term,
+)
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import frame_period
+from lampest.files.document import read_document, validated
+from lampest.files.errors import InputError, meant
+from lampest.panel.scene import Scene
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.runs.config import RunFile, resolve
+
+PENALTIES: dict[str, tuple[Term, ...]] = {
+    "smooth": (Gradient(),),
+    "LSM": (),
+    "changes": (GradientOfRelativeChange(),),
+    "cell_resistance": (CellResistance(),),
+    "relative_change": (RelativeChange(),),
+}
+# With weights that the data choose, under other names than the paper's.
+METHODS = {
+    name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name, terms in PENALTIES.items()
+}
+
+
+@dataclass(frozen=True)
+class LiveBoard:
+    """A board as the source.
+
+    Attributes
+    ----------
+    ports : tuple of str
+        Serial ports or pyserial URLs, one for each module; by default the only port that looks like
+        an Arduino.
+    scene : Scene or None
+        Expected scene.
+    baseline : int
+        Number of unloaded frames at the beginning.
+    period : float or None
+        Seconds between frames.
+    out : Path or None
+        Recording to write as well.
+    """
+
+    ports: tuple[str, ...] = ()
+    scene: Scene | None = None
+    baseline: int = 3
+    period: float | None = None
+    out: Path | None = None
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A recording as the source, replayed at `speed` times its rate.
+
+    `baseline` as above if no frame is unloaded.
+    """
+
+    path: Path
+    speed: float = 1.0
+    baseline: int = 3
+
+
+@dataclass(frozen=True)
+class Outlets:
+    """Outlets of live frames: pages, files and publishers.
+
+    Attributes
+    ----------
+    http : str
+        HOST:PORT of the page; port 0 for any free one.
+    token : str or None
+        Required of visitors of the page, by default a generated one; of WebSocket listeners from
+        elsewhere.
+    publish : sequence of str
+        Addresses such as ``mqtt://localhost:1883/lampest``.
+    """
+
+    http: str = "127.0.0.1:8137"
+    token: str | None = None
+    publish: Sequence[str] = ()
+
+
+def live(
+    source: LiveBoard | Replay,
+    estimator: tuple[str, Estimator],
+    outlets: Outlets = Outlets(),
+    frames: int | None = None,
+    on_url: Callable[[str], None] = lambda url: None,
+    on_trouble: Callable[[str], None] = lambda sentence: None,
+) -> Recorded | None:
+    """Reconstruct frames as they arrive and show them in the browser.
+
+    It ends when `frames` have come or with Ctrl-C.
+
+    Parameters
+    ----------
+    source : LiveBoard or Replay
+    estimator : (str, Estimator)
+        Name and estimator, as returned by `chosen`.
+    outlets : Outlets
+    frames : int, optional
+        Number of frames; by default all.
+    on_url : callable
+        Receives the address of the page once it can be opened, then the addresses of published
+        frames.
+    on_trouble : callable
+        Receives sentences on failures of publishing.
+
+    Returns
+    -------
+    Recorded or None
+        The recording, if one was written.
+
+    Raises
+    ------
+    InputError
+        If the source or an address fails.
+    """
+    name, method = estimator
+    recording = Recording.load(source.path) if isinstance(source, Replay) else None
+    if isinstance(source, LiveBoard) and not source.ports:
+        source = replace(source, ports=(only_port(),))
+    port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
+    ways = [publish_at(where, outlets.token) for where in outlets.publish]
+    with (
+        Engine(
+            port if recording is None else recording.name,
+            name,
+            method,
+            source.baseline,
+            beside=True,
+        ) as engine,
+        publishing(ways, engine.shown, on_trouble) as published,
+        recorder_of(source, engine) as (recorder, actions),
+        serving(*address(outlets.http), engine.shown, outlets.token, actions) as server,
+    ):
+        for where in (server.url, *published):
+            on_url(where)
+        try:
+            done = _pass_frames(engine, source, recording, recorder, frames)
+            engine.finish()
+        except InputError as error:
+            engine.say(f"stopped: {error}")
+            raise
+        if isinstance(source, Replay) and frames is None:
+            engine.say("the recording has ended")
+            Event().wait()
+        engine.say("lampest has ended")
+        return done
+
+
+def _pass_frames(
+    engine: Engine,
+    source: LiveBoard | Replay,
+    recording: Recording | None,
+    recorder: Recorder | None,
+    frames: int | None,
+) -> Recorded | None:
+    """Pass `frames` frames, or all, of a replayed recording or of a board.
+
+    Return the recording if one was written.
+    """
+    if isinstance(source, Replay):
+        assert recording is not None
+        from_recording(engine, recording, source.speed, frames)
+    elif recorder is not None:
+        from_board(engine, source, frames, recorder.take)
+    else:
+        return recorded_from_board(engine, source, frames)
+    return None
+
+
+@contextmanager
+def recorder_of(
+    source: LiveBoard | Replay, engine: Engine
+) -> Iterator[tuple[Recorder | None, PageActions]]:
+    """Yield the recorder of the page's button, or None, and the requests that the page may send."""
+    actions = PageActions(engine.tare, lambda: engine.shown.change(acknowledged))
+    if isinstance(source, Replay) or source.out is not None:
+        yield None, actions
+        return
+
+    def say(*state: Any) -> None:
+        engine.show(recording=state)
+
+    def tare() -> None:
+        recorder.zero()
+        engine.tare()
+
+    engine.show(recording=("", False))
+    with closing(Recorder(Path(), source.baseline, say)) as recorder:
+        yield recorder, replace(actions, tare=tare, record=recorder.ask)
+
+
+def chosen(
+    name: str | None, config: Path | None, settings: tuple[str, ...] = ()
+) -> tuple[str, Estimator]:
+    """Return the name and the estimator, the first one by default.
+
+    Raises InputError for an unknown name.
+    """
+    if config is None:
+        known = tuple(METHODS)
+        where = "there are"
+    else:
+        document = read_document(config, settings)
+        run: RunFile = validated(document, RunFile)
+        known = tuple(run.estimators)
+        where = f"{config} has"
+    name = name or known[0]
+    if name not in known:
+        close = meant(name, known)
+        raise InputError(
+            f"--estimator: no estimator is called {name!r}; {where} {', '.join(known)}{close}"
+        )
+    return name, METHODS[name] if config is None else resolve(document, run, name)
+
+
+def from_board(
+    engine: Engine, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]
+) -> None:
+    """Pass `frames` frames of a board, or all, to the engine and to `on_sample`.
+
+    Raises InputError as `lampest.apps.board.stream.stream`.
+    """
+    engine.say(f"waiting for the board at {', '.join(board.ports)}")
+    arriving = samples_of(
+        board.ports, board.scene, board.period, engine.say, baseline=board.baseline
+    )
+    with closing(arriving) as samples:
+        for sample in islice((sample for batch in samples for sample in batch), frames):
+            take_sample(engine, sample)
+            on_sample(sample)
+
+
+def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) -> Recorded:
+    """Record frames of a board into `board.out` and pass them to the engine.
+
+    Raises InputError as `record`.
+    """
+    assert board.out is not None
+    engine.say(f"waiting for the board at {', '.join(board.ports)}")
+
+    def on_progress(progress: Progress) -> None:
+        if progress.sample is not None:
+            take_sample(engine, progress.sample)
+        if progress.state:
+            engine.say(progress.state)
+
+    how: dict[str, Any] = {"frames": frames, "baseline": board.baseline, "period": board.period}
+    return record(board.ports, board.out, scene=board.scene, on_progress=on_progress, **how)
+
+
+def take_sample(engine: Engine, sample: Sample) -> None:
+    """Pass a frame of a board to the engine, in the form of a recording."""
+    source = FrameSource(sample.scene, sample.hello.period, "receiving")
+    scan = Scan(
+        sample.recorded, None, sample.time, sample.host_time, sample.lost, sample.frame.log_change
+    )
+    engine.take(source, scan)
+
+
+def from_recording(
+    engine: Engine,
+    recording: Recording,
+    speed: float,
+    frames: int | None,
+    wait: Callable[[float], None] = time.sleep,
+) -> None:
+    """Replay the measured frames of a recording at `speed` times its rate.
+
+    They are replayed against its unloaded frames.
+    """
+    source = FrameSource(
+        recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed"
+    )
+    unloaded = [
+        scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)
+    ]
+    if unloaded:
+        engine.begin(source, unloaded)
+    measured = recording.measured_frames()[:frames]
+    began = time.monotonic() - recording.time[measured[0]] / speed
+    for frame in measured:
+        wait(max(0.0, began + recording.time[frame] / speed - time.monotonic()))
+        engine.take(source, scan_of(recording, int(frame)))
+
+
+def scan_of(recording: Recording, frame: int) -> Scan:
+    """Return a frame of a recording as if it arrived now."""
+    sigma = recording.sigma
+    recorded = recording.recorded
+    origin = recording.acquisition
+    of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
+    lost = 0 if origin is None else int(origin.lost[frame])
+    board = recording.board_log_change
+    known = None if board is None or np.isnan(board[frame]).all() else board[frame]
+    return Scan(recorded[frame], of_frame, float(recording.time[frame]), time.time(), lost, known)

@@ -1,0 +1,441 @@
+"""Attachments: loads over time, with place and size.
+
+They also have the probabilities that they suck, breathe and pump.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+from math import exp, hypot, inf
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logit
+
+from lampest.apps.recognition.breath import breath
+from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
+from lampest.apps.recognition.candidates import UNIFORM, under
+from lampest.apps.recognition.contacts import contacts_of
+from lampest.apps.recognition.fit import RARE_LOG_ODDS, Verdict
+from lampest.apps.recognition.observation import Observation
+from lampest.apps.recognition.pumping import BLOCK_S, Pumping
+from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
+from lampest.apps.recognition.swings import Patterns
+from lampest.files.levels import NOISE_REACH, SIGNIFICANT
+from lampest.panel.panel import Array, Panel
+
+Pair = tuple[float, float]
+JUDGED_S = 1.0  # between two judgements of breath
+# Recognitions of an attachment whose suction is kept: four hours, and then every second one.
+MAX_SUCTIONS = 256
+MIN_SAMPLE_FRAMES = 3  # of a sample of suction, whose median is free of an outlier
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A load from its arrival until it left.
+
+    Attributes
+    ----------
+    sucks : float
+        Probability that it sucks.
+    since_s, until_s : float, float or None
+        Times of arrival and departure, s; `until_s` is None while it is present.
+    x_mm, y_mm, diameter_mm, area_mm2 : (float, float) or None
+        Value and standard deviation; None where unknown.
+    suctions : tuple of (float, float)
+        Suction in kPa and its standard deviation at each recognition, thinned beyond MAX_SUCTIONS.
+    cells : int
+        Number of touched cells.
+    conductance_s : (float, float) or None
+        Increase of their conductance since rest, S, and its standard deviation.
+    breath : Breathing
+        Breath of its suction, from all windows.
+    sucks_s : float or None
+        Time at which it began to suck, s; None if it does not.
+    moved_s : tuple of float
+        Times at which it moved, s.
+    placed_s : float
+        Time since which it is in its place, s.
+    clear : float
+        ln evidence over that of an unloaded panel.
+    track : Pumping or None
+        Pumps of its suction; None before the first sample.
+    patterns : Patterns or None
+        Effects of swings of its suction on the readings; None where it does not suck.
+    """
+
+    sucks: float
+    since_s: float
+    x_mm: Pair
+    y_mm: Pair
+    diameter_mm: Pair | None = None
+    suctions: tuple[Pair, ...] = ()
+    cells: int = 0
+    area_mm2: Pair | None = None
+    conductance_s: Pair | None = None
+    until_s: float | None = None
+    breath: Breathing = Breathing()
+    sucks_s: float | None = None
+    moved_s: tuple[float, ...] = ()
+    placed_s: float = -inf
+    clear: float = 0.0
+    track: Pumping | None = None
+    patterns: Patterns | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def breathes(self) -> float:
+        """Probability that its suction oscillates like breathing, given that it sucks.
+
+        1/2 before any observation.
+        """
+        return self.breath.probability
+
+    @property
+    def suction_kpa(self) -> Pair | None:
+        """Typical suction, the median over all recognitions, kPa, and its standard deviation.
+
+        The standard deviation is the median of theirs.
+        """
+        if not self.suctions:
+            return None
+        values, errors = np.array(self.suctions).T
+        return float(np.median(values)), float(np.median(errors))
+
+    @property
+    def strongest_kpa(self) -> Pair | None:
+        """Strongest suction, kPa, and its standard deviation.
+
+        It is the suction that exceeds all others by more than its error.
+        """
+        return min(self.suctions, key=lambda pair: pair[0] + pair[1], default=None)
+
+    @property
+    def breathing_hz(self) -> Pair | None:
+        """Rate of the oscillation, Hz, and its standard deviation."""
+        return self.breath.hertz
+
+    @property
+    def breathing_depth(self) -> Pair | None:
+        """Relative amplitude of the oscillation, and its standard deviation."""
+        return self.breath.depth
+
+    @property
+    def pumps(self) -> float:
+        """Probability that its suction is pumped up after a decay, given that it sucks.
+
+        1/2 before any observation.
+        """
+        return 1 / (1 + exp(-self._pumping))
+
+    @property
+    def pump_count(self) -> int | None:
+        """Number of times that the suction was pumped up; None before the first sample."""
+        return None if self.track is None else self.track.pumps[0]
+
+    @property
+    def pump_interval_s(self) -> float | None:
+        """Mean time between pumps, s; None with less than two."""
+        return None if self.track is None else self.track.interval_s
+
+    @property
+    def lives(self) -> float:
+        """Probability that it is a mouth, given that it sucks.
+
+        Its odds are the product of those of breath and of pumps.
+        """
+        # ln odds of breath, at least −ln 20, because one mouth in twenty never shows its breath; ln
+        # odds of pumps add
+        breathes = max(float(logit(self.breathes)), -RARE_LOG_ODDS)
+        return 1 / (1 + exp(-breathes - self._pumping))
+
+    @property
+    def _pumping(self) -> float:
+        return 0.0 if self.track is None else min(self.track.odds, MAX_LOG_ODDS)
+
+    @property
+    def present(self) -> bool:
+        """Whether it has not left."""
+        return self.until_s is None
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Centre, mm."""
+        return self.x_mm[0], self.y_mm[0]
+
+    @property
+    def size(self) -> float:
+        """Diameter, mm; infinite where it is unknown."""
+        return inf if self.diameter_mm is None else self.diameter_mm[0]
+
+    @property
+    def width(self) -> float:
+        """Diameter, mm; for a load without a diameter the edge of a square of its area."""
+        return self.size if self.diameter_mm or self.area_mm2 is None else self.area_mm2[0] ** 0.5
+
+    def distance(self, place: tuple[float, float]) -> float:
+        """Return the distance to a place, mm."""
+        return hypot(self.place[0] - place[0], self.place[1] - place[1])
+
+    def contains(self, contact: "Attachment") -> bool:
+        """Return whether a contact without a shape lies under the disc, to the error of its place.
+
+        It is then a part of the rim.
+        """
+        comparable = self.diameter_mm is not None and contact.diameter_mm is None
+        reach = self.size / 2 + contact.x_mm[1]
+        return comparable and self.distance(contact.place) < reach
+
+    def ended(self, time: float) -> "Attachment":
+        """Return the attachment after it left at a time in s.
+
+        It is without what only later frames need.
+        """
+        return replace(self, until_s=time, patterns=None)
+
+    def continued(self, later: "Attachment") -> "Attachment":
+        """Return the later state of the same load, with its history.
+
+        The earlier state is kept if the load sucked and is now less clear, because leaking suction
+        has no clear shape.
+        """
+        if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
+            return self
+        # a move: farther than three standard deviations of the distance, and than 3 mm
+        distance_sd = max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
+        is_far = self.distance(later.place) > NOISE_REACH * distance_sd
+        moved_s = self.moved_s
+        placed_s = self.placed_s
+        if is_far and later.since_s > self.placed_s:
+            moved_s = (*moved_s, later.since_s)
+            placed_s = later.since_s
+        begins_to_suck = self.sucks_s is None and later.sucks > 0.5
+        suctions = (*self.suctions, *later.suctions)
+        return replace(
+            later,
+            since_s=self.since_s,
+            sucks_s=later.since_s if begins_to_suck else self.sucks_s,
+            moved_s=moved_s,
+            placed_s=placed_s,
+            suctions=suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions,
+            breath=self.breath,
+            track=self.track,
+        )
+
+    def listened(
+        self,
+        frames: Sequence[tuple[float, Array]],
+        steps: Sequence[float],
+        whitening: Array,
+        verdict: Verdict,
+    ) -> "Attachment":
+        """Return the attachment after its breath was judged.
+
+        It is judged by the frames since the last full window in its place.
+
+        Parameters
+        ----------
+        frames : sequence of (float, array)
+            Times, s, and readings ln y, (cells,).
+        steps : sequence of float
+            Times of steps of the readings, s.
+        whitening : array, shape (cells, cells)
+        verdict : Verdict
+            The last recognition.
+        """
+        before = self.breath.parted(steps)
+        begin = max(before.full_s, self.placed_s)
+        times = np.array([at for at, _ in frames if at > begin])
+        if self.patterns is None or len(times) < 3:
+            return replace(self, breath=before)
+        last = float(times[-1])
+        if last - times[0] < MIN_WINDOW_S or last - before.judged_s < JUDGED_S:
+            return replace(self, breath=before)
+        interval = SteadyFrames.of(
+            times, np.array([logarithm for at, logarithm in frames if at > begin]), steps
+        )
+        if not len(interval.times):
+            return replace(self, breath=before)
+        full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
+        changes = changes_without_water(interval, verdict.frame, verdict.best) @ whitening.T
+        return replace(
+            self, breath=before.after(breath(interval, changes, self.patterns), last, full=full)
+        )
+
+    def sampled(
+        self, frames: Sequence[tuple[float, Array]], whitening: Array, frame: Observation
+    ) -> "Attachment":
+        """Return the attachment after a sample of its suction, where the last one is BLOCK_S old.
+
+        `frame` is the recognised one, `whitening` (cells, cells) whitens changes of ln y. A sample
+        with too few frames waits.
+        """
+        if self.patterns is None or self.sucks <= 0.5:
+            return self
+        track = self.track
+        moves = len(self.moved_s)
+        time = frames[-1][0]
+        current = track if track is not None and track.moves == moves else None
+        begin = max(self.placed_s, frames[0][0]) if current is None else current.since_s
+        block = np.array([logarithm for at, logarithm in frames if at > begin])
+        if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
+            return self
+        if current is None:
+            weights = self.patterns.suction_weights(whitening)
+            reference = np.log(frame.measured.ravel())
+            current = Pumping.begin(weights, reference, begin, moves, track)
+        return replace(self, track=current.after(block, time))
+
+
+def attachments_of(
+    frame: Observation, verdict: Verdict, since: float, patterns: Sequence[Patterns | None] = ()
+) -> list[Attachment]:
+    """Return the loads of the most probable candidate; without a shape, one load for each contact.
+
+    Parameters
+    ----------
+    frame : Observation
+    verdict : Verdict
+    since : float
+        Time of arrival, s.
+    patterns : sequence of Patterns or None
+        Patterns of the most probable candidate's loads.
+    """
+    # ln r/r0 of the cells with the prior N(0, 1), independent of any candidate
+    best = verdict.best
+    attachments = list[Attachment]()
+    first = 0
+    change = frame.free_map
+    moved = np.abs(change) > NOISE_REACH * np.hypot(frame.free_sd, _drift_sd(frame))
+    # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
+    resting = np.exp(-frame.baseline.logarithm)
+    more = resting * np.expm1(-change)
+    errors = resting * np.exp(-change) * frame.free_sd
+    clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
+    for (candidate, parameters), effects in zip_longest(best.loads, patterns):
+        disc = candidate.disc(parameters)
+        after = first + len(parameters)
+        covariance = best.covariance[first:after, first:after]
+        first = after
+        sucks = verdict.sucks_at(disc)
+        shape: dict[str, Any] = {}
+        if disc is None:
+            groups = _contacts(frame)
+        else:
+            groups = [moved & under(frame.panel, disc)]
+            half_pitch = frame.panel.pitch_mm / 2
+            shape["x_mm"] = (disc.x_mm, half_pitch)
+            shape["y_mm"] = (disc.y_mm, half_pitch)
+            shape["sucks_s"] = since if sucks > 0.5 else None
+            # σ² = sᵀ C s, with s the derivative of the quantity by φ
+            for name, (value, slopes) in candidate.report(parameters).items():
+                shape[name] = (value, float(np.sqrt(slopes @ covariance @ slopes)))
+            suction = shape.pop("suction_kpa", None)
+            shape["suctions"] = () if suction is None else (suction,)
+        for group in groups:
+            conductance = float(more[group].sum()), float(np.hypot.reduce(errors[group]))
+            attachment = Attachment(
+                sucks=sucks,
+                since_s=since,
+                placed_s=since,
+                clear=clear,
+                patterns=effects,
+                conductance_s=conductance,
+                **_touched(frame.panel, group, change) | shape,
+            )
+            attachments.append(attachment)
+    return attachments
+
+
+def _drift_sd(frame: Observation) -> float:
+    """Return the standard deviation of each cell's drift since the unloaded frames."""
+    return frame.baseline.model_errors.resting_sd(frame.seconds)
+
+
+def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
+    """Return the cells of the contacts without which the readings are not explained.
+
+    The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as at rest and
+    all others are free. This is a likelihood ratio: where a load lowers the sensitivity, as beside
+    large pull-ups, the standard deviation of a pressed cell does not tell whether it is pressed.
+    """
+    sd = np.hypot(frame.mean_sd, _drift_sd(frame))
+    groups = contacts_of(frame.panel, frame.free_map, sd)
+    least = frame.free.misfit + SIGNIFICANT**2
+    return [group for group in groups if _misfit_without(frame, group) > least]
+
+
+def _misfit_without(frame: Observation, group: NDArray[np.bool_]) -> float:
+    """Return the misfit of the most probable cells where those of a group are as at rest."""
+    free = np.where(group, 0.0, 1.0)
+    return frame.cells(frame.free_map * free, np.diag(free.ravel())).misfit
+
+
+def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:
+    """Return the centre, number and area of a group of cells, by their names.
+
+    The cells changed by ln r/r0.
+    """
+    # centre of the cells weighted by |ln r/r₀|, to half a pitch
+    weight = np.abs(change) * (group if group.any() else 1.0)
+    half_pitch = panel.pitch_mm / 2
+    x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
+    count = int(group.sum())
+    square = panel.pitch_mm**2
+    area = count * square, square * (max(count, 1) / 3) ** 0.5
+    return {"x_mm": (x, half_pitch), "y_mm": (y, half_pitch), "cells": count, "area_mm2": area}
+
+
+def continued_by(
+    before: Sequence[Attachment], loads: Sequence[Attachment], time: float, *, again: bool = False
+) -> tuple[Attachment, ...]:
+    """Return all attachments after a recognition.
+
+    Each load continues the nearest attachment that is present. Where a clearer earlier recognition
+    is kept, contacts under its disc are parts of that load.
+
+    Parameters
+    ----------
+    before : sequence of Attachment
+    loads : sequence of Attachment
+        Loads that were recognised.
+    time : float
+        Time of the last step, s; attachments without a load left then.
+    again : bool
+        Whether it is a repeated recognition since that step. Attachments without a load then stay,
+        because nothing leaves without a step, except those that arrived with the step, which were
+        parts of another load.
+    """
+    attachments = list(before)
+    unmatched = [number for number, load in enumerate(before) if load.present]
+    kept = list[Attachment]()
+    # Greedy matching: the load with the nearest attachment first, within the larger diameter of
+    # both.
+    distances = [
+        min((attachments[number].distance(load.place) for number in unmatched), default=inf)
+        for load in loads
+    ]
+    for load in (loads[number] for number in np.argsort(distances, kind="stable")):
+        near = min(
+            unmatched, key=lambda number: attachments[number].distance(load.place), default=None
+        )
+        if near is not None and attachments[near].distance(load.place) < max(
+            attachments[near].size, load.size
+        ):
+            former = attachments[near]
+            attachments[near] = former.continued(load)
+            unmatched.remove(near)
+            if attachments[near] is former:
+                kept.append(former)
+        elif not any(clearer.contains(load) for clearer in kept):
+            attachments.append(load)
+    if again:
+        return tuple(
+            load
+            for number, load in enumerate(attachments)
+            if number not in unmatched or load.since_s < time
+        )
+    for number in unmatched:
+        attachments[number] = attachments[number].ended(time)
+    return tuple(attachments)

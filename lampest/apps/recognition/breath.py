@@ -1,0 +1,442 @@
+"""Detection of a periodic change of a load's suction in one window, by Bayesian odds of a sinusoid.
+
+The relative amplitude s_t in a window is a weighted mean of the readings, less a trend, with the
+model
+
+    s_t = a cos 2πft + b sin 2πft + noise,   a, b ~ N(0, A²),   noise ~ N(0, σ²).
+
+The odds compare the A of breathing with that of tremble, summed over f and σ.
+Source: Bretthorst, Bayesian Spectrum Analysis and Parameter Estimation, 1988;
+docs/theory/recognition.md.
+"""
+
+from dataclasses import dataclass, replace
+from math import log
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import expit, logsumexp
+
+from lampest.apps.recognition.fit import EVIDENCE_SHARE, MAX_ROUNDS
+from lampest.apps.recognition.steady_frames import SteadyFrames
+from lampest.apps.recognition.swings import BREATHING_SD, EDGE_SD, MAX_SWINGS, TREMBLE_SD, Patterns
+from lampest.panel.panel import Array
+from lampest.panel.response import RESPONSE_SD
+
+RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
+# assumed, of suction that oscillates to the rim alone, and to the place or the tilt
+PRIOR_ODDS = 10.0
+# The same of a load that another one, or a body, adjoins and may move: of 25 cups beside a body
+# that beats, five were taken for lampreys with PRIOR_ODDS (docs/studies/mouths.md).
+ADJOINED_ODDS = 0.1
+RATE_STEP = 0.25  # over the duration: distance of the rates that are compared
+LEAKS = 2.0  # over the duration: distance of rates beyond which a tapered wave does not leak
+MAX_RATE_SHARE = 0.475  # of the frame rate: at half of it a wave may show nothing
+MIN_FRAMES = 13  # that determine a rhythm: six numbers of wave and trend, and as many again
+MIN_RATE_HZ = 3.8  # frames per second: four with a slow clock; they resolve rates up to 2 Hz
+# Largest suction that counts over that of the recognised frame, and the inverse of the smallest.
+MAX_PULL = 3.0
+
+Pair = tuple[float, float]
+
+
+def too_slow(rate: float) -> str:
+    """Return the reason why a frame rate is too low to determine breathing, in words.
+
+    '' where it suffices.
+    """
+    if rate >= MIN_RATE_HZ:
+        return ""
+    return f"breathing shows at four frames a second or more, here there are {rate:.3g}"
+
+
+@dataclass(frozen=True)
+class Breath:
+    """Breath in one window.
+
+    Attributes
+    ----------
+    odds : float
+        ln of P(window | oscillation)/P(window | none).
+    suction : float
+        Probability that the suction oscillates, and not the rim alone, the place or the tilt.
+    hertz, depth : (float, float)
+        Rate in Hz and relative amplitude, each with its standard deviation.
+    """
+
+    odds: float
+    suction: float
+    hertz: Pair
+    depth: Pair
+
+
+def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath | None:
+    """Return the breath of a window; None where it is too short or frames are too few.
+
+    The breath is steady in the whole window, or in one of its parts, because a pull changes the
+    swings: each is as probable as the others.
+
+    Parameters
+    ----------
+    interval : SteadyFrames
+    changes : array, shape (frames, readings)
+        Whitened changes of ln y.
+    patterns : Patterns
+    """
+    suction: Array = np.ones(len(interval.times))
+    spans: list[NDArray[np.bool_]] = [np.ones(len(interval.times), dtype=bool)]
+    if interval.part.any():
+        suction = _relative_suction(interval, changes, patterns)
+        spans += [interval.part == number for number in range(interval.part.max() + 1)]
+    breaths = [
+        _steady_breath(interval.only(span), changes[span], patterns, suction[span])
+        for span in spans
+    ]
+    determined = [steady for steady in breaths if steady is not None]
+    best = max(determined, key=attrgetter("odds"), default=None)
+    return None if best is None else replace(best, odds=best.odds - log(len(determined)))
+
+
+def _steady_breath(
+    interval: SteadyFrames, recorded: Array, patterns: Patterns, suction: Array
+) -> Breath | None:
+    """Return the breath of a window in which it is steady.
+
+    None where it is too short or frames are too few. Other movements hide a breath that is weaker
+    than they are, unless they are its background. The strongest rate, and that at which the suction
+    swings most besides, therefore have backgrounds of their own; each is as probable as the other.
+
+    Parameters
+    ----------
+    interval : SteadyFrames
+    recorded : array, shape (frames, readings)
+        Whitened changes of ln y.
+    patterns : Patterns
+    suction : array, shape (frames,)
+        Suction over that of the recognised frame.
+    """
+    times = interval.times
+    rate = 1 / interval.period
+    if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
+        return None
+    lasted = float(times[-1] - times[0])
+    trend = interval.trend()
+    own_patterns, changes = patterns.beside_others(_without(trend, recorded))
+    highest_hz = min(RATES_HZ[1], MAX_RATE_SHARE * rate)
+    hertz = np.arange(RATES_HZ[0], highest_hz, RATE_STEP / lasted)
+    even_waves = _waves(hertz, times)
+    waves = _without(trend, suction[:, None] * even_waves)
+    axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
+    axes = np.swapaxes(axes, 1, 2)
+    level = changes @ own_patterns.weights(MAX_SWINGS["own"], 1.0, EDGE_SD)
+    pulls = interval.pulled(level, axes)
+    if pulls:
+        parts, remaining = interval.parted(pulls)
+        return breath(parts, recorded[remaining], patterns)
+    within = (times - times[0]) / lasted
+    window = _Window(
+        times=times,
+        hertz=hertz,
+        waves=waves,
+        axes=axes,
+        gain=sizes**2,
+        tapered=_tapered(even_waves, within),
+        changes=changes,
+        patterns=own_patterns,
+    )
+    freedom = len(times) - trend.shape[1]
+    breaths = [window.breath(*rates, freedom) for rates in window.rates(level, rate)]
+    best = max(breaths, key=attrgetter("odds"))
+    return replace(best, odds=best.odds - log(len(breaths)))
+
+
+class _Window(NamedTuple):
+    """A window between steps, without its trend.
+
+    Attributes
+    ----------
+    times : array, shape (frames,)
+        s.
+    hertz : array, shape (rates,)
+        Rates in Hz.
+    waves : array, shape (rates, frames, 2)
+        Sine and cosine in proportion to the suction.
+    axes, gain : arrays, shapes (rates, 2, frames) and (rates, 2)
+        Their orthonormal axes, and the squares of the singular values.
+    tapered : array, shape (rates, 2, frames)
+        Waves that fade towards the ends of the window.
+    changes : array, shape (frames, readings)
+        Whitened changes of ln y.
+    patterns : Patterns
+    """
+
+    times: Array
+    hertz: Array
+    waves: Array
+    axes: Array
+    gain: Array
+    tapered: Array
+    changes: Array
+    patterns: Patterns
+
+    @property
+    def distance(self) -> float:
+        """Distance in Hz beyond which a tapered wave does not leak."""
+        return LEAKS / float(self.times[-1] - self.times[0])
+
+    @property
+    def swings(self) -> Array:
+        """Swings of the readings at every rate, (rates, 2, readings)."""
+        return self.axes @ self.changes
+
+    def rates(
+        self, level: Array, rate: float
+    ) -> list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Return the rates that may be the breath's, with the rates of its background.
+
+        Each has its number, the rates that it stands for, and those of the background, (rates,).
+        The first is the strongest of all readings. The second is the strongest of the suction
+        elsewhere. Its background lacks the rates whose double it may be, because the square of a
+        movement resembles a breath.
+
+        Parameters
+        ----------
+        level : array, shape (frames,)
+            Relative suction.
+        rate : float
+            Frames per second.
+        """
+        strongest = int(np.argmax((self.swings**2).sum(axis=(1, 2))))
+        elsewhere = np.abs(self.hertz - self.hertz[strongest]) > self.distance
+        rates = [(strongest, np.ones(len(self.hertz), dtype=bool), elsewhere)]
+        if elsewhere.any():
+            second = int(np.argmax(elsewhere * ((self.axes @ level) ** 2).sum(axis=1)))
+            hertz = self.hertz[second]
+            halves = np.array([hertz, hertz / 2, (rate - hertz) / 2])
+            apart = np.abs(self.hertz[:, None] - halves) > self.distance
+            rates.append((second, ~apart[:, 0], apart.all(axis=1)))
+        return rates
+
+    def breath(
+        self, centre: int, near: NDArray[np.bool_], background: NDArray[np.bool_], freedom: int
+    ) -> Breath:
+        """Return the breath at one of the rates `near`, each as probable as any rate of all.
+
+        Parameters
+        ----------
+        centre : int
+            Number of the rate without which the background is estimated.
+        near, background : boolean arrays, shape (rates,)
+            Rates of the breath, and of its background.
+        freedom : int
+            Degrees of freedom of a series in the window.
+        """
+        lasted = float(self.times[-1] - self.times[0])
+        mean_gain = float(self.gain.mean())
+        swings = self.swings
+        # without the wave itself, which gaps between the parts of a window spread over all rates
+        without_wave = self.changes - self.axes[centre].T @ swings[centre]
+        whitening = _whitening(self.tapered[background] @ without_wave)
+        steadied = self.patterns.whitened(whitening)
+        # Amplitudes a, b of s_t at every rate, and the odds of A = BREATHING_SD against
+        # A = TREMBLE_SD.
+        series = self.changes @ whitening.T @ steadied.weights(TREMBLE_SD, 1 / mean_gain)
+        amplitude = self.axes @ series
+        total = float(series @ series)
+        power = near * (amplitude**2).sum(axis=1)
+        best = int(np.argmax(power))
+        breathing, steady = (
+            logsumexp(_evidence(total, amplitude, self.gain, sd, freedom)[near])
+            for sd in (BREATHING_SD, TREMBLE_SD)
+        )
+        remaining = max(total - power[best], 1e-12) / (freedom - 2)
+        # Rife, Boorstyn, IEEE Trans. IT-20, 1974
+        spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * lasted)
+        loud = _background(swings)  # with what the wave leaks into other rates
+        within = (self.times - self.times[0]) / lasted
+        # a rate is uniform within a step of the grid
+        hertz_sd = float(np.hypot(spread, RATE_STEP / lasted / 12**0.5))
+        return Breath(
+            odds=float(breathing - steady + np.log(near.mean())),
+            suction=_suction(steadied, swings @ whitening.T, 1.0, mean_gain),
+            hertz=(float(self.hertz[best]), hertz_sd),
+            depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
+        )
+
+
+def _without(trend: Array, series: Array) -> Array:
+    """Return series (…, frames, n) without their projection on a trend.
+
+    The trend is an orthonormal basis (frames, k).
+    """
+    return np.asarray(series - trend @ (trend.T @ series))
+
+
+def _waves(hertz: Array, times: Array) -> Array:
+    """Return cosine and sine at every rate, (rates, frames, 2)."""
+    waves = np.exp(2j * np.pi * hertz[:, None] * times)
+    return np.stack([waves.real, waves.imag], axis=2)
+
+
+def _tapered(waves: Array, within: Array) -> Array:
+    """Return waves (rates, frames, 2) that fade towards the ends of the window.
+
+    They are returned as unit vectors (rates, 2, frames).
+    """
+    faded = waves * (np.sin(np.pi * within) ** 2)[:, None]
+    return np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2)
+
+
+def _background(swings: Array) -> float:
+    """Return the variance of swings (rates, 2, readings) at most rates.
+
+    It is the lower quartile, and at least the noise.
+    """
+    if not len(swings):
+        return 1.0
+    return max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))
+
+
+def _whitening(swings: Array) -> Array:
+    """Return the whitening of movements at all rates, and of noise, (readings, readings).
+
+    `swings` (rates, 2, readings) are those of the readings at rates that the strongest one does not
+    leak into.
+    """
+    samples = swings.reshape(-1, swings.shape[2])
+    noise = _background(swings) * np.eye(samples.shape[1])
+    root = cholesky(noise + samples.T @ samples / max(len(samples), 1), lower=True)
+    return np.asarray(solve_triangular(root, np.eye(len(root)), lower=True))
+
+
+def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Array:
+    """Return the suction of each frame's part over that of the recognised frame, (frames,).
+
+    A breath swings by a share of the suction. While that is pulled, it is larger, and so are the
+    swings.
+    """
+    level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
+    means = np.bincount(interval.part, level) / np.bincount(interval.part)
+    return np.asarray(np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part])
+
+
+def _depth(
+    patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float
+) -> tuple[float, float]:
+    """Return the relative amplitude of the suction and its standard deviation.
+
+    The amplitude and the phase of the wave may change linearly over the window. A film with
+    hysteresis shows the share 1 − RESPONSE_SD of a swing, by which both are divided.
+
+    Parameters
+    ----------
+    patterns : Patterns
+    changes : array, shape (frames, readings)
+        Whitened changes of ln y.
+    waves : array, shape (frames, 2)
+        Sine and cosine at the best rate.
+    at : array, shape (frames,)
+        Time within the window, from 0 to 1.
+    noise : float
+        Variance of the amplitude in each reading.
+    """
+    basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
+    depth = BREATHING_SD
+    variance = 0.0
+    square = basis.T @ basis
+    for _ in range(MAX_ROUNDS):
+        weights = patterns.weights(depth, noise)
+        series = changes @ weights
+        # amplitudes with the prior N(0, MAX_SWINGS²), which near half the frame rate alone decides
+        freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
+        residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
+        variance_left = max(float(residual @ residual) / freedom, 1e-12)
+        covariance = np.linalg.inv(square / variance_left + np.eye(4) / MAX_SWINGS["own"] ** 2)
+        coefficients = covariance @ (basis.T @ series) / variance_left
+        variances = np.diag(covariance)
+        # A² from all four coefficients, less the noise of the two of linear change
+        depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
+        film = (
+            float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
+        )
+        variance = depth**2 * film + float(variances[:2].mean())
+    return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
+
+
+def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
+    """Return ln P(s | f) up to a constant, (rates,), summed over σ.
+
+    Parameters
+    ----------
+    total : float
+        Σ s².
+    amplitude : array, shape (rates, 2)
+        Projections of s on the axes.
+    gain : array, shape (rates, 2)
+        Squares of the axes' singular values.
+    sd : float
+        A.
+    freedom : int
+        Degrees of freedom of s.
+    """
+    noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
+    wide = noise + sd**2 * gain
+    remaining = total - (amplitude**2).sum(axis=1)
+    # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, 2)
+    fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0])
+    volume = -0.5 * (np.log(wide).sum(axis=2) + (freedom - 2) * np.log(noise[..., 0]))
+    return np.asarray(logsumexp(fits + volume, axis=0))
+
+
+def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
+    """Return the probability that suction oscillates with its rim.
+
+    It is not that of the rim alone, nor of the load's place or tilt. Each cause is taken at its own
+    best rate, because the square of a movement oscillates at twice its rate.
+
+    Parameters
+    ----------
+    patterns : Patterns
+    swings : array, shape (rates, 2, readings)
+        Projections of the readings on sine and cosine.
+    noise : float
+        Variance of the swings.
+    gain : float
+        Square of the swings at unit amplitude.
+    """
+    causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
+    suction, *movements = (_explained(root, most, swings, noise).max() for root, most in causes)
+    # 1/w = 1 + Σ_causes (E_cause/E_own)^½/PRIOR_ODDS
+    odds = EVIDENCE_SHARE * (suction - np.array(movements))
+    odds += np.log(ADJOINED_ODDS if patterns.adjoins else PRIOR_ODDS)
+    return float(expit(-logsumexp(-odds)))
+
+
+def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
+    """Return ln of the ratio of P(swings | cause) to P(swings | noise), (rates,).
+
+    It is averaged over sizes up to `most`.
+
+    Parameters
+    ----------
+    root : array, shape (readings, n)
+        Root B of the cause's covariance at unit amplitude.
+    most : float
+        Largest size a.
+    swings : array, shape (rates, 2, readings)
+    noise : float
+        Variance σ² of the swings.
+    """
+    along, lengths, _ = np.linalg.svd(root, full_matrices=False)
+    square = (swings @ along) ** 2 / noise
+    sizes = np.geomspace(TREMBLE_SD, most, 13)
+    wide = (sizes[:, None] * lengths) ** 2 / noise
+    # swings ~ N(0, σ² + a² B Bᵀ): ½ Σ z² w/(1 + w) − ½ · 2 Σ ln(1 + w), with w = a² l²/σ² along
+    # each axis of B, for sine and cosine
+    evidence = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(
+        axis=1
+    )
+    return np.asarray(logsumexp(evidence, axis=1, b=1 / len(sizes)))

@@ -1,0 +1,111 @@
+"""Breathing of an attachment: the odds of all windows together.
+
+Also whether suction or the rim alone oscillates. Each window has a `Breath`. The odds of full
+windows multiply; of incomplete ones, two in a row have to agree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf
+
+import numpy as np
+from scipy.special import expit, logit
+
+from lampest.apps.recognition.breath import PRIOR_ODDS, Breath, Pair
+from lampest.apps.recognition.fit import RARE_LOG_ODDS
+
+# duration over which a rhythm is steady, and the least that determines one
+WINDOW_S = 8.0
+MIN_WINDOW_S = 4.5
+MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
+# of suction that oscillates against the rim alone, and against the place or the tilt
+CAUSE_ODDS = PRIOR_ODDS / 2
+PRIOR_SUCTION = CAUSE_ODDS / (1 + CAUSE_ODDS)
+
+
+@dataclass(frozen=True)
+class Breathing:
+    """Breath of an attachment, from all windows.
+
+    Attributes
+    ----------
+    odds, previous_odds : float
+        ln odds of an oscillation at a breathing rate, with and without the last window.
+    causes, previous_causes : float
+        ln odds that the suction oscillates, without the prior odds, with and without the last
+        window.
+    suction : float
+        Probability that the suction oscillates, by all windows; 1 before the first one.
+    last : float
+        The same by the last window alone; its prior probability where nothing oscillated.
+    hertz, depth : (float, float) or None
+        Rate in Hz and relative amplitude, each with its standard deviation, from the last window
+        that determines them.
+    full_s, judged_s : float
+        Times of the last frame of the last full window, and of the last window, s.
+    """
+
+    odds: float = 0.0
+    previous_odds: float = 0.0
+    causes: float = 0.0
+    previous_causes: float = 0.0
+    suction: float = 1.0
+    last: float = PRIOR_SUCTION
+    hertz: Pair | None = None
+    depth: Pair | None = None
+    full_s: float = -inf
+    judged_s: float = -inf
+
+    @property
+    def probability(self) -> float:
+        """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
+        return self.suction * float(expit(self.odds))
+
+    def parted(self, steps: Sequence[float]) -> "Breathing":
+        """Return the breath after steps at times in s: one ends a window that determined a rhythm.
+
+        The swings after a pull are others. They begin a window of their own, and do not replace the
+        odds of this one.
+        """
+        if self.odds == self.previous_odds or not any(step > self.judged_s for step in steps):
+            return self
+        return self._caused(self.last)._closed(self.judged_s)
+
+    def _caused(self, suction: float) -> "Breathing":
+        """Return the breath if suction oscillates in the last window with this probability."""
+        window = logit(suction) - np.log(CAUSE_ODDS)
+        causes = float(np.clip(self.previous_causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        return replace(self, suction=float(expit(causes + np.log(CAUSE_ODDS))), causes=causes)
+
+    def _closed(self, time: float) -> "Breathing":
+        """Return the breath whose last window, which ends at a time in s, is complete."""
+        return replace(self, previous_odds=self.odds, previous_causes=self.causes, full_s=time)
+
+    def after(self, breath: Breath | None, time: float, *, full: bool) -> "Breathing":
+        """Return the breath after a window that ends at a time in s.
+
+        The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
+        because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
+        The odds of full windows multiply. Of incomplete windows, two successive ones have to agree
+        that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
+        lampreys for a second (docs/studies/mouths.md).
+        """
+        judged = replace(self, judged_s=time, full_s=time if full else self.full_s)
+        if breath is None:
+            return judged
+        weighed = judged._with_window(breath, full=full)
+        return weighed._closed(time) if full else weighed
+
+    def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
+        """Return the breath with that of one more window."""
+        # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
+        window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + breath.odds)
+        odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
+        # Where nothing oscillates, a window shows no cause.
+        suction = breath.suction if breath.odds > 0 else PRIOR_SUCTION
+        agreed = suction if full else min(suction, self.last)
+        breathing = replace(self._caused(agreed), odds=odds, last=suction)
+        follows_full_window = self.previous_odds != 0 and not full
+        if self.hertz is not None and (breath.odds <= 0 or follows_full_window):
+            return breathing
+        return replace(breathing, hertz=breath.hertz, depth=breath.depth)

@@ -1,0 +1,500 @@
+"""Answer of `lampest detect`: a sentence, attachments and events; as a table, JSON and a file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from lampest.apps.recognition.attachment import Attachment, Pair
+from lampest.apps.recognition.breath import too_slow
+from lampest.apps.recognition.breathing import MIN_WINDOW_S
+from lampest.files import hdf5
+from lampest.files.errors import counted
+from lampest.panel.panel import Array, Panel
+from lampest.report.compare import MAX_SHOWN, Table
+
+FORMAT = "detections/2"
+FILE = "detections.h5"
+ERRORS = "_errors"  # after the name of a quantity: its standard deviations in the file
+ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
+LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
+# Assumed probability that a panel without any step is bare: weak loads cause no step.
+BARE_PROBABILITY = 0.99
+MIN_PROBABILITY = 0.9  # from which an attachment is called a lamprey, or a suction cup
+MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pumps
+CHANCES = {
+    "sucks": ("1", "probability that it sucks"),
+    "breathes": ("1", "probability that its suction changes as breathing does"),
+    "pumps": ("1", "probability that its suction decays and is pumped up again"),
+}
+NUMBERS = {
+    "since_s": ("s", "time at which it came"),
+    "until_s": ("s", "time at which it left; NaN: still present"),
+    "cells": ("1", "number of touched cells"),
+    "pump_count": ("1", "number of times that the suction was pumped up; NaN: not observed"),
+    "pump_interval_s": ("s", "mean time between pumps"),
+}
+PAIRS = {
+    "x_mm": ("mm", "centre across the columns, column 0 at 0"),
+    "y_mm": ("mm", "centre across the rows, row 0 at 0"),
+    "diameter_mm": ("mm", "outer diameter"),
+    "suction_kpa": ("kPa", "pressure inside against the surroundings, typical of the attachment"),
+    "strongest_kpa": ("kPa", "the same where it was strongest"),
+    "breathing_hz": ("Hz", "rate at which the suction changes"),
+    "breathing_depth": ("1", "relative amplitude of that"),
+    "area_mm2": ("mm2", "area of the touched cells"),
+    "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
+}
+EVENT_HEADERS = (
+    "recording",
+    "time [s]",
+    "event",
+    "what",
+    "x, y [mm]",
+    "diameter [mm]",
+    "inside [kPa]",
+    "breathing [Hz]",
+)
+
+
+class Event(NamedTuple):
+    """An event of an attachment.
+
+    Attributes
+    ----------
+    kind : str
+        'touched', 'attached' (it sucks), 'moved' or 'released'.
+    time_s : float
+    number : int
+        Number of the attachment.
+    """
+
+    kind: str
+    time_s: float
+    number: int
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """Answer to one recording.
+
+    Attributes
+    ----------
+    recording : str
+        Name of the recording.
+    answer : str
+        One of ANSWERS.
+    probability : float
+        Probability of the answer.
+    why : str
+        Reason why the answer is no more specific, in a sentence, or ''.
+    frames_per_second : float or None
+    notes : tuple of str
+        Assumptions and inputs.
+    attachments : tuple of Attachment
+        Loads in the order of their arrival.
+    course : array, shape (2, frames), or None
+        Times in s, and the deviation of the readings from rest in standard deviations.
+    change : array, shape (rows, columns), or None
+        ln r/r0 at the last recognition.
+    panel : Panel or None
+    warnings : tuple of str
+        Doubts about the recording, a line each.
+    threshold : float
+        Probability from which an attachment is called a lamprey, or a suction cup.
+    start_time : str or None
+        Date and time at 0 s.
+    end_s : float or None
+        Time of the last frame, s.
+    """
+
+    recording: str
+    answer: str
+    probability: float
+    why: str = ""
+    frames_per_second: float | None = None
+    notes: tuple[str, ...] = ()
+    attachments: tuple[Attachment, ...] = ()
+    course: Array | None = None
+    change: Array | None = None
+    panel: Panel | None = None
+    warnings: tuple[str, ...] = ()
+    threshold: float = MIN_PROBABILITY
+    start_time: str | None = None
+    end_s: float | None = None
+
+    @classmethod
+    def of(
+        cls, recording: str, attachments: Sequence[Attachment], rate: float, **known: Any
+    ) -> "Detected":
+        """Return the answer by the most alarming attachment.
+
+        Among equals it is by a present one, then by the last one.
+
+        Parameters
+        ----------
+        recording : str
+        attachments : sequence of Attachment
+        rate : float
+            Frames per second.
+        **known
+            Further attributes.
+        """
+        loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
+        called = [answer_of(load, rate, known.get("threshold", MIN_PROBABILITY)) for load in loads]
+        chosen = min(
+            called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, "")
+        )
+        return cls(recording, *chosen, rate, attachments=tuple(attachments), **known)
+
+    @classmethod
+    def unknown(cls, recording: str, why: str) -> "Detected":
+        """Return the answer 'cannot say' with its reason."""
+        return cls(recording, CANNOT_SAY, 1.0, why)
+
+    @property
+    def called(self) -> list[str]:
+        """The answer by each attachment alone."""
+        return [name for name, _, _ in self._answers]
+
+    @property
+    def _answers(self) -> list[tuple[str, float, str]]:
+        rate = self.frames_per_second or 0.0
+        return [answer_of(load, rate, self.threshold) for load in self.attachments]
+
+    @property
+    def chosen(self) -> Attachment | None:
+        """The attachment of the answer: the last one that is present, or the last one."""
+        pairs = zip(reversed(self.attachments), reversed(self.called), strict=True)
+        return max(
+            (load for load, name in pairs if name == self.answer),
+            key=lambda load: load.present,
+            default=None,
+        )
+
+    @property
+    def sentence(self) -> str:
+        """The answer in words: the attachment of the answer, or all present contacts."""
+        load = self.chosen
+        why = f": {self.why}" if self.why else ""
+        if load is None:
+            return self.answer + why
+        odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
+        present = [attachment for attachment in self.attachments if attachment.present]
+        if self.answer == PRESSES and len(present) > 1:
+            shown = [*map(_described, present[:MAX_SHOWN])]
+            shown += [f"{len(present) - MAX_SHOWN} more"] if len(present) > MAX_SHOWN else []
+            return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
+        if self._visits > 1:
+            return f"{self._headline}; last: {self._described(load, present)} ({odds}){why}"
+        return f"{self._described(load, present)} ({odds}){why}"
+
+    @property
+    def _visits(self) -> int:
+        """Number of attachments that suck."""
+        return sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
+
+    @property
+    def _headline(self) -> str:
+        """Counts of what sucks, in words, such as '7 lamprey visits, 2 unsure'."""
+        return headline(self.called)
+
+    def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
+        name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(
+            self.answer, self.answer
+        )
+        messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
+        if self.answer == LAMPREY and load.pumps >= self.threshold:
+            messages.append("pumping up its suction")
+        if (
+            self.answer == LAMPREY
+            and load.breathes > 0.5
+            and load.breathing_hz
+            and load.breathing_depth
+        ):
+            depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
+            messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
+        others = len(present) - load.present
+        if others:
+            messages.append(f"and {others} more")
+        return ", ".join(messages)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """All events in the order of time."""
+        events = list[Event]()
+        for number, load in enumerate(self.attachments):
+            touched = load.since_s if load.sucks_s is None or load.sucks_s > load.since_s else None
+            times = [
+                ("touched", touched),
+                ("attached", load.sucks_s),
+                *(("moved", time) for time in load.moved_s),
+            ]
+            times.append(("released", load.until_s))
+            events += [Event(kind, time, number) for kind, time in times if time is not None]
+        return tuple(sorted(events, key=lambda event: event.time_s))
+
+    def content(self) -> dict[str, Any]:
+        """Return the content of `--json`."""
+        rate = self.frames_per_second
+        pairs = zip(self.attachments, self._answers, strict=True)
+        return {
+            "recording": self.recording,
+            "answer": self.answer,
+            "probability": round(self.probability, 4),
+            "sentence": self.sentence,
+            "frames_per_second": None if rate is None else round(rate, 4),
+            "why": self.why,
+            "notes": list(self.notes),
+            "warnings": list(self.warnings),
+            "attachments": [
+                {"answer": answer, "probability": round(probability, 4), "why": why}
+                | {name: round(getattr(load, name), 4) for name in CHANCES}
+                | {name: _rounded(getattr(load, name)) for name in (*NUMBERS, *PAIRS)}
+                for load, (answer, probability, why) in pairs
+            ],
+            "events": [
+                {"event": kind, "time_s": _rounded(time), "attachment": number}
+                for kind, time, number in self.events
+            ],
+        }
+
+
+def answer_of(
+    load: Attachment, rate: float, threshold: float = MIN_PROBABILITY
+) -> tuple[str, float, str]:
+    """Return the answer by one load, its probability, and a reason, or ''.
+
+    It is the reason why the answer is no more specific.
+
+    Parameters
+    ----------
+    load : Attachment
+    rate : float
+        Frames per second.
+    threshold : float
+        Probability from which it is called a lamprey, or a suction cup.
+    """
+    breath = load.breath
+    alive = load.sucks * load.lives
+    lifeless = load.sucks * (1 - load.lives)
+    if load.sucks <= 0.5:
+        return PRESSES, 1 - load.sucks, ""
+    if alive >= threshold:
+        return LAMPREY, alive, ""
+    too_slow_sentence = too_slow(rate)
+    if too_slow_sentence:
+        return SUCKS, load.sucks, f"{too_slow_sentence}; {_pumps_in_words(load)}"
+    if breath.odds > 0 and breath.suction < 0.5:
+        return (
+            SUCKS,
+            load.sucks,
+            "it moves at a breathing rate, but probably not by its suction: it may be shaken",
+        )
+    if breath.hertz is None:
+        return SUCKS, load.sucks, _silence_in_words(load)
+    if breath.previous_odds < 0 and lifeless >= threshold:  # no breath in a full window
+        return CUP, lifeless, ""
+    return SUCKS, load.sucks, f"whether it breathes is not clear (P = {load.breathes:.2f})"
+
+
+def _pumps_in_words(load: Attachment) -> str:
+    """Return what is known of pumps, where breathing does not show."""
+    minutes = 0.0 if load.track is None else load.track.observed_s / 60
+    if minutes < MIN_PUMP_MINUTES:
+        return "whether suction is pumped up again shows within minutes"
+    return (
+        f"in {minutes:.0f} minutes it was not pumped up in a way that tells a mouth (P = "
+        f"{load.pumps:.2f})"
+    )
+
+
+def _silence_in_words(load: Attachment) -> str:
+    """Return why no breath is known yet."""
+    if np.isfinite(load.breath.judged_s):
+        return (
+            "its readings are never steady for long enough to show breathing, or too many "
+            "frames are missing"
+        )
+    after = f"it moved at {load.moved_s[-1]:.1f} s, and " if load.moved_s else ""
+    return f"{after}breathing shows when it has been in its place for {MIN_WINDOW_S:g} s"
+
+
+def headline(called: Sequence[str]) -> str:
+    """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'."""
+    lampreys = called.count(LAMPREY)
+    unsure = called.count(SUCKS)
+    cups = called.count(CUP)
+    contacts = len(called) - lampreys - unsure - cups
+    parts = [_plural(lampreys, "lamprey visit")]
+    if unsure:
+        parts.append(f"{unsure} unsure")
+    if cups:
+        parts.append(_plural(cups, "suction cup"))
+    if contacts:
+        parts.append(_plural(contacts, "other contact"))
+    return ", ".join(parts)
+
+
+def _plural(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def alarming(detected: Detected) -> list[float]:
+    """Return the arrival times, s, of lampreys.
+
+    If the frame rate shows no breathing, also those of all loads that suck.
+    """
+    alarms = (LAMPREY, SUCKS) if too_slow(detected.frames_per_second or 0.0) else (LAMPREY,)
+    pairs = zip(detected.attachments, detected.called, strict=True)
+    return [load.since_s for load, name in pairs if name in alarms]
+
+
+def _described(load: Attachment) -> str:
+    """Return the times, the place and the size of an attachment in words."""
+    until = "since {:.1f} s" if load.until_s is None else "from {:.1f} s to {:.1f} s"
+    diameter = f", {_shown(load.diameter_mm, 'mm')}" if load.diameter_mm else ""
+    messages = [
+        f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, "
+        f"{load.y_mm[0]:.0f}) mm"
+    ]
+    if load.suction_kpa and load.sucks > 0.5:
+        messages.append(_shown(load.suction_kpa, "kPa"))
+    if load.diameter_mm is None and load.area_mm2 is not None:
+        messages += [counted(load.cells, "cell"), _shown(load.area_mm2, "mm²")]
+    return ", ".join(messages)
+
+
+def _rounded(value: Pair | float | None) -> Any:
+    """Return a number, or each of a pair, with six significant digits.
+
+    Counts and None are unchanged.
+    """
+    if isinstance(value, tuple):
+        return [_rounded(number) for number in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def _shown(pair: Pair | None, unit: str = "") -> str:
+    """Return 'value ± standard deviation' with the digits of the latter; '' for None."""
+    if pair is None:
+        return ""
+    value, sd = pair
+    digits = 2
+    if sd >= 1:
+        digits = 0
+    elif sd >= 0.05:
+        digits = 1
+    error = max(sd, 0.01)
+    return f"{value:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−").strip()
+
+
+def event_table(answers: Sequence[Detected]) -> Table:
+    """Return a table with a row for each event."""
+    rows = []
+    for answer in answers:
+        for event in answer.events:
+            load = answer.attachments[event.number]
+            name = answer.called[event.number]
+            place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
+            pairs = (load.diameter_mm, load.suction_kpa, load.breathing_hz)
+            numbers = [_shown(pair) for pair in pairs]
+            time = f"{event.time_s:.1f}"
+            rows.append((answer.recording, time, event.kind, name, place, *numbers))
+    return Table(EVENT_HEADERS, tuple(rows))
+
+
+def load_table(answers: Sequence[Detected]) -> Table:
+    """Return a table with a row for each attachment.
+
+    It has probabilities, and figures of the touched cells.
+    """
+    rows = []
+    for answer in answers:
+        for load in answer.attachments:
+            since = f"{load.since_s:.1f}"
+            chances = [f"{getattr(load, chance):.3f}" for chance in CHANCES]
+            area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
+            conductance = ""
+            if load.conductance_s is not None:
+                conductance = f"{1e3 * load.conductance_s[0]:.3g}"
+            row = (answer.recording, since, *chances, str(load.cells), area, conductance)
+            rows.append(row)
+    chances = [f"P({chance})" for chance in CHANCES]
+    return Table(
+        ("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows)
+    )
+
+
+def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
+    """Write all answers into one HDF5 file atomically.
+
+    Raises InputError where it cannot be written. Each recording has a group with the names of
+    `Detected.content`. A number of an attachment is one dataset, a pair two datasets, the second of
+    which is `<name>_errors`.
+    """
+    path = Path(path)
+    with hdf5.new_file(path) as file:
+        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        entry = file.create_group("entry")
+        hdf5.set_attributes(entry, NX_class="NXentry")
+        for order, answer in enumerate(answers):
+            content = answer.content()
+            rate = answer.frames_per_second
+            about = {
+                "answer": content["answer"],
+                "sentence": content["sentence"],
+                "why": content["why"],
+                "probability": answer.probability,
+                "frames_per_second": np.nan if rate is None else rate,
+                "notes": "\n".join(answer.notes),
+                "start_time": answer.start_time or "",
+                "end_s": np.nan if answer.end_s is None else answer.end_s,
+            }
+            group = entry.create_group(answer.recording)
+            hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
+            if answer.attachments:
+                _write_table(group, "attachments", _attachment_columns(content["attachments"]))
+                _write_table(group, "events", _event_columns(answer.events))
+    return path
+
+
+TableColumns: TypeAlias = dict[str, tuple[Any, str, str]]  # name → values, units and text
+
+
+def _attachment_columns(loads: Sequence[dict[str, Any]]) -> TableColumns:
+    """Return the columns of attachments as in `Detected.content`."""
+    answers = hdf5.ascii_array([load["answer"] for load in loads])
+    reasons = hdf5.ascii_array([load["why"] for load in loads])
+    probabilities = np.array([load["probability"] for load in loads])
+    columns: TableColumns = {
+        "answer": (answers, "1", "what it is"),
+        "why": (reasons, "1", "why the answer is no more specific"),
+        "probability": (probabilities, "1", "probability of the answer"),
+    }
+    for name, (units, text) in (CHANCES | NUMBERS).items():
+        columns[name] = np.array([load[name] for load in loads], dtype=float), units, text
+    for name, (units, text) in PAIRS.items():
+        values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
+        columns[name] = values, units, text
+        columns[f"{name}{ERRORS}"] = errors, units, f"standard deviation: {text}"
+    return columns
+
+
+def _event_columns(events: Sequence[Event]) -> TableColumns:
+    """Return the columns of events."""
+    kinds, times, numbers = zip(*events, strict=True)
+    return {
+        "event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released"),
+        "time": (np.array(times), "s", "when it was first seen"),
+        "attachment": (np.array(numbers), "1", "number of the attachment"),
+    }
+
+
+def _write_table(entry: Any, name: str, columns: TableColumns) -> None:
+    group = entry.create_group(name)
+    hdf5.set_attributes(group, NX_class="NXcollection")
+    for name, (values, units, text) in columns.items():
+        hdf5.write_dataset(group, name, values, units, text)

@@ -1,0 +1,454 @@
+"""Recognition of attachments in recordings and results, frame by frame of the readings."""
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.apps.film.tare import sigma_of_frames
+from lampest.apps.recognition.breath import too_slow
+from lampest.apps.recognition.detect.answer import MIN_PROBABILITY, Detected
+from lampest.apps.recognition.image import ImageWatch
+from lampest.apps.recognition.observation import ModelErrors
+from lampest.apps.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
+from lampest.apps.recognition.watch_parts import WatchSetup
+from lampest.estimate.deciding import baseline_readings
+from lampest.estimate.noise import NoiseEstimate
+from lampest.estimate.nuisances import CircuitEffects, without_effects_of
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.saturation import with_saturated_stage
+from lampest.estimate.warnings import touched, warnings_of
+from lampest.files.errors import InputError
+from lampest.files.hdf5 import format_of
+from lampest.files.process import ONE_BLAS_THREAD, logged_reason
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.panel.systematic import own_errors
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.readings import Readings, stand_in
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.stored import StoredRecording
+from lampest.runs.case import CaseResult
+from lampest.runs.executors import each_of
+from lampest.runs.filling import frame_noise_of
+from lampest.runs.results import Results
+
+BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
+NO_RESPONSE = (
+    "no pressures and forces, since the scene names no response; shapes are fitted with "
+    "the published one"
+)
+HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
+MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
+Frames = Iterator[tuple[Array, Array, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Knowledge of a recording before its first measured frame.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recording.
+    scene : Scene
+    resting, sigma : array, shape (rows, columns)
+        Mean of the unloaded readings, and the standard deviation of one frame.
+    unloaded : array, shape (frames, rows, columns)
+        The unloaded readings; NaN where one is no value.
+    begin : float
+        Time of the last unloaded frame, s.
+    reading_error : float
+        Each reading's own error, see `NoiseEstimate`.
+    noise : FrameNoise or None
+        Random errors that the readings of a frame share.
+    notes : tuple of str
+        Assumptions.
+    patch_mm : float or None
+        Edge of a cell's film; None where it is not specified.
+    effects : CircuitEffects or None
+        Effects that are taken off the readings.
+    explained : bool
+        Whether the circuit explains the readings.
+    threshold : float
+        Probability from which an attachment is called a lamprey, or a suction cup.
+    start_time : str or None
+        Date and time at 0 s.
+    """
+
+    name: str
+    scene: Scene
+    resting: Array
+    sigma: Array
+    unloaded: Array
+    begin: float
+    reading_error: float
+    noise: FrameNoise | None
+    notes: tuple[str, ...]
+    patch_mm: float | None = None
+    effects: CircuitEffects | None = None
+    explained: bool = True
+    threshold: float = MIN_PROBABILITY
+    start_time: str | None = None
+
+    @ONE_BLAS_THREAD
+    def watch(self) -> Watch | ImageWatch:
+        """Return the watch before the first frame.
+
+        Raises ValueError if the panel is too large.
+        """
+        panel = self.scene.panel
+        layout = self.scene.panel.modules
+        noise = self.noise
+        if panel.network.crossings > MAX_CELLS:
+            raise ValueError(
+                f"loads are recognised on panels and modules of up to {MAX_CELLS} cells"
+            )
+        common = (
+            None
+            if noise is None or layout
+            else lambda measured: noise.columns(measured[None], baseline=False)
+        )
+        setup = WatchSetup.of(
+            self.scene, ModelErrors().of_scene(self.scene, self.reading_error), self.patch_mm
+        )
+        kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
+        return kind.begin(
+            replace(setup, common=common, explained=self.explained),
+            self.resting,
+            self.sigma,
+            self.unloaded,
+            self.begin,
+        )
+
+    @ONE_BLAS_THREAD
+    def answer(self, frames: Frames) -> Detected:
+        """Return the answer after all frames."""
+        course = list[tuple[float, float]]()
+        failed = list[str]()
+        try:
+            watch = self.watch()
+        except (ArithmeticError, ValueError) as error:
+            return Detected.unknown(self.name, logged_reason(error, self.name))
+        for value, sigma, time in frames:
+            try:
+                watch = watch.push(value, sigma, time)
+                course.append((time, watch.stands_out))
+            except (ArithmeticError, ValueError) as error:  # such a frame is left out
+                failed.append(
+                    f"the frame at {time:.1f} s is left out: {logged_reason(error, self.name)}"
+                )
+        if len(course) < 2:
+            return Detected.unknown(
+                self.name, failed[0] if failed else "one frame shows no change; three are needed"
+            )
+        answer = self.detected(watch.ended(), [time for time, _ in course], np.array(course).T)
+        more = (f"so are {len(failed) - 1} more frames",) if len(failed) > 1 else ()
+        return replace(answer, notes=(*answer.notes, *failed[:1], *more))
+
+    def detected(
+        self, watch: Watch | ImageWatch, times: Sequence[float], course: Array | None = None
+    ) -> Detected:
+        """Return the answer after the frames so far.
+
+        Parameters
+        ----------
+        watch : Watch or ImageWatch
+        times : sequence of float
+            Times of the last frames, s.
+        course : array, optional
+            As in `Detected`.
+        """
+        attachments = watch.attachments
+        response = self.scene.response
+        rate = frame_rate(times)
+        time = times[-1] if times else None
+        if watch.doubt and not attachments:
+            return replace(
+                Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course
+            )
+        if response is None:
+            attachments = tuple(replace(load, suctions=()) for load in attachments)
+        faults = tuple(
+            f"{line} is open in frames from {at:.1f} s on; these are left out"
+            for line, at in watch.faults
+        )
+        brief = tuple(
+            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be "
+            "recognised"
+            for begin, end in watch.brief
+        )
+        slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
+        doubts = filter(None, (slow, watch.doubt))
+        notes = (*self.notes, *faults, *brief, BY, *(() if response else (NO_RESPONSE,)), *doubts)
+        about: dict[str, Any] = {
+            "notes": notes,
+            "course": course,
+            "change": watch.change,
+            "panel": self.scene.panel,
+        }
+        about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
+        detected = Detected.of(self.name, attachments, rate, **about)
+        return replace(detected, why=brief[-1]) if brief and not attachments else detected
+
+    def values(self, readings: Readings) -> tuple[Array, Array]:
+        """Return the values and σ of one frame, (rows, columns).
+
+        σ is infinite where a reading is no value.
+        """
+        sigma = readings.sigma_of_values
+        return readings.value, np.where(
+            readings.plain, self.sigma if sigma is None else sigma, np.inf
+        )
+
+
+def frame_rate(times: Sequence[float]) -> float:
+    """Return the frames per second by the median step of their times in s; 0 for a single frame."""
+    return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
+
+
+def detect_results(
+    results: Results,
+    patch_mm: float | None = None,
+    threshold: float = MIN_PROBABILITY,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Detected]:
+    """Return the answer to every recording of a results file."""
+    return list(
+        each_of(
+            _of_case,
+            [(results.of(name)[0], patch_mm, threshold) for name in results.recordings()],
+            on_case,
+        )
+    )
+
+
+def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
+    case, patch_mm, threshold = task
+    known, frames = known_of_case(case, patch_mm)
+    messages = tuple(filter(None, case.warnings.split("\n")))
+    return replace(replace(known, threshold=threshold).answer(frames), warnings=messages)
+
+
+def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
+    """Return the knowledge of a recording from its results, and its measured frames.
+
+    They are as of the recording itself.
+    """
+    side = np.where(case.valued, case.measured, np.nan)
+    spread = case.sigma
+    notes = tuple[str, ...]()
+    noise = frame_noise_of(case.frame_noise, case.scene)
+    # Results of earlier versions have the number of unloaded frames beside the noise that frames
+    # share.
+    count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
+    if spread is None or case.sigma_baseline is None:
+        deviation, notes = _scattered(side)
+        spread = np.broadcast_to(deviation, side.shape)
+    else:
+        spread = _frame_sigma(case, side, spread, 1)
+        deviation = _frame_sigma(case, case.measured_baseline, case.sigma_baseline, count)
+        deviation = np.minimum(deviation, spread[:HEAD_FRAMES].min(axis=0))
+    baseline = case.measured_baseline
+    baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
+    begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
+    known = Known(
+        case.recording,
+        case.scene,
+        baseline,
+        deviation,
+        # Results hold the mean of the unloaded frames alone.
+        np.repeat(baseline[None], count, axis=0),
+        begin,
+        case.reading_error,
+        noise,
+        notes,
+        patch_mm,
+        explained=case.model_mark != "no",
+        start_time=case.start_time,
+    )
+    return known, zip(
+        side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True
+    )
+
+
+def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
+    """Return σ of one frame's readings by the σ of the mean of `count` frames.
+
+    It is without errors that all frames share. Averaging reduces neither the error of the model nor
+    the one of each reading, see `scaled` and `_with_reading_error` of `lampest.estimate`.
+    """
+    shared = own_errors(value, case.scene, case.error_in_sigma)
+    square = count * sigma**2 / (1 + count * (case.model_factor**2 - 1)) - count * shared**2
+    return np.asarray(np.sqrt(np.fmax(square, (MIN_FRAME_SHARE * sigma) ** 2)))
+
+
+def detect_recording(
+    path: Path,
+    patch_mm: float | None = None,
+    frames: range | None = None,
+    threshold: float = MIN_PROBABILITY,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Detected:
+    """Return the answer to a recording, which is read part by part.
+
+    Raises InputError where it cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+    patch_mm : float, optional
+        Edge of a cell's film.
+    frames : range, optional
+        Frames that are watched; by default all.
+    threshold : float
+        Probability from which an attachment is called a lamprey, or a suction cup.
+    on_frame : callable
+        Receives the numbers of watched and of all frames.
+    """
+    stored = StoredRecording.of(path)
+    part = stored.part(stored.blocks[0])
+    measured = np.flatnonzero(part.role == MEASURED)[:HEAD_FRAMES]
+    if not len(measured):
+        raise InputError(f"{path}: no frame is measured (role 1)")
+    head = Prepared(stored.part(range(int(measured[-1]) + 1)))
+    watched = known_of(head, patch_mm)
+    doubts = warnings_of(head.recording, recognition_noise(head), head.check)
+    messages = tuple(doubt for doubt in doubts if not doubt.startswith((TOUCHED, UNEVENLY)))
+    if isinstance(watched, Detected):
+        return replace(watched, warnings=messages, start_time=stored.start_time)
+    watched = replace(watched, threshold=threshold, start_time=stored.start_time)
+    requested = range(stored.frames) if frames is None else frames
+    blocks = stored.blocks
+
+    def looked_at() -> Frames:
+        for block in blocks:
+            measured = measured_frames(stored.part(block), watched, np.isin(block, requested))
+            for done, frame in enumerate(measured, block[0]):
+                on_frame(done, stored.frames)
+                yield frame
+            on_frame(block[-1] + 1, stored.frames)
+
+    return replace(watched.answer(looked_at()), warnings=messages)
+
+
+def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
+    """Return the knowledge from the first frames of a recording, or an answer.
+
+    The answer has the reason why there is none.
+    """
+    head = prepared.recording
+    readings = head.readings()
+    notes = tuple[str, ...]()
+    unloaded = np.flatnonzero(head.role == UNLOADED)
+    seen = None if readings.sigma is None else recognition_noise(prepared)
+    resting = baseline_readings(head, readings if seen is None else seen.readings)
+    if not resting.enough(head.scene):
+        return Detected.unknown(head.name, "no frame has enough readings for a comparison")
+    if touched(head):
+        return Detected.unknown(head.name, TOUCHED)
+    noise = None
+    error = 0.0
+    scene = head.scene
+    besides = None
+    if seen is None or readings.sigma is None:
+        if len(head.time) < 3:
+            return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
+        sigma, notes = _scattered(readings.plain_values)
+    else:
+        noise = seen.frame
+        error = seen.reading_error
+        besides = seen.corrected_effects
+        scene = with_saturated_stage(head).scene
+        specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
+        sigma = seen.sigma_factor / seen.model_factor * specified
+        readings = seen.readings
+    begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
+    before = (
+        resting.value,
+        sigma,
+        readings.plain_values[unloaded],
+        begin,
+        error,
+        noise,
+        notes,
+        patch_mm,
+    )
+    explained = prepared.check.explains is not False
+    return Known(head.name, scene, *before, besides, explained)
+
+
+def recognition_noise(prepared: Prepared) -> NoiseEstimate:
+    """Return the noise for recognition; for modules that of their frames, which needs no fits."""
+    return prepared.noise if prepared.layout is None else prepared.frame_noise
+
+
+def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
+    """Generate the values, σ and time in s of the requested measured frames, corrected for effects.
+
+    Parameters
+    ----------
+    part : Recording
+    watched : Known
+    asked : boolean array, shape (frames,)
+    """
+    readings = Readings.of(watched.scene, part.recorded, part.sigma)
+    besides = watched.effects
+    if besides is not None and besides.pair is not None:
+        readings = without_effects_of(besides.pair, readings, part.role == UNLOADED)
+    for number in np.flatnonzero((part.role == MEASURED) & asked):
+        yield *watched.values(readings[number]), float(part.time[number])
+
+
+def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return σ (rows, columns) from differences of successive frames, and a note on its origin."""
+    # Of cells that have no value.
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        median = np.nanmedian(value, axis=0)
+        relative = sigma_of_frames(np.log(value))
+        size = float(np.nan_to_num(np.nanmedian(relative)))
+    message = (
+        f"the noise is unknown: {100 * size:.2g} % a reading, from differences of "
+        "neighbouring frames"
+    )
+    return median * np.fmax(relative, max(size, 1e-6)), (message,)
+
+
+def recordings_in(paths: Sequence[Path]) -> list[Path]:
+    """Return the files, and of folders the recordings in them and in their folders.
+
+    They are in the order of their names.
+
+    Raises InputError for a folder without a recording.
+    """
+    files = list[Path]()
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = [
+            file for file in sorted(path.rglob("*.h5")) if format_of(file).startswith("recording/")
+        ]
+        if not inside:
+            raise InputError(f"{path}: holds no recording (*.h5)")
+        files += inside
+    return list(dict.fromkeys(files))
+
+
+def named_apart(answers: Sequence[Detected]) -> list[Detected]:
+    """Return the answers with a number after the names of recordings that another one has, too."""
+    used = set[str]()
+    named = list[Detected]()
+    for answer in answers:
+        name = answer.recording
+        number = 1
+        while name in used:
+            number += 1
+            name = f"{answer.recording}_{number}"
+        used.add(name)
+        named.append(replace(answer, recording=name))
+    return named

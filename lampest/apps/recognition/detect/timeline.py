@@ -1,0 +1,157 @@
+"""Timelines of detections: change of the readings over time, attachments, and a map."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
+
+from lampest.apps.recognition.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected
+from lampest.panel.panel import Panel
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, change_scale
+from lampest.report.plots.style import (
+    PLAIN_NUMBER,
+    SMALL_POINT,
+    TEXT_POINT,
+    dressed,
+    new_figure,
+    write_all,
+)
+
+# Those of Okabe and Ito, apart for the colour-blind.
+MAX_NUMBERED = 20  # visits whose numbers fit on a map
+# lines of labels, and the share of the axis that the longest label takes
+LABEL_LINES = 5
+LABEL_WIDTH = 0.22
+COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
+
+
+def plot_timelines(
+    answers: Sequence[Detected],
+    folder: str | Path,
+    on_picture: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
+    """Draw every recording into timeline_<recording>.png in a folder; return the files.
+
+    on_picture : as in `write_all`. Raises InputError if the folder cannot be written.
+    """
+    shown = [answer for answer in answers if answer.course is not None]
+    return write_all(
+        [partial(timeline, answer) for answer in shown], timeline_files(answers, folder), on_picture
+    )
+
+
+def timeline_files(answers: Sequence[Detected], folder: str | Path) -> list[Path]:
+    """Return the files that `plot_timelines` writes."""
+    return [
+        Path(folder) / f"timeline_{answer.recording}.png"
+        for answer in answers
+        if answer.course is not None
+    ]
+
+
+def timeline(answer: Detected) -> Figure:
+    """Draw the difference of the readings from rest over time, and a map.
+
+    Each attachment has a band.
+    """
+    figure = new_figure(3.4)
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
+    _course(halves[0].subplots(), answer)
+    _map(halves[1].subplots(), answer)
+    figure.suptitle(f"{answer.recording}: {answer.sentence.split(':')[0]}", fontsize=TEXT_POINT)
+    return figure
+
+
+def _course(axes: Axes, answer: Detected) -> None:
+    assert answer.course is not None
+    time, loudness = answer.course
+    axes.semilogy(time, np.maximum(loudness, 0.1), color="#222222", lw=0.9)
+    ends = [0.0] * LABEL_LINES  # of the labels in each line, as shares of the axis
+    for attachment, name in zip(answer.attachments, answer.called, strict=True):
+        end = time[-1] if attachment.until_s is None else attachment.until_s
+        axes.axvspan(attachment.since_s, end, color=COLOURS[name], alpha=0.35, lw=0)
+        place = (
+            1.0 if time[-1] <= time[0] else (attachment.since_s - time[0]) / (time[-1] - time[0])
+        )
+        line = next((line for line, taken in enumerate(ends) if taken <= place), None)
+        if line is not None:  # else there is no room, and its colour alone says what it is
+            ends[line] = place + LABEL_WIDTH
+            look: dict[str, Any] = {
+                "fontsize": SMALL_POINT,
+                "va": "top",
+                "transform": axes.get_xaxis_transform(),
+            }
+            mark = axes.text(
+                attachment.since_s, 0.98 - 0.07 * line, f" {name}", clip_on=True, **look
+            )
+            mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
+    axes.set_xlim(time[0], time[-1])
+    axes.yaxis.set_major_formatter(PLAIN_NUMBER)
+    dressed(axes, "time [s]", "readings differ from rest\n[standard deviations]")
+
+
+def _map(axes: Axes, answer: Detected) -> None:
+    """Draw the relative change of the cells at the last recognition with its circle.
+
+    Of several visits their places are drawn.
+    """
+    if len(answer.attachments) > 1 and answer.panel is not None:
+        _visits(axes, answer, answer.panel)
+        return
+    if answer.change is None or answer.panel is None:
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "nothing was there", ha="center", va="center", fontsize=SMALL_POINT)
+        return
+    change = 100 * np.expm1(answer.change)
+    painter = MapPainter(answer.panel, change_scale([change], "relative change of resistance [%]"))
+    painter.draw(axes, Tile("what was recognised last", change))
+    painter.bar(axes.figure, axes, "bottom")
+    axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
+    axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
+    for attachment in [
+        attachment for attachment in answer.attachments if attachment.present
+    ] or answer.attachments:
+        if attachment.diameter_mm is not None:  # the outer edge of a load that is round
+            circle = Circle(
+                attachment.place, attachment.diameter_mm[0] / 2, fill=False, color="black", lw=1.1
+            )
+            circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
+            axes.add_patch(circle)
+        axes.plot(*attachment.place, "+", color="black", ms=5, mew=0.9)
+
+
+def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
+    """Draw the places of all visits.
+
+    Each has a circle of the diameter, or a cross where the diameter is not known, and the number.
+    """
+    across, down = panel.places_mm[:, panel.present]
+    axes.plot(across, down, ".", color="0.8", ms=2)
+    for number, (attachment, name) in enumerate(
+        zip(answer.attachments, answer.called, strict=True), 1
+    ):
+        if attachment.diameter_mm is not None:
+            radius = attachment.diameter_mm[0] / 2
+            axes.add_patch(
+                Circle(attachment.place, radius, fill=False, color=COLOURS[name], lw=1.1)
+            )
+        else:
+            axes.plot(*attachment.place, "x", color=COLOURS[name], ms=4, mew=0.9)
+        if len(answer.attachments) <= MAX_NUMBERED:
+            axes.annotate(
+                str(number), attachment.place, fontsize=SMALL_POINT, ha="center", va="center"
+            )
+    (left, right), (top, bottom) = panel.extents_mm
+    axes.set(
+        xlim=(left - panel.pitch_mm, right + panel.pitch_mm),
+        ylim=(bottom + panel.pitch_mm, top - panel.pitch_mm),
+    )
+    axes.set_aspect("equal")
+    axes.set_title("places of all visits", fontsize=SMALL_POINT)
+    dressed(axes, ACROSS_LABEL, DOWN_LABEL)

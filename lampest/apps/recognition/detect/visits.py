@@ -1,0 +1,323 @@
+"""Visits over all recordings of a season; counts and a picture.
+
+Visits are one row for each attachment, with clock times.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from math import hypot, isnan
+from pathlib import Path
+from typing import Any
+
+from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
+from lampest.files import hdf5
+from lampest.files.whole import write_whole
+from lampest.report.compare import Table, comma_separated
+
+FILE = "visits.csv"
+PICTURE = "visits.png"
+DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
+REVISIT_H = 24.0  # between the end of a visit and one that may be by the same animal
+HOUR_S = 3600.0
+COLUMNS = {
+    "visit": "number of the visit, in the order of time",
+    "recording": "name of the recording",
+    "answer": "lamprey, sucks, suction cup or presses",
+    "probability": "probability of the answer",
+    "begin": "date and time of the arrival, by the clock of the recording; empty where it has none",
+    "begin_s": "arrival after the begin of the recording, s",
+    "duration_s": "s; of a visit that lasts to the end of the recording until that end",
+    "left": "whether it left before the recording ended: yes or no",
+    "x_mm": "centre across the columns, mm",
+    "y_mm": "centre across the rows, mm",
+    "diameter_mm": "outer diameter, mm",
+    "diameter_sd_mm": "its standard deviation, mm",
+    "suction_kpa": "typical suction at rest, kPa",
+    "suction_sd_kpa": "its standard deviation, kPa",
+    "strongest_kpa": "strongest suction, kPa",
+    "strongest_sd_kpa": "its standard deviation, kPa",
+    "breathing_hz": "rate of breathing, Hz",
+    "breathing_depth": "relative amplitude of the suction by breathing",
+    "pumps": "number of times that the suction was pumped up; empty where it was not observed",
+    "pump_interval_s": "mean time between pumps, s",
+    "may_be_visit": "number of the last earlier visit that may be by the same animal",
+    "why": "why the answer is no more specific",
+}
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One visit; the attributes are the columns of visits.csv, None where they are not known.
+
+    >>> from lampest.apps.recognition.detect.visits import Visit
+    >>> Visit("mine", "lamprey", 0.98, 12.0, 60.0).begin is None
+    True
+    """
+
+    recording: str
+    answer: str
+    probability: float
+    begin_s: float
+    duration_s: float | None
+    begin: str | None = None
+    left: str = "no"
+    visit: int = 0
+    x_mm: float | None = None
+    y_mm: float | None = None
+    diameter_mm: float | None = None
+    diameter_sd_mm: float | None = None
+    suction_kpa: float | None = None
+    suction_sd_kpa: float | None = None
+    strongest_kpa: float | None = None
+    strongest_sd_kpa: float | None = None
+    breathing_hz: float | None = None
+    breathing_depth: float | None = None
+    pumps: int | None = None
+    pump_interval_s: float | None = None
+    may_be_visit: int | None = None
+    why: str | None = None
+
+    @property
+    def clock(self) -> datetime | None:
+        """Date and time of the arrival."""
+        return None if self.begin is None else datetime.fromisoformat(self.begin)
+
+    @property
+    def row(self) -> list[object]:
+        """Values in the order of COLUMNS."""
+        return [getattr(self, name) for name in COLUMNS]
+
+
+def visits_of(answers: Iterable[Detected]) -> list[Visit]:
+    """Return the visits of all recordings, numbered in the order of time."""
+    visits = list[Visit]()
+    for answer in answers:
+        loads = answer.content()["attachments"]
+        visits += rows_of(answer.recording, loads, answer.start_time, answer.end_s)
+    return numbered(visits)
+
+
+def numbered(rows: Iterable[Visit]) -> list[Visit]:
+    """Return visits with their numbers in the order of time, and with possible earlier ones.
+
+    An earlier visit may be by the same animal. Visits of recordings without a clock come last.
+    """
+    visits = list(rows)
+    clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
+    ordered = [*clocked, *(visit for visit in visits if visit.begin is None)]
+    counted = [replace(visit, visit=number) for number, visit in enumerate(ordered, 1)]
+    return [replace(visit, may_be_visit=_earlier(visit, counted)) for visit in counted]
+
+
+def _since_epoch(visit: Visit) -> float:
+    """Return the time of arrival in s; times without a zone are of the clock of this computer."""
+    assert visit.clock is not None
+    return visit.clock.timestamp()
+
+
+def rows_of(
+    recording: str, loads: Sequence[dict[str, Any]], begin: str | None, end: float | None
+) -> list[Visit]:
+    """Return the visits of one recording, without numbers.
+
+    Parameters
+    ----------
+    recording : str
+    loads : sequence of dict
+        Attachments as in `Detected.content`.
+    begin : str or None
+        Date and time at 0 s.
+    end : float or None
+        Time of the last frame, s.
+    """
+    visits = list[Visit]()
+    for load in loads:
+        since = load["since_s"]
+        until = load["until_s"]
+        stop = end if until is None else until
+        names = "x_mm", "y_mm", "breathing_hz", "breathing_depth"
+        values: Any = {name: (load[name] or (None,))[0] for name in names}
+        suction = _with_error("suction_kpa", load) | _with_error("strongest_kpa", load)
+        visits.append(
+            Visit(
+                recording=recording,
+                answer=load["answer"],
+                probability=load["probability"],
+                begin_s=since,
+                duration_s=None if stop is None else round(max(stop - since, 0.0), 3),
+                begin=_clock(begin, since),
+                left="no" if until is None else "yes",
+                **values,
+                **_with_error("diameter_mm", load),
+                **(suction if load["sucks"] > 0.5 else {}),
+                pumps=None if load["pump_count"] is None else int(load["pump_count"]),
+                pump_interval_s=load["pump_interval_s"],
+                why=load["why"] or None,
+            )
+        )
+    return visits
+
+
+def _with_error(name: str, load: dict[str, Any]) -> Any:
+    """Return a pair of a load as two columns."""
+    value, sd = load[name] or (None, None)
+    stem, unit = name.rsplit("_", 1)
+    return {name: value, f"{stem}_sd_{unit}": sd}
+
+
+def _clock(start: str | None, seconds: float) -> str | None:
+    """Return the date and time that many seconds after the start, to a tenth of a second.
+
+    None without a start.
+    """
+    if not start:
+        return None
+    try:
+        begin = datetime.fromisoformat(start)
+    except ValueError:
+        return None
+    return (begin + timedelta(seconds=round(seconds, 1))).isoformat(timespec="milliseconds")
+
+
+def _earlier(visit: Visit, visits: Sequence[Visit]) -> int | None:
+    """Return the number of the last ended visit of a lamprey of about the same diameter.
+
+    Diameters are about the same within two standard deviations of the difference. Without a clock
+    only visits of one recording are compared.
+    """
+    if visit.answer != LAMPREY or visit.diameter_mm is None or visit.diameter_sd_mm is None:
+        return None
+    last = None
+    for earlier in visits:
+        if earlier.visit >= visit.visit or earlier.answer != LAMPREY or earlier.left == "no":
+            continue
+        if earlier.diameter_mm is None or earlier.diameter_sd_mm is None:
+            continue
+        difference_sd = hypot(visit.diameter_sd_mm, earlier.diameter_sd_mm)
+        alike = abs(visit.diameter_mm - earlier.diameter_mm) < 2 * difference_sd
+        pause_s = _pause_s(earlier, visit)
+        if alike and pause_s is not None and 0 <= pause_s < REVISIT_H * HOUR_S:
+            last = earlier.visit
+    return last
+
+
+def _pause_s(earlier: Visit, later: Visit) -> float | None:
+    """Return the time between two visits, s; None where it is unknown."""
+    if earlier.duration_s is None:
+        return None
+    if earlier.clock is not None and later.clock is not None:
+        return _since_epoch(later) - _since_epoch(earlier) - earlier.duration_s
+    if earlier.recording != later.recording:
+        return None
+    return later.begin_s - earlier.begin_s - earlier.duration_s
+
+
+def write_visits(path: str | Path, visits: Sequence[Visit]) -> Path:
+    """Write one row for each visit as CSV atomically.
+
+    Raises InputError where the place cannot be written.
+    """
+    write_whole(Path(path), comma_separated([list(COLUMNS), *(visit.row for visit in visits)]))
+    return Path(path)
+
+
+def count_table(answers: Sequence[Detected], visits: Sequence[Visit]) -> Table:
+    """Return the visits of lampreys, and of what may be one, of each day.
+
+    They are counted by day and by night, and per recorded hour. Recordings without a clock are one
+    row.
+    """
+    hours = dict[str, list[float]]()
+    for answer in answers:
+        for name, night, seconds in _recorded(answer):
+            hours.setdefault(name, [0.0, 0.0])[night] += seconds / HOUR_S
+    rows = []
+    for name, recorded in sorted(hours.items()):
+        own = [visit for visit in visits if _date(visit) == name]
+        cells = [name]
+        for night in (0, 1):
+            answers_then = [visit.answer for visit in own if _is_night(visit.clock) == bool(night)]
+            lampreys = answers_then.count(LAMPREY)
+            unsure = answers_then.count(SUCKS)
+            rate = f"{lampreys / recorded[night]:.2g}" if recorded[night] > 0 else ""
+            cells += [f"{recorded[night]:.2g}", str(lampreys), str(unsure), rate]
+        rows.append(tuple(cells))
+    first, last = DAY_HOURS
+    heads = ["day"]
+    for part in (f"{first}–{last} h", f"{last}–{first} h"):
+        for text in ("recorded [h]", "lampreys", "unsure", "lampreys an hour"):
+            heads.append(f"{part} {text}")
+    return Table(tuple(heads), tuple(rows), title="visits by day and by night")
+
+
+def _recorded(answer: Detected) -> Iterable[tuple[str, int, float]]:
+    """Generate the day, whether it is night, and the seconds of each recorded hour.
+
+    A recorded hour is one that a recording covers.
+    """
+    end = answer.end_s or 0.0
+    begin = _clock(answer.start_time, 0.0)
+    if begin is None:
+        yield WITHOUT_CLOCK, 0, end
+        return
+    clock = datetime.fromisoformat(begin)
+    remaining = end
+    while remaining > 0:
+        next_hour = (clock + timedelta(hours=1)).replace(minute=0, second=0, microsecond=0)
+        part = min((next_hour - clock).total_seconds(), remaining)
+        yield clock.date().isoformat(), int(_is_night(clock)), part
+        clock = next_hour
+        remaining = remaining - part
+
+
+WITHOUT_CLOCK = "without a clock"
+
+
+def _date(visit: Visit) -> str:
+    return WITHOUT_CLOCK if visit.clock is None else visit.clock.date().isoformat()
+
+
+def _is_night(clock: datetime | None) -> bool:
+    """Return whether a time of day is outside of DAY_HOURS; without a clock it counts as day."""
+    return clock is not None and not DAY_HOURS[0] <= clock.hour < DAY_HOURS[1]
+
+
+def visits_in(path: Path) -> list[Visit]:
+    """Return the visits of a file of detections.
+
+    Raises InputError where it is none or is damaged.
+    """
+    visits = list[Visit]()
+    with hdf5.existing_file(path) as file:
+        names = hdf5.children(file, "entry", object)
+        for name in sorted(
+            names, key=lambda name: hdf5.read_number(file, f"entry/{name}", "order")
+        ):
+            group = f"entry/{name}"
+            begin = hdf5.read_attribute(file, group, "start_time")
+            end = hdf5.read_attribute(file, group, "end_s")
+            table = f"{group}/attachments"
+            loads = _stored_loads(file, table) if hdf5.has(file, table) else []
+            visits += rows_of(
+                name, loads, str(begin) or None, None if isnan(float(end)) else float(end)
+            )
+    return numbered(visits)
+
+
+def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
+    """Return the attachments of a table of `write_detections` as in `Detected.content`."""
+    texts = ("answer", "why")
+    names = hdf5.children(file, group)
+    count = hdf5.length_of(file, f"{group}/answer")
+    columns: dict[str, list[Any]] = {
+        name: list(hdf5.read_texts(file, f"{group}/{name}", count)) for name in texts
+    }
+    for name in names:
+        if name not in texts:
+            values = hdf5.read_array(file, f"{group}/{name}", 1).tolist()
+            columns[name] = [None if isnan(value) else value for value in values]
+    for name in [name for name in names if f"{name}{ERRORS}" in names]:
+        pairs = zip(columns[name], columns.pop(f"{name}{ERRORS}"), strict=True)
+        columns[name] = [None if value is None else (value, sd) for value, sd in pairs]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

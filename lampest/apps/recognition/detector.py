@@ -1,0 +1,466 @@
+"""Recognition of a single frame.
+
+Candidates are fitted from several starts, and compared by their evidence. The cost has many minima,
+because readings do not depend on rims between patches. Fits begin where templates match, with
+coarse errors about the field of cells. They are then refined with the errors about the best
+explanation. Where no candidate explains the frame, several loads are fitted together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+from scipy.special import softmax
+
+from lampest.apps.recognition.candidates import (
+    FIELD,
+    FULL_KPA,
+    LOADS,
+    UNIFORM,
+    DiscSearch,
+    Several,
+    under,
+)
+from lampest.apps.recognition.fit import (
+    EVIDENCE_SHARE,
+    MAX_LOG_RATIO,
+    SEARCH,
+    CellLikelihood,
+    Fit,
+    Fitting,
+    Verdict,
+    along_diameter,
+    field_fit,
+    inverse_beside_prior,
+    prior_cost,
+    states,
+)
+from lampest.apps.recognition.observation import Observation, Whitening, alone, outliers
+from lampest.apps.recognition.suction import Suction, groups_of, may_suck, suctions
+from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
+from lampest.panel.panel import Array, Panel
+from lampest.panel.response import BentSuction, PublishedResponse
+from lampest.recording.shapes.disc import Disc
+from lampest.recording.shapes.shape import Candidate
+
+# χ² of a reading in a fit with coarse errors, beyond which it is not refined: rods, rings and pairs
+# of rods have up to 0.5, hands and rocks up to 3.
+MAX_COARSE = 0.7
+# χ² of a reading beyond which a load that sucks is refuted by its own misfit, though cells have
+# risen: readings that saturate under a heavy load raise others (tests/oracles/test_detect.py).
+MAX_MISFIT = 10.0
+SHARPENED = 2  # rounds of fits and outlier detection
+START_SIZES = (0.8, 1.1)  # diameters of the starts, over that of the area of the risen cells
+
+
+@dataclass(frozen=True, eq=False)
+class Detector:
+    """Recognition of loads in single frames.
+
+    Attributes
+    ----------
+    patch_mm : float
+        Edge of a cell's film.
+    loads : tuple of Candidate
+        Kinds of load that are fitted.
+    any_form : bool
+        Whether contacts of any form are expected, so that no shape is fitted.
+    most_loads : int
+        Largest number of loads that are fitted together.
+    response_levels : tuple of float
+        Factors on the response's standard deviation, from a film as published to a bent, uneven
+        one.
+    exponents : tuple of float
+        Alternative exponents of the published curve under suction, beside 1: ln f is known at one
+        point only, through which a straight line or a threshold pass, too (docs/studies/mouths.md).
+    """
+
+    patch_mm: float
+    loads: tuple[Candidate, ...] = LOADS
+    any_form: bool = False
+    most_loads: int = 3
+    response_levels: tuple[float, ...] = (0.5, 1.2, 2.5)
+    exponents: tuple[float, ...] = (1 / 3, 2.0)
+
+    def search(self, panel: Panel) -> DiscSearch:
+        """Return the matched filter with the templates of all loads."""
+        templates = tuple(
+            dict.fromkeys(template for load in self.loads for template in load.templates)
+        )
+        return DiscSearch.over(panel, self.patch_mm, templates)
+
+    def verdict(self, frame: Observation) -> Verdict:
+        """Return the verdict on a frame.
+
+        Cells that have risen decide whether something sucks, and where. Every place under suction
+        is then fitted with a load that sucks, and cells beside it are free. Where nothing sucks,
+        the loads that press are compared.
+        """
+        undisturbed = self.calm(frame)
+        if undisturbed is not None:
+            return self._judged(undisturbed, ())
+        field, without = field_fit(frame)
+        if self.any_form:
+            return self._judged(without, (field,))
+        kinds = tuple(load for load in self.loads if load.sucks)
+        places = suctions(without)[: self.most_loads]
+        if places and kinds:
+            verdict = self._sucking(frame, kinds, places, field, without)
+            refuted = verdict.goodness > MAX_MISFIT
+            return self._judged(without, (field,)) if refuted else verdict
+        # Where fallen cells hide others, the shape decides whether these have risen.
+        hidden = may_suck(without)
+        kinds = tuple(load for load in self.loads if hidden or not load.sucks)
+        if not kinds:
+            return self._judged(without, (field,))
+        coarse = self._coarse(kinds, field, without)
+        shaped = min(fit.chi2 for fit in coarse) < MAX_COARSE * frame.measured.size
+        single = self._settled(frame, coarse if shaped else (), field, without)
+        groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
+        verdict = single
+        if 2 <= len(groups) <= self.most_loads and self._doubtful(frame, single, field):
+            several = self._together(
+                kinds, without, field, [self._under(frame.panel, group) for group in groups]
+            )
+            if several.chi2 <= MAX_COARSE * frame.measured.size:
+                together = self._settled(frame, (several, *single.loads[:1]), field, without)
+                verdict = max(single, together, key=lambda verdict: verdict.best.evidence)
+        if self._incomplete(frame, verdict, field):
+            verdict = self._judged(without, (field,))
+        return self._spread(frame, verdict)
+
+    def _sucking(
+        self,
+        frame: Observation,
+        kinds: Sequence[Candidate],
+        places: Sequence[Suction],
+        field: Fit,
+        without: Observation,
+    ) -> Verdict:
+        """Return the verdict with one load at each place under suction, of the most probable kind.
+
+        The area of the risen cells gives the starts. Cells beside the loads have whatever they
+        changed by as their standard deviation, so that a body beside a mouth does not pull at its
+        rim.
+        """
+        loose = np.abs(field.change)
+        panel = frame.panel
+        frame = replace(frame, loose=loose)
+        without = replace(without, loose=loose)
+        fits = list[Fit]()
+        for kind in kinds:
+            candidate = kind if len(places) == 1 else Several.of((kind,) * len(places))
+            fitting = self.fitting(candidate, without)
+            for larger in START_SIZES:
+                discs = [place.disc(panel, larger) for place in places]
+                start = np.concatenate([kind.start(disc) for disc in discs])
+                covered = np.any([under(panel, disc) for disc in discs], axis=0)
+                spread = np.where(covered, frame.baseline.model_errors.coarse, loose).ravel()
+                whitening = Whitening.about(without, field.change, np.diag(spread**2))
+                likelihood = CellLikelihood.about(without, whitening, field.change)
+                position, _ = fitting.descended(start, likelihood, SEARCH.evaluations // 2)
+                fits.append(fitting.fit_at(position, likelihood))
+        best = max(fits, key=attrgetter("evidence"))
+        calm, best = self._sharpened(
+            frame, best, best, without, self.response_levels[-1] * self._response(frame)
+        )
+        best, _ = self._own(calm, best)
+        verdict = self._judged(calm, (best,), places)
+        return self._spread(frame, verdict)
+
+    def calm(self, frame: Observation) -> Observation | None:
+        """Return the frame without outliers if it shows no load; else None.
+
+        To show no load, it must show one neither by χ² nor by a template. In a circuit without
+        crosstalk a pressed cell changes its own reading alone, as an outlier does; but a contact
+        has neighbouring cells, so that only readings without an outlying neighbour are left out.
+        """
+        whitening = Whitening.about(frame)
+        residual = frame.residual()
+        undisturbed = frame.without(alone(frame.panel, outliers(whitening, residual)))
+        errors = Whitening.about(undisturbed) @ residual
+        if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
+            return None
+        response = whitening @ frame.slope()
+        # scores (B t)ᵀ e of the templates, N(0, 1) without a load
+        stands_out = self.search(frame.panel).matched(response).T @ (response.T @ errors)
+        return undisturbed if stands_out.max() < SIGNIFICANT else None
+
+    def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
+        """Return the frame without readings that contradict a fit, and the errors.
+
+        The errors are those about the fit's change of cells.
+        """
+        calm = frame.without(self._contradicting(frame, fit))
+        return calm, self.fitting(fit.candidate, calm).errors(fit, fit.scatter)
+
+    def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
+        """Return the posterior departure of the cells from a fit, and its covariance.
+
+        The departure is d = ln r − ln r0 − x. With A = (∂f/∂ln r, E), the prior covariance P of d
+        and the offsets, and C = A P Aᵀ + σ², the mean of d and of the offsets is P Aᵀ C⁻¹ (R −
+        f(r0·e^x) − E δ0).
+
+        Returns
+        -------
+        array, shape (rows, columns)
+        array, shape (cells, cells)
+        """
+        baseline = frame.baseline
+        cells = fit.change.size
+        calm, whitening = self.with_errors(frame, fit)
+        resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
+        spread = resting + self.fitting(fit.candidate, frame).film(fit, fit.scatter)
+        network = baseline.network(fit.change)
+        both = np.hstack([calm.sensitivity(network), calm.offsets(network)])
+        # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C
+        # = root rootᵀ
+        before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
+        mean = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
+        prior = baseline.covariance[:cells, :cells] + spread
+        return mean, prior - before @ cho_solve((whitening.root, True), before.T)
+
+    def fitting(self, candidate: Candidate, frame: Observation) -> Fitting:
+        """Return the problem of fitting a candidate to a frame."""
+        return Fitting(candidate, frame, self.patch_mm)
+
+    def _sharpened(
+        self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
+    ) -> tuple[Observation, Fit]:
+        """Return the frame without outliers, and the fit to it.
+
+        They are found by alternating fits and outlier detection. Outliers are detected among all
+        readings in each round, so that a reading returns if a better fit explains it.
+
+        Parameters
+        ----------
+        frame : Observation
+            All readings.
+        fit : Fit
+            Start of the fit.
+        explains : Fit
+            Fit about which the errors of the first round are taken; later rounds take the fit
+            itself.
+        calm : Observation
+            The frame without the outliers that are known at the start.
+        scatter : float
+            Relative deviation of the film.
+        """
+        dropped: list[int] | None = None
+        for _ in range(SHARPENED):
+            whitening = self.fitting(explains.candidate, calm).errors(explains, scatter)
+            fit = explains = self.fitting(fit.candidate, calm).best(fit.parameters, whitening)
+            contradicting = self._contradicting(frame, fit)
+            if contradicting.tolist() == dropped:
+                break
+            calm = frame.without(contradicting)
+            dropped = contradicting.tolist()
+        return calm, fit
+
+    def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
+        """Return the numbers of outliers if the fit is poor; none otherwise."""
+        whitening = self.fitting(fit.candidate, frame).errors(fit, fit.scatter)
+        errors = whitening @ fit.residual
+        suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
+        return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
+
+    def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
+        """Return the best fit of every kind from the matches of its templates.
+
+        It is made with coarse errors about the field.
+        """
+        likelihood = coarse_errors(calm, field.change)
+        fits = list[Fit]()
+        starts = self.search(calm.panel).starts(likelihood.slope, likelihood.error)
+        for load in kinds:
+            fitting = self.fitting(load, calm)
+            begins = [load.start(starts[template]) for template in load.templates]
+            descents = [
+                fitting.descended(begin, likelihood, SEARCH.evaluations // 2) for begin in begins
+            ]
+            fits.append(
+                fitting.fit_at(min(descents, key=lambda descent: descent[1].cost)[0], likelihood)
+            )
+        return fits
+
+    def _settled(
+        self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation
+    ) -> Verdict:
+        """Return the verdict on all candidates, refined from coarse fits.
+
+        The best candidate is refined first. All others are fitted with its errors, and with their
+        own errors if they come close. This is repeated until the best one stays the best.
+
+        Parameters
+        ----------
+        frame : Observation
+        fits : sequence of Fit
+            Coarse fits.
+        field, calm : Fit, Observation
+            Results of `field_fit`.
+        """
+        explains = field
+        without = calm
+        scatter = self.response_levels[-1] * frame.baseline.model_errors.response
+        for _ in range(len(fits)):
+            best = min(fits, key=attrgetter("score"))
+            rivals = [fit for fit in fits if fit is not best]
+            calm, best = self._sharpened(frame, best, explains, calm, scatter)
+            best, whitening = self._own(calm, best)
+            # equal errors for all candidates: otherwise a poor candidate would excuse its misfit by
+            # its own errors
+            most = best.cost + MAX_LOG_RATIO
+            besides = [
+                self.fitting(fit.candidate, calm).best(fit.parameters, whitening, most)
+                for fit in rivals
+            ]
+            fits = [best, *(self._own(calm, fit)[0] if fit.cost < most else fit for fit in besides)]
+            explains = best
+            if min(fits, key=attrgetter("score")) is best:
+                break
+        verdict = self._judged(calm, (*fits, field))
+        # outliers about a shape may be other contacts
+        return replace(verdict, frame=without) if verdict.best is field else verdict
+
+    def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
+        """Return a fit with the errors about its own explained change, and these errors.
+
+        The film's deviation is the one of `response_levels` with the largest evidence.
+        """
+        fitting = self.fitting(fit.candidate, calm)
+        response = calm.baseline.model_errors.response
+        errors = [fitting.errors(fit, level * response) for level in self.response_levels]
+        # type-II maximum likelihood of the film's deviation on a grid
+        likelihoods = (fitting.about(fit.parameters, whitening) for whitening in errors)
+        levels = [fitting.fit_at(fit.parameters, likelihood).evidence for likelihood in likelihoods]
+        whitening = errors[int(np.argmax(levels))]
+        return fitting.best(fit.parameters, whitening), whitening
+
+    def _together(
+        self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]
+    ) -> Fit:
+        """Return the coarse fit of several loads at once.
+
+        Each is of the kind with which the fit is most probable. Kinds are exchanged greedily, load
+        by load.
+
+        Parameters
+        ----------
+        kinds : sequence of Candidate
+        calm : Observation
+        field : Fit
+        discs : sequence of Disc
+            Places of the loads.
+        """
+        likelihood = coarse_errors(calm, field.change)
+
+        def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
+            parts, starts = zip(*loads, strict=True)
+            fitting = self.fitting(Several.of(parts), calm)
+            position, _ = fitting.descended(
+                np.concatenate(starts), likelihood, SEARCH.evaluations // 2
+            )
+            return fitting.fit_at(position, likelihood)
+
+        best = fitted([(kinds[0], kinds[0].start(disc)) for disc in discs])
+        for place, disc in enumerate(discs):
+            for kind in kinds[1:]:
+                loads = best.loads
+                loads[place] = kind, kind.start(disc)
+                best = max(best, fitted(loads), key=lambda fit: fit.evidence - prior_cost(fit))
+        return best
+
+    @staticmethod
+    def _under(panel: Panel, group: NDArray[np.bool_]) -> Disc:
+        """Return the full disc of the same place and area as a group of cells, (rows, columns)."""
+        x, y = panel.places_mm[:, group].mean(axis=1)
+        diameter = 2 * (float(group.sum()) / np.pi) ** 0.5 * panel.pitch_mm
+        return Disc(float(x), float(y), diameter, 0.0, *FULL_KPA, 0.0, 0.0)
+
+    @staticmethod
+    def _response(frame: Observation) -> float:
+        return frame.baseline.model_errors.response
+
+    def _judged(
+        self, frame: Observation, fits: Sequence[Fit], places: Sequence[Suction] = ()
+    ) -> Verdict:
+        """Return the verdict on these fits, on no load, and on an equal pressure on all cells."""
+        whitening = Whitening.about(frame)
+        uniform = [
+            self.fitting(kind, frame).best(kind.mean(frame.panel), whitening) for kind in UNIFORM
+        ]
+        return Verdict.of((*uniform, *fits), frame, places)
+
+    def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
+        """Return whether the best fit is poor, or leaves changes unexplained."""
+        poor = verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE
+        return poor or self._incomplete(frame, verdict, field)
+
+    @staticmethod
+    def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:
+        """Return whether cells beside the loads of the best fit have clearly changed."""
+        if verdict.best.candidate in (*UNIFORM, FIELD):
+            return False
+        explained = [
+            verdict.best.change != 0,
+            *(under(frame.panel, disc) for disc in verdict.best.discs),
+        ]
+        # states 2 and 3 of the field outside the loads: changes of a few kPa and more
+        unexplained = np.where(np.any(explained, axis=0), 0.0, field.change)
+        return bool(states(frame.panel, unexplained).max() > 1)
+
+    def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
+        """Return the verdict with a single best load's full uncertainty of diameter and suction."""
+        best = verdict.best
+        if best.candidate not in self.loads:
+            return verdict
+        calm, whitening = self.with_errors(frame, best)
+        fitting = self.fitting(best.candidate, calm)
+        likelihood = fitting.about(best.parameters, whitening)
+        wide = along_diameter(fitting, best, likelihood)
+        # a load whose shape explains the frame poorly is as much less sure
+        wide = replace(wide, covariance=wide.covariance * max(1.0, verdict.goodness))
+        wide = self._along_curves(calm, wide, whitening)
+        return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
+
+    def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
+        """Return the fit of a load that sucks, including alternative curves of the film.
+
+        Its covariance includes the alternative curves. C = C_1 + Σ q_a (φ_a − φ_1)(φ_a − φ_1)ᵀ over
+        the exponents a, with q_a ∝ evidence^EVIDENCE_SHARE. The circuit is linearised at φ_1.
+        """
+        baseline = calm.baseline
+        film = calm.baseline.response
+        if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
+            return fit
+        likelihood = self.fitting(fit.candidate, calm).about(fit.parameters, whitening)
+        offsets = []
+        evidence = []
+        for exponent in (1.0, *self.exponents):
+            bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
+            frame = replace(calm, baseline=replace(baseline, response=bent))
+            fitting = self.fitting(fit.candidate, frame)
+            position, squares = fitting.descended(fit.parameters, likelihood)
+            offsets.append(position - fit.parameters)
+            evidence.append(
+                -squares.cost
+                - inverse_beside_prior(squares.normal, fit.candidate.sd(frame.panel))[1]
+            )
+        shares = softmax(EVIDENCE_SHARE * np.array(evidence))
+        # law of total covariance: the covariance within a curve, and that between the curves
+        between = np.array(offsets)
+        return replace(fit, covariance=fit.covariance + (shares[:, None] * between).T @ between)
+
+
+def coarse_errors(frame: Observation, change: Array) -> CellLikelihood:
+    """Return the likelihood about ln r/r0 (rows, columns).
+
+    The deviations of all cells are independent.
+    """
+    whitening = Whitening.about(
+        frame, change, frame.baseline.model_errors.coarse**2 * np.eye(change.size)
+    )
+    return CellLikelihood.about(frame, whitening, change)

@@ -1,0 +1,603 @@
+"""Fit of one candidate, or of a field of any form, to one frame.
+
+Also the comparison of fits by their evidence. The evidence is Laplace's approximation. In a field
+each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
+The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all
+kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is
+not decided by fits, but by its cells (`lampest.apps.recognition.suction`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import combinations
+from math import exp, hypot, log
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax
+
+from lampest.apps.recognition.candidates import FIELD, UNIFORM, under
+from lampest.apps.recognition.observation import MostProbable, Observation, Whitening, outliers
+from lampest.apps.recognition.suction import Suction
+from lampest.files.levels import MAX_MEAN_SQUARE, NOISE_REACH, SIGNIFICANT
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.panel.panel import Array, Panel
+from lampest.recording.shapes.disc import POINTS, Disc
+from lampest.recording.shapes.shape import Candidate, Prior
+
+# Search with one linearised circuit; a change of ln P below `settled` changes nothing that is
+# reported.
+SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
+# Linearisations of the circuit in a fit; also fits with errors about the previous one.
+MAX_ROUNDS = 4
+# Profile along a parameter: the difference of ln P at its end, the evaluations and the largest
+# number of points to each side, and by how much a step is longer than the one before.
+NEGLIGIBLE = 5.0
+PROFILE_STEPS = 5
+MAX_PROFILE = 6
+FARTHER = 1.5
+# Difference of ln P to the best candidate beyond which candidates do not count.
+MAX_LOG_RATIO = 20.0
+# Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and
+# a mouth that does not breathe; and of the impossible, two loads in one place.
+RARE_LOG_ODDS = log(20)
+IMPOSSIBLE = 60.0
+OVERLAP = 0.25  # share of the smaller diameter by which two loads may overlap: soft rims touch
+# Exponent of evidence ratios, because films and loads deviate from their models in more ways than
+# the errors include. Fitted by log-likelihood to scenes made without this package's simulation; see
+# docs/studies/mouths.md.
+EVIDENCE_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable parameters φ of a candidate.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    parameters, covariance : array, shapes (parameters,) and (parameters, parameters)
+        φ and its posterior covariance.
+    change : array, shape (rows, columns)
+        ln r/r0.
+    residual : array, shape (cells,)
+        Residual of the readings, in their unit.
+    chi2 : float
+        χ² of the readings.
+    cost : float
+        ½ (χ² + Σ ((φ − mean)/sd)²).
+    volume : float
+        ½ ln det of the errors' covariance.
+    evidence : float
+        ln of the frame's probability under the candidate, up to a constant common to all
+        candidates.
+    scatter : float
+        Relative deviation of the film.
+    """
+
+    candidate: Candidate
+    parameters: Array
+    covariance: Array
+    change: Array
+    residual: Array
+    chi2: float
+    cost: float
+    volume: float
+    evidence: float
+    scatter: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """−ln posterior at its maximum, up to a constant.
+
+        It compares candidates with different error covariances.
+        """
+        return self.cost + self.volume
+
+    @property
+    def loads(self) -> list[tuple[Candidate, Array]]:
+        """Every single load of the candidate with its own φ."""
+        return self.candidate.loads(self.parameters)
+
+    @property
+    def discs(self) -> list[Disc]:
+        """Discs of all round loads."""
+        discs = (part.disc(parameters) for part, parameters in self.loads)
+        return [disc for disc in discs if disc is not None]
+
+
+class CellLikelihood(NamedTuple):
+    """−ln P of a frame, ½ |e − A x|² + constant in x = ln r/r0, by the circuit linearised at x₀.
+
+    Attributes
+    ----------
+    whitening : Whitening
+        Errors of the readings.
+    slope, error : array, shapes (readings, cells) and (readings,)
+        A, and e = e₀ + A x₀ with the residual e₀ at x₀, whitened.
+    residual : array, shape (readings,)
+        Residual of the readings at x₀, in their unit.
+    """
+
+    whitening: Whitening
+    slope: Array
+    error: Array
+    residual: Array
+
+    @classmethod
+    def about(cls, frame: Observation, whitening: Whitening, change: Array) -> "CellLikelihood":
+        """Return the likelihood of a frame linearised about x₀ = `change`, (rows, columns)."""
+        network = frame.baseline.network(change)
+        residual = frame.deviation(network)
+        both = whitening @ np.column_stack([frame.sensitivity(network), residual])
+        return cls(whitening, both[:, :-1], both[:, -1] + both[:, :-1] @ change.ravel(), residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """The problem of fitting one candidate to one frame."""
+
+    candidate: Candidate
+    frame: Observation
+    patch_mm: float
+
+    def at(self, parameters: Array, likelihood: CellLikelihood) -> SumOfSquares:
+        """Return −ln P about φ.
+
+        It has the squares of the readings' errors e − A x(φ) and of (φ − mean)/sd.
+        """
+        change, slopes = self.effect(parameters)
+        mean, sd, _ = self._prior
+        touched = np.flatnonzero(change)  # x is 0 outside the load
+        by_cell = likelihood.slope[:, touched]
+        errors = likelihood.error - by_cell @ change.ravel()[touched]
+        slopes = np.vstack([-by_cell @ slopes[:, touched].T, np.diag(1 / sd)])
+        return SumOfSquares(np.concatenate([errors, (parameters - mean) / sd]), slopes)
+
+    def effect(self, parameters: Array) -> tuple[Array, Array]:
+        """Return ln r/r0 (rows, columns), and its derivatives by φ, (parameters, cells)."""
+        pressure, by_parameter = self.pressure(parameters)
+        change, response = self.frame.change(pressure)
+        return change, by_parameter.reshape(len(parameters), response.size) * response.ravel()
+
+    def about(self, parameters: Array, whitening: Whitening) -> CellLikelihood:
+        """Return the likelihood with the circuit linearised at φ."""
+        return CellLikelihood.about(
+            self.frame, whitening, self.frame.change(self.pressure(parameters)[0])[0]
+        )
+
+    def descended(
+        self,
+        start: Array,
+        likelihood: CellLikelihood,
+        steps: int = SEARCH.evaluations,
+        most: float = np.inf,
+        held: int | None = None,
+    ) -> tuple[Array, SumOfSquares]:
+        """Return the most probable φ that is reached, and the squares there.
+
+        It is the one that the Levenberg-Marquardt method reaches. The circuit is linearised once.
+
+        Parameters
+        ----------
+        start : array, shape (parameters,)
+        likelihood : CellLikelihood
+        steps : int
+            Most evaluations.
+        most : float
+            Cost above which the search ends early.
+        held : int, optional
+            Number of a parameter that is fixed.
+        """
+        mean, sd, longest = self._prior
+        low = mean - SIGNIFICANT * sd
+        high = mean + SIGNIFICANT * sd
+        if held is not None:
+            low[held] = high[held] = start[held]
+        loop = replace(SEARCH, evaluations=steps, longest=longest)
+        model = partial(self.at, likelihood=likelihood)
+        return loop.minimum(
+            model, start, (low, high), lambda point, count: count > 4 and point.cost > most
+        )
+
+    def best(
+        self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
+    ) -> Fit:
+        """Return the fit at the most probable φ.
+
+        The circuit is linearised again at the end of each search, until the exact cost agrees with
+        the linearised one. `most` and `held` are those of `descended`.
+        """
+        fits = list[Fit]()
+        position = start
+        likelihood = self.about(start, whitening)
+        for _ in range(MAX_ROUNDS):
+            position, squares = self.descended(position, likelihood, most=most, held=held)
+            likelihood = self.about(position, whitening)
+            fits.append(self.fit_at(position, likelihood))
+            exact = fits[-1].cost
+            linear = squares.cost
+            if abs(exact - linear) < SEARCH.settled or min(exact, linear) > most:
+                break
+        return min(fits, key=lambda fit: fit.cost)
+
+    def fit_at(self, parameters: Array, likelihood: CellLikelihood) -> Fit:
+        """Return the fit at given φ with its evidence.
+
+        It uses a likelihood that was linearised there or nearby.
+        """
+        squares = self.at(parameters, likelihood)
+        whitening = likelihood.whitening
+        sd = self._prior[1]
+        covariance, width = inverse_beside_prior(squares.normal, sd)
+        covariance += np.diag(self.candidate.blind(parameters) ** 2)
+        errors = whitening @ likelihood.residual
+        return Fit(
+            candidate=self.candidate,
+            parameters=parameters,
+            covariance=covariance,
+            change=self.effect(parameters)[0],
+            residual=likelihood.residual,
+            chi2=float(errors @ errors),
+            cost=squares.cost,
+            volume=whitening.volume,
+            # Laplace: ln P(R) = −cost − ½ ln det (H sd sdᵀ) − ½ ln det C + constant, with the
+            # Gauss-Newton matrix H
+            evidence=-width - squares.cost - whitening.volume,
+            scatter=whitening.scatter,
+        )
+
+    @cached_property
+    def _priors(self) -> Mapping[str, Prior]:
+        return self.candidate.priors(self.frame.panel)
+
+    @cached_property
+    def centred(self) -> NDArray[np.bool_]:
+        """Whether each of φ is a coordinate of a centre, boolean (parameters,)."""
+        return np.array([name.split(".")[-1] in ("x", "y") for name in self._priors], dtype=bool)
+
+    @cached_property
+    def _prior(self) -> Array:
+        """Mean, standard deviation and longest step of φ, (3, parameters)."""
+        return np.array([prior[:3] for prior in self._priors.values()]).reshape(-1, 3).T
+
+    def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
+        """Return the candidate's pressure on patches enlarged by a factor.
+
+        It is returned with its derivatives by φ.
+        """
+        return self.candidate.pressure(self.frame.panel, self.patch_mm * larger, parameters)
+
+    def explained(self, fit: Fit) -> Array:
+        """Return the explained change with its sensitivities, (3, rows, columns).
+
+        They are as `Baseline.film` takes them. Sensitivities are secants, because tangents jump at
+        the response's corners.
+        """
+        if not self.centred.any():
+            slope = np.hypot(*np.gradient(fit.change, self.frame.panel.pitch_mm))
+            return np.stack([fit.change, slope, np.zeros_like(slope)])
+        pressure, by_parameter = self.pressure(fit.parameters)
+        # |∇p| (kPa/mm): the change of pressure by a shift of 1 mm across an edge
+        shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
+        sizes = (self.pressure(fit.parameters, by)[0] for by in (0.9, 1.1))
+        upper, lower, small, large = (
+            self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes)
+        )
+        return np.stack([fit.change, np.abs(upper - lower) / 2, (large - small) / (1.1 - 0.9)])
+
+    def errors(self, fit: Fit, scatter: float) -> Whitening:
+        """Return the errors about the change that a fit explains.
+
+        They are those with a relative deviation `scatter` of the film.
+        """
+        return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
+
+    def film(self, fit: Fit, scatter: float) -> Array:
+        """Return the covariance of ln r beside the change that a fit explains, (cells, cells).
+
+        These are the deviations of the film, and the loose cells of the frame that the fit's loads
+        do not cover.
+        """
+        covered = np.any([under(self.frame.panel, disc) for disc in fit.discs], axis=0)
+        loose = np.where(covered, 0.0, self.frame.loose).ravel()
+        return self.frame.baseline.film(self.explained(fit), scatter) + np.diag(loose**2)
+
+
+def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
+    """Return H⁻¹ and ½ ln det (H sd sdᵀ) of a Gauss-Newton matrix H.
+
+    H contains the prior's precision 1/sd². The eigenvalues of sd H sd are at least 1, also where
+    the readings determine φ beyond double precision.
+    """
+    sizes, axes = np.linalg.eigh(normal * np.outer(sd, sd))
+    sizes = np.maximum(sizes, 1.0)
+    return (axes / sizes) @ axes.T * np.outer(sd, sd), float(np.log(sizes).sum()) / 2
+
+
+def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fit:
+    """Return the fit with the posterior covariance by a profile along ln d, where that is wider.
+
+    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the
+    curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
+    are fitted for each δ:
+
+        P(δ) ∝ e^(−cost(δ)) |H(δ)|^(−½),   C = Σ P (H(δ)⁻¹ + (φ(δ) − φ̂)(φ(δ) − φ̂)ᵀ).
+
+    Parameters
+    ----------
+    fitting : Fitting
+        The problem of the fit's candidate.
+    fit : Fit
+        A fit without a diameter is returned unchanged.
+    likelihood : CellLikelihood
+        The circuit linearised at the fit.
+    """
+    names = list(fit.candidate.priors(fitting.frame.panel))
+    if "diameter" not in names:
+        return fit
+    place = names.index("diameter")
+    sd = fitting.candidate.sd(fitting.frame.panel)
+    remaining = np.ix_(*2 * [np.arange(len(names)) != place])
+    points = _profile(fitting, fit, likelihood, place)
+    steps = np.gradient([position[place] for position, _ in points])
+    # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other
+    # patches.
+    centred = np.diag(fitting.centred * 12 / fitting.frame.panel.pitch_mm**2)
+    inverses, widths = zip(
+        *(
+            inverse_beside_prior((squares.normal + centred)[remaining], np.delete(sd, place))
+            for _, squares in points
+        ),
+        strict=True,
+    )
+    # P(δ) ∝ e^(−cost) |H|^(−½) dδ, with H of all parameters but ln d; then C = Σ P (H⁻¹ + (φ −
+    # φ̂)(φ − φ̂)ᵀ)
+    share = softmax(
+        np.log(steps)
+        - [squares.cost + width for (_, squares), width in zip(points, widths, strict=True)]
+    )
+    offsets = np.array([position for position, _ in points]) - fit.parameters
+    covariance = (share[:, None] * offsets).T @ offsets + np.diag(
+        fit.candidate.blind(fit.parameters) ** 2
+    )
+    covariance[remaining] += np.tensordot(share, inverses, 1)
+    wider = covariance[place, place] > fit.covariance[place, place]
+    return replace(fit, covariance=covariance) if wider else fit
+
+
+def _profile(
+    fitting: Fitting, fit: Fit, likelihood: CellLikelihood, place: int
+) -> list[tuple[Array, SumOfSquares]]:
+    """Return the profile of a fit along the parameter number `place`, in its order.
+
+    The parameter ln d is stepped in both directions, ever farther, until P(δ) is negligible; all
+    other parameters are fitted.
+    """
+    best = fitting.at(fit.parameters, likelihood)
+    points = [(fit.parameters, best)]
+    direction = np.eye(len(fit.parameters))[place]
+    # at least the distance of the points of a patch
+    spacing = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))
+    first_step = max(spacing, fit.covariance[place, place] ** 0.5)
+    for step in (first_step, -first_step):
+        position = fit.parameters
+        squares = best
+        number = 0
+        while squares.cost < best.cost + NEGLIGIBLE and number < MAX_PROFILE:
+            begin = position + FARTHER**number * step * direction
+            position, _ = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
+            # linearised again: open cells change readings by much where they would close
+            here = fitting.about(position, likelihood.whitening)
+            position, squares = fitting.descended(position, here, PROFILE_STEPS, held=place)
+            points.append((position, squares))
+            number += 1
+    return sorted(points, key=lambda point: float(point[0][place]))
+
+
+# Assumed standard deviations of ln r/r0 in the four states: no load, half a kPa, a few kPa, tens of
+# kPa.
+SD = np.array([0.005, 0.08, 0.4, 1.6])
+
+
+def field_fit(frame: Observation) -> tuple[Fit, Observation]:
+    """Return the most probable field with its evidence, and the frame without outliers.
+
+    x = ln r/r0 is Gaussian with the σ of each cell's state, correlated between neighbours. The
+    evidence integrates over x about its maximum. The states are those of a map of the cells, or of
+    a first field, and have a Potts prior.
+    """
+    fit, most_probable = _of_two_maps(frame)
+    if fit.chi2 < MAX_MEAN_SQUARE * frame.measured.size:
+        return fit, frame
+    calm = frame.without(outliers(most_probable.whitening, most_probable.apart))
+    return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)
+
+
+def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
+    first = _with_states(frame, frame.map)
+    return max(first, _with_states(frame, first[0].change), key=lambda pair: pair[0].evidence)
+
+
+def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
+    """Return the most probable field with the states of ln r/r0 = `start` (rows, columns).
+
+    `start` is also the start.
+    """
+    of_cells = states(frame.panel, start)
+    most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
+    change = most_probable.state.reshape(start.shape)
+    whitening = most_probable.whitening
+    errors = whitening @ most_probable.apart
+    residual = frame.residual(change)
+    misfit = Whitening.about(frame, change) @ residual
+    cost = float(errors @ errors) / 2
+    fit = Fit(
+        candidate=FIELD,
+        parameters=np.zeros(0),
+        covariance=np.zeros((0, 0)),
+        change=change,
+        residual=residual,
+        chi2=float(misfit @ misfit),
+        cost=cost,
+        volume=whitening.volume,
+        # ln P(R | states) = −½ eᵀ (A P Aᵀ + C)⁻¹ e − ½ ln det (A P Aᵀ + C), and ln P(states) of
+        # the Potts field
+        evidence=-cost - whitening.volume - potts_cost(frame.panel, of_cells),
+    )
+    return fit, most_probable
+
+
+def prior(frame: Observation, sd: Array) -> Array:
+    """Return the prior covariance of ln r/r0 of cells with these standard deviations.
+
+    It is correlated between neighbours.
+    """
+    shared = frame.baseline.model_errors.common + frame.baseline.model_errors.near
+    return np.asarray(
+        np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near)
+    )
+
+
+def states(panel: Panel, change: Array) -> NDArray[np.intp]:
+    """Return the state of each cell, 0 to 3 for quiet to strongly changed.
+
+    It is determined by its own and its neighbours' changes.
+    """
+    square = change.ravel() ** 2
+    first, second, _ = panel.neighbours
+    cell = np.concatenate([first, second])
+    neighbour = np.concatenate([second, first])
+    near = np.bincount(cell, square[neighbour], square.size).astype(float)
+    sides = np.bincount(cell, minlength=square.size)
+    # a cell at the border stands for its missing neighbours
+    near += np.maximum(4 - sides, 0) * square
+    limits = np.sqrt(SD[1:] * SD[:-1])
+    return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * near), limits)).reshape(change.shape)
+
+
+def potts_cost(panel: Panel, of_cells: NDArray[np.intp]) -> float:
+    """Return −ln P of the states in the Potts field.
+
+    It is 1 for each pair of unlike neighbours (an assumption), and a normalising constant.
+    """
+    first, second, _ = panel.neighbours
+    unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])
+    return float(unlike + np.log1p(3 * np.exp(-4)) * panel.present.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Verdict on a frame.
+
+    Attributes
+    ----------
+    fits : tuple of Fit
+        Fits of UNIFORM first, and nothing else where the frame does not stand out.
+    shares : tuple of float
+        Posterior probability of each fit.
+    goodness : float
+        χ² per reading of the best fit.
+    frame : Observation
+        The frame without its outliers.
+    suctions : tuple of Suction
+        Places under suction.
+    """
+
+    fits: tuple[Fit, ...]
+    shares: tuple[float, ...]
+    goodness: float
+    frame: Observation
+    suctions: tuple[Suction, ...] = ()
+
+    @classmethod
+    def of(
+        cls, fits: Sequence[Fit], frame: Observation, suctions: Sequence[Suction] = ()
+    ) -> "Verdict":
+        """Return the verdict on the fits of a frame.
+
+        Where no candidate explains the frame, differences of evidence are divided by χ² per reading
+        of the best fit. No load is no verdict where its χ² refutes it and another fit explains the
+        frame: the prior of a field of many changed cells may outweigh any misfit.
+        """
+        before = np.array([prior_cost(fit) for fit in fits])
+        evidence = np.array([fit.evidence for fit in fits])
+        refuted = np.array([fit.chi2 > MAX_MEAN_SQUARE * frame.measured.size for fit in fits])
+        if not refuted.all():
+            unloaded = np.array([fit.candidate in UNIFORM for fit in fits])
+            evidence = np.where(unloaded & refuted, -np.inf, evidence)
+        goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
+        counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
+        shares = softmax(counts * evidence - before)
+        return cls(tuple(fits), tuple(map(float, shares)), goodness, frame, tuple(suctions))
+
+    @property
+    def best(self) -> Fit:
+        """The most probable fit."""
+        return self.fits[int(np.argmax(self.shares))]
+
+    @property
+    def changed(self) -> Array:
+        """ln r/r0 of the cells that have clearly changed, and 0 of the others, (rows, columns).
+
+        A shape that is of one mind with them says by how much, because the prior of free cells
+        draws large ones in.
+        """
+        cells = self.frame.free_map
+        shaped = self.best.change
+        agreed = np.where(
+            cells * shaped > 0, np.maximum(np.abs(cells), np.abs(shaped)), np.abs(cells)
+        )
+        return np.where(
+            np.abs(cells) > NOISE_REACH * self.frame.free_sd, np.sign(cells) * agreed, 0.0
+        )
+
+    @property
+    def loads(self) -> tuple[Fit, ...]:
+        """Fits of loads with a shape, the best first; none where the frame does not stand out."""
+        shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
+        return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
+
+    @property
+    def nothing(self) -> float:
+        """Probability that there is no load, or an equal pressure on all cells."""
+        pairs = zip(self.fits, self.shares, strict=True)
+        return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
+
+    def sucks_at(self, disc: Disc | None) -> float:
+        """Return the probability that a load at a disc's place sucks; None: any load."""
+
+        def near(x_mm: float, y_mm: float) -> bool:
+            return disc is None or hypot(x_mm - disc.x_mm, y_mm - disc.y_mm) < disc.diameter_mm / 2
+
+        if self.suctions:
+            places = (place for place in self.suctions if near(place.x_mm, place.y_mm))
+            return max((place.probability for place in places), default=0.0)
+        # without a cell that shows it, by the shapes
+        total = 0.0
+        for fit, share in zip(self.fits, self.shares, strict=True):
+            discs = [part.disc(values) for part, values in fit.loads if part.sucks]
+            total += share * any(
+                sucking is not None and near(sucking.x_mm, sucking.y_mm) for sucking in discs
+            )
+        return total / max(1 - self.nothing, 1e-9)
+
+
+def prior_cost(fit: Fit) -> float:
+    """Return −ln prior of a fit, up to a constant.
+
+    Further loads, and overlapping loads, are improbable.
+    """
+    overlapping = sum(_overlapping(*pair) for pair in combinations(fit.discs, 2))
+    return RARE_LOG_ODDS * (len(fit.loads) - 1) + IMPOSSIBLE * overlapping
+
+
+def _overlapping(first: Disc, second: Disc) -> float:
+    """Return 1 if two discs are in one place, 0 if they do not overlap, smoothly between."""
+    common = (first.diameter_mm + second.diameter_mm) / 2 - hypot(
+        first.x_mm - second.x_mm, first.y_mm - second.y_mm
+    )
+    share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
+    return 1 - exp(-((share / OVERLAP) ** 2))

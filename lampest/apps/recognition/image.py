@@ -1,0 +1,250 @@
+"""Recognition of loads on a panel of modules, in windows about changes.
+
+Every module has a step test of its own. A step opens a window over the modules that the load may
+reach. The window is watched as one panel, and closes after CALM_S without a load. No current
+crosses a seam, so that the network of a window is block diagonal; loads may lie across seams. A
+load in several windows is taken from the window whose middle is nearest.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+from typing import TypeAlias
+
+import numpy as np
+
+from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.watch import Watch
+from lampest.apps.recognition.watch_parts import Level, WatchSetup
+from lampest.apps.recognition.window import Window, layout_of
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.panel import Array, Modules
+
+CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
+
+
+Opened: TypeAlias = tuple[Window, Watch, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageWatch:
+    """Watch of a panel of modules, as `Watch`.
+
+    Attributes
+    ----------
+    setup : WatchSetup
+        Constants of the whole image.
+    modules : dict of int to Watch
+        Watch of each module with readings for step detection, by its number. Modules under a window
+        keep the state in which it opened.
+    opened : tuple of (Window, Watch, float)
+        The open windows, and the time of the last touch of each, s.
+    attachments : tuple of Attachment
+        Attachments of all windows, each once.
+    """
+
+    setup: WatchSetup
+    modules: Mapping[int, Watch]
+    opened: tuple[Opened, ...] = ()
+    attachments: tuple[Attachment, ...] = ()
+
+    @classmethod
+    def begin(
+        cls, setup: WatchSetup, measured: Array, sigma: Array, unloaded: Array, time: float
+    ) -> "ImageWatch":
+        """Return the watch before the first frame, as `Watch.begin`."""
+        modules = dict[int, Watch]()
+        for number, module_scene in enumerate(setup.scene.of_modules):
+            cells = layout_of(setup.scene.panel).cells(number)
+            finite = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
+            if not finite.any():
+                continue
+            part = replace(setup, scene=module_scene, water=setup.water[cells])
+            at_rest = np.where(finite, measured[cells], np.median(measured[cells][finite]))
+            modules[number] = Watch.begin(
+                part, at_rest, sigma[cells], unloaded[(..., *cells)], time
+            )
+        return cls(setup, modules)
+
+    @ONE_BLAS_THREAD
+    def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
+        """Push a frame, as `Watch.push`."""
+        # Step detection in modules without a window; a step opens one, and freezes the modules
+        # under it.
+        followed = dict[int, Watch]()
+        opened = list(self.opened)
+        for number, module in self.modules.items():
+            if number not in under_windows(self.opened):
+                cells = self._layout.cells(number)
+                followed[number] = module.followed(measured[cells], sigma[cells], time)
+        for number, module in followed.items():
+            if module.present and number not in under_windows(opened):
+                window = Window.about(self.setup.scene, self._place(number, module))
+                opened.append((window, self._begun(window, sigma), time))
+        pushed = list[Opened]()
+        for window, watch, touched_s in opened:
+            watch = watch.push(measured[window.cells], sigma[window.cells], time)
+            pushed.append((window, watch, time if watch.present else touched_s))
+        under = {
+            number: self.modules[number] for number in under_windows(opened) & self.modules.keys()
+        }
+        image = replace(self, modules={**followed, **under}, opened=tuple(pushed))
+        return replace(image, attachments=image._merged())._closed(time) if pushed else image
+
+    def ended(self) -> "ImageWatch":
+        """Return the watch once it has ended, as `Watch.ended`."""
+        ended = replace(
+            self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened)
+        )
+        return replace(ended, attachments=ended._merged())
+
+    @property
+    def doubt(self) -> str:
+        """The first doubt of a window or module, as `Watch.doubt`; '' where there is none."""
+        return next((watch.doubt for watch in self._watches if watch.doubt), "")
+
+    @property
+    def faults(self) -> tuple[tuple[str, float], ...]:
+        """Open lines of all windows and modules, counted within each, as `Watch.faults`."""
+        return tuple(dict.fromkeys(fault for watch in self._watches for fault in watch.faults))
+
+    @property
+    def brief(self) -> tuple[tuple[float, float], ...]:
+        """Times of loads that left too soon to be recognised, of all windows, as `Watch.brief`."""
+        return tuple(dict.fromkeys(times for _, watch, _ in self.opened for times in watch.brief))
+
+    @property
+    def stands_out(self) -> float:
+        """Largest `Watch.stands_out` of all windows and modules."""
+        return max(watch.stands_out for watch in self._watches)
+
+    @cached_property
+    def change(self) -> Array | None:
+        """ln r/r0 (rows, columns) of the loads that the windows recognised last.
+
+        0 elsewhere; None without any.
+        """
+        image = np.zeros(self.setup.scene.panel.shape)
+        for window, watch, _ in self.opened:
+            if watch.change is not None:
+                covered = image[window.cells]
+                image[window.cells] = np.where(
+                    np.abs(watch.change) > np.abs(covered), watch.change, covered
+                )
+        return image if image.any() else None
+
+    @property
+    def _layout(self) -> Modules:
+        return layout_of(self.setup.scene.panel)
+
+    @property
+    def _watches(self) -> list[Watch]:
+        """Watches of the windows, and of the modules without a window."""
+        covered = under_windows(self.opened)
+        uncovered = (watch for number, watch in self.modules.items() if number not in covered)
+        return [*(watch for _, watch, _ in self.opened), *uncovered]
+
+    def _place(self, number: int, watch: Watch) -> Array:
+        """Return the place (x, y) in the image, mm, where a module's readings changed most."""
+        corner = self.setup.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
+        search = watch.setup.detector.search(watch.setup.scene.panel)
+        strongest = int(np.argmax(watch.test.scores(watch.level.mean - watch.rest.mean)))
+        return np.asarray(corner + search.places[strongest])
+
+    def _begun(self, window: Window, sigma: Array) -> Watch:
+        """Return the watch of a new window, with the joined states of its modules.
+
+        A module that is not read gets the median of the others.
+        """
+        layout = layout_of(window.scene.panel)
+        parts = [self.modules[number] for number in window.numbers if number in self.modules]
+        typical = np.median([np.median(part.rest.mean) for part in parts])
+        unread = np.full(layout.each.rows * layout.each.columns, typical)
+
+        def joined(value: Callable[[Watch], Array]) -> Array:
+            """Return an image (rows, columns) of a value of each module, (cells,)."""
+            images = [
+                value(self.modules[number]) if number in self.modules else unread
+                for number in window.numbers
+            ]
+            return layout.joined(np.reshape(images, (-1, layout.each.rows, layout.each.columns)))
+
+        setup = replace(self.setup, scene=window.scene, water=self.setup.water[window.cells])
+        start = Watch.begin(
+            setup,
+            np.exp(joined(lambda module: module.rest.mean)),
+            sigma[window.cells],
+            np.zeros((0, *layout.shape)),
+            max(part.rest.until_s for part in parts),
+        )
+        loudest = max(float(part.test.loud.mean()) for part in parts)
+        test = replace(start.test, loud=np.full(len(start.test.loud), loudest))
+        rest = replace(start.rest, frames=min(part.rest.frames for part in parts))
+        begun_s = max(part.level.until_s for part in parts)
+        level = Level(joined(lambda module: module.level.mean).ravel(), 1.0, begun_s, begun_s)
+        recent = (
+            joined(lambda module: module.recent[0]).ravel(),
+            joined(lambda module: module.recent[1]).ravel(),
+        )
+        return replace(start, test=test, rest=rest, level=level, recent=recent, history="")
+
+    def _closed(self, time: float) -> "ImageWatch":
+        """Return the watch without the windows that were calm for CALM_S.
+
+        Their modules take over the states.
+        """
+        opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
+        calm = tuple(opening for opening in self.opened if time - opening[2] >= CALM_S)
+        covered = under_windows(opened)
+        modules = dict(self.modules)
+        for window, watch, _ in calm:
+            layout = layout_of(window.scene.panel)
+            levels_of_window = watch.rest.mean, watch.level.mean, *watch.recent
+            images = np.reshape(levels_of_window, (4, *layout.shape))
+            of_modules = np.swapaxes(layout.split(images), 0, 1)
+            for number, levels in zip(window.numbers, of_modules, strict=True):
+                if number in modules and number not in covered:
+                    baseline, mean, *recent = levels.reshape(4, -1)
+                    modules[number] = replace(
+                        modules[number],
+                        rest=replace(watch.rest, mean=baseline),
+                        level=replace(watch.level, mean=mean),
+                        recent=tuple(recent),
+                        history=watch.history,
+                    )
+        return replace(self, modules=modules, opened=opened)
+
+    def _merged(self) -> tuple[Attachment, ...]:
+        """Return the attachments of all windows.
+
+        A load in two windows is taken from the nearer middle.
+        """
+        loads = list[tuple[Window, Attachment]]()
+        for window, watch, _ in self.opened:
+            loads += [(window, window.in_image(load)) for load in watch.attachments]
+        # nearest to its window's middle first; equal loads of other windows are dropped
+        loads.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
+        merged = list[tuple[Window, Attachment]]()
+        for window, load in loads:
+            elsewhere = [nearer for neighbour, nearer in merged if neighbour is not window]
+            if not any(_same_load(load, nearer) for nearer in elsewhere):
+                merged.append((window, load))
+        ended = [load for load in self.attachments if load.until_s is not None]
+        past = [load for load in ended if not any(_same_load(load, late) for _, late in merged)]
+        return tuple(sorted([*past, *(load for _, load in merged)], key=lambda load: load.since_s))
+
+
+def under_windows(opened: Sequence[Opened]) -> set[int]:
+    """Return the numbers of the modules under windows."""
+    return {number for window, *_ in opened for number in window.numbers}
+
+
+def _same_load(first: Attachment, second: Attachment) -> bool:
+    """Return whether two attachments are one load.
+
+    They are if their times overlap, and their distance is below their width.
+    """
+    ends = (inf if load.until_s is None else load.until_s for load in (second, first))
+    simultaneous = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
+    return simultaneous and first.distance(second.place) < max(first.width, second.width)

@@ -1,0 +1,628 @@
+"""Likelihood of a frame: the model of readings under a pressure on the cells.
+
+Also the unloaded panel.
+
+    R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
+
+f is the circuit, F the film's response, κ the cells' gains, p_w the water's pressure, and δ the
+errors common to all frames with the effect E on the readings. All errors are Gaussian.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import hypot, log10
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, lapack
+
+from lampest.apps.recognition.recognition_scene import RecognitionNetwork, RecognitionScene
+from lampest.files.levels import SIGNIFICANT
+from lampest.panel.panel import Array, Panel
+from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
+from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
+from lampest.panel.systematic import systematic_of
+
+# Edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm.
+PATCH_SHARE = 0.6
+
+
+def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
+    """Return the edge of a cell's film in mm.
+
+    It is by default PATCH_SHARE of the pitch, and at most the pitch.
+    """
+    return min(PATCH_SHARE * panel.pitch_mm if patch_mm is None else patch_mm, panel.pitch_mm)
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Standard deviations of quantities that are not measured.
+
+    Parameters
+    ----------
+    response : of ln(r/r0) at a pressure, as a fraction of ln f(p), because cells respond
+        differently.
+    common, near : parts of that variance that all cells share, and that neighbours within
+        `near_pitches` share.
+    bent : of the same, equal in all cells, because bent film responds less, by half where it is
+        bent sharply.
+    edge_mm : of the place of a patch's edge, at a relative deviation of 1: patches are glued by
+        hand, rims are soft.
+    patch : of the patches' edge, relative, equal in all cells: a round patch is like a square one
+        of 0.89 its width.
+    cell_spread : of the logarithm of the unloaded cells about their mean; only a prior where data
+        are too noisy.
+    drift, common_drift : of ln r at rest for each decade of minutes, of each cell and of all alike
+        (temperature).
+    settled : of ln r at rest, apart from drift.
+    channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
+    reference : relative error of the reference resistor: 1 % at most, uniform.
+    reading_error : of the logarithm of a factor on each reading, the same in all frames.
+    swaying : of changes of ln r and of ln y that all cells and all readings share: temperature,
+        waves, supply.
+    residue : of the residue in the film after a load, relative to the load's ln r/r0.
+    mapped, coarse : of ln r/r0 of cells on the map in which loads are searched, and about the field
+        in coarse fits.
+
+    Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
+    creep by a few percent for each decade of time; the others are assumptions.
+    """
+
+    response: float = RESPONSE_SD
+    common: float = 0.2
+    near: float = 0.2
+    near_pitches: float = 1.5
+    bent: float = 0.15
+    edge_mm: float = 3.0
+    patch: float = 0.13
+    cell_spread: float = 0.4
+    drift: float = 0.01
+    common_drift: float = 0.02
+    settled: float = 0.002
+    channel_ohm: float = 3.0
+    reference: float = 0.006
+    reading_error: float = 0.0
+    swaying: float = 0.1
+    residue: float = 0.12
+    mapped: float = 0.5
+    coarse: float = 0.2
+
+    def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
+        """Return the errors that a scene specifies, with each reading's own error.
+
+        The own error is as estimated from the frames.
+        """
+        errors = replace(self, reading_error=reading_error)
+        if scene.systematic is None:
+            return errors
+        sizes = systematic_of(scene) or Systematic()
+        # Of a uniform distribution of that half width.
+        reference = float(sizes.reference_tolerance) / np.sqrt(3)
+        return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
+
+    def resting_sd(self, seconds: float) -> float:
+        """Return the standard deviation of each cell's drift, seconds after the baseline."""
+        return hypot(self.drift * log10(1 + seconds / 60), self.settled)
+
+    def resting_covariance(self, seconds: float, cells: int) -> Array:
+        """Return the covariance of ln r of all cells at rest, (cells, cells).
+
+        It has their own part and the common one.
+        """
+        common = self.common_drift * log10(1 + seconds / 60)
+        return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
+
+    def offsets(self, measured: Array, scene: RecognitionScene) -> Array:
+        """Return the effect of every offset on the readings, E·sd (cells, offsets).
+
+        It is that of one standard deviation of the offset. Offsets are those of the channels of
+        rows and columns of every module (for two-point resistances), of the reference, and of each
+        reading if `reading_error` is nonzero.
+
+        Parameters
+        ----------
+        measured : array, shape (rows, columns)
+            Readings without the resistance in series, in the readout's unit.
+        scene : RecognitionScene
+        """
+        layout = scene.panel.modules
+        rows, columns = measured.shape
+        row, column = np.indices(measured.shape)
+        row_channel = row
+        column_channel = column
+        if layout is not None:
+            # every module has channels of its own: number its lines separately
+            row_channel = row + rows * (column // layout.each.columns)
+            column_channel = column + columns * (row // layout.each.rows)
+        in_ohm = scene.circuit.unit == "ohm"
+        total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
+        effects = list[Array]()
+        if in_ohm:
+            for channel in (row_channel, column_channel):
+                on_channel = channel.reshape(-1, 1) == np.unique(channel)
+                effects.append(self.channel_ohm * on_channel)
+        effects.append(self.reference * total)
+        if self.reading_error:
+            effects.append(np.diag(self.reading_error * total[:, 0]))
+        return np.hstack(effects)
+
+
+# Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open
+# or shorted to all readings, and the network soon becomes singular.
+MAX_STEP = 1.5
+MAX_LOG_CHANGE = 12.0
+OUTLIER_SHARE = 0.03  # largest share of outliers among the readings
+# Factor on σ, or on the reading, that gives the σ of a reading that does not count.
+DROPPED_FACTOR = 1e3
+
+
+def counting(sigma: Array, measured: Array) -> Array:
+    """Return σ of any shape, ohm, made large where the reading must not count.
+
+    Where σ is not finite and positive, it is made so large that the reading does not count.
+    """
+    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED_FACTOR * measured)
+
+
+class MostProbable(NamedTuple):
+    """The minimum x of (y − f(x))ᵀ C⁻¹ (y − f(x)) + (x − mean)ᵀ P⁻¹ (x − mean).
+
+    f is linearised near it.
+
+    Attributes
+    ----------
+    state : array, shape (n,)
+        x.
+    prior : array, shape (n, n)
+        P.
+    across : array, shape (n, readings)
+        P Aᵀ with the Jacobian A of f.
+    whitening : Whitening
+        Root of A P Aᵀ + C.
+    apart : array, shape (readings,)
+        y − f(mean) by the linearised f.
+    """
+
+    state: Array
+    prior: Array
+    across: Array
+    whitening: "Whitening"
+    apart: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Posterior covariance of x, P − P Aᵀ (A P Aᵀ + C)⁻¹ A P, (n, n)."""
+        return np.asarray(
+            self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T)
+        )
+
+    @property
+    def misfit(self) -> float:
+        """The minimum of the linearised cost: |root⁻¹ apart|²."""
+        errors = self.whitening @ self.apart
+        return float(errors @ errors)
+
+
+def most_probable(
+    model: Callable[[Array], tuple[Array, Array, Array]],
+    start: Array,
+    mean: Array,
+    prior: Array,
+    settled: float,
+) -> MostProbable:
+    """Return the most probable point, by at most twelve Gauss-Newton steps.
+
+    The steps are in the space of the readings.
+
+    Parameters
+    ----------
+    model : callable
+        Returns y − f(x), A = ∂f/∂x and C, given x.
+    start, mean : array, shape (n,)
+        Initial x, and mean of the prior.
+    prior : array, shape (n, n)
+        P, which may be singular.
+    settled : float
+        Largest component of the last step.
+    """
+    state = start
+    for _ in range(12):
+        residual, slope, noise = model(state)
+        across = prior @ slope.T
+        root = cholesky(slope @ across + noise, lower=True)
+        innovation = residual + slope @ (state - mean)
+        # x = mean + P Aᵀ (A P Aᵀ + C)⁻¹ (y − f(x₀) + A (x₀ − mean))
+        step = np.clip(
+            mean + across @ cho_solve((root, True), innovation) - state, -MAX_STEP, MAX_STEP
+        )
+        state = state + step
+        if np.abs(step).max() < settled:
+            break
+    return MostProbable(state, prior, across, Whitening(root), innovation)
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """Gaussian posterior of ln r0 and of the offsets δ, given the unloaded readings.
+
+    Attributes
+    ----------
+    logarithm : array, shape (rows, columns)
+        Mean of ln r0.
+    offsets : array, shape (offsets,)
+        Mean of δ, see `ModelErrors.offsets`, in standard deviations.
+    covariance : array, shape (cells + offsets, cells + offsets)
+        Joint covariance of both.
+    model_errors : ModelErrors
+    scene : RecognitionScene
+        Circuit and panel.
+    response : Response
+        Response of the film; the published one where the scene names none.
+    """
+
+    logarithm: Array
+    offsets: Array
+    covariance: Array
+    model_errors: ModelErrors
+    scene: RecognitionScene
+    response: Response
+
+    @classmethod
+    def of(
+        cls,
+        measured: Array,
+        sigma: Array,
+        scene: RecognitionScene,
+        model_errors: ModelErrors,
+        common: Array | None = None,
+    ) -> "Baseline":
+        """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
+
+        It is determined without outliers.
+
+        Parameters
+        ----------
+        measured, sigma : array, shape (rows, columns)
+            Unloaded readings R0 and their standard deviations, in the readout's unit.
+        scene : RecognitionScene
+        model_errors : ModelErrors
+        common : array, shape (cells, n), optional
+            Root of the covariance of random errors that the readings share.
+        """
+        circuit = scene.circuit
+        spread = model_errors.offsets(measured, scene)
+        cells, offsets = spread.shape
+        mean = np.zeros(cells + offsets)
+        prior = np.eye(cells + offsets)
+        mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
+        # Their mean is open: σ = 3.
+        prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)
+        # crossings without a cell are fixed at a nearly infinite resistance
+        absent = np.flatnonzero(~scene.panel.present)
+        mean[absent] += MAX_LOG_CHANGE
+        prior[absent] = prior[:, absent] = 0.0
+        shared = 0.0 if common is None else common @ common.T
+        noise = sigma.ravel() ** 2
+
+        def model(state: Array) -> tuple[Array, Array, Array]:
+            resistance = np.exp(state[:cells].reshape(measured.shape))
+            network = circuit.network(resistance, circuit.ties(resistance), scene.wiring)
+            residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
+            return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
+
+        # A first fit identifies outliers; the second one, without them, is solved to convergence.
+        coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
+        noise[outliers(coarse.whitening, coarse.apart)] *= DROPPED_FACTOR**2
+        fine = most_probable(model, coarse.state, mean, prior, 1e-6)
+        logarithm = fine.state[:cells].reshape(measured.shape)
+        shifts = fine.state[cells:]
+        response = scene.response or PUBLISHED
+        return cls(logarithm, shifts, fine.covariance, model_errors, scene, response)
+
+    def network(self, change: Array | float = 0.0) -> RecognitionNetwork:
+        """Return the solved network of cells r0·e^change."""
+        cells = np.exp(self.logarithm + change)
+        circuit = self.scene.circuit
+        return circuit.network(cells, circuit.ties(cells), self.scene.wiring)
+
+    @cached_property
+    def near(self) -> Array:
+        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells).
+
+        0 for crossings without a cell.
+        """
+        places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
+        square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)
+        np.fill_diagonal(square, 0.0)
+        return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
+
+    def film(self, explained: Array, scatter: float) -> Array:
+        """Return the covariance of ln r by deviations of the film, (cells, cells).
+
+        It is s² (x K xᵀ + diag w²) + b bᵀ. x is the explained change, K the correlation of cells
+        (common, near and own parts), w the effect of misplaced edges, and b the errors that all
+        cells share, by bending and by the patches' sizes.
+
+        Parameters
+        ----------
+        explained : array, shape (3, rows, columns)
+            The change ln r/r0 that a load explains, and its derivatives by a shift of the load,
+            1/mm, and by ln of the patches' edge.
+        scatter : float
+            s, the film's relative deviation.
+        """
+        errors = self.model_errors
+        change, edges, patches = (part.ravel() for part in explained)
+        similar = (
+            errors.common
+            + errors.near * self.near
+            + (1 - errors.common - errors.near) * np.eye(len(self.near))
+        )
+        shared = np.stack([errors.bent * change, errors.patch * patches])
+        uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
+        return np.asarray(scatter**2 * uneven + shared.T @ shared)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A frame's readings and the baseline with which they are compared.
+
+    Attributes
+    ----------
+    measured, sigma : array, shape (rows, columns)
+        Readings and their standard deviations in the readout's unit.
+    baseline : Baseline
+    water : array, shape (rows, columns)
+        Pressure of the water, kPa, equal in the unloaded frames.
+    seconds : float
+        Time since the baseline.
+    common : array, shape (cells, n) or None
+        Root of the covariance of random errors that the frame's readings share: gain, ripple along
+        scanned lines.
+    loose : array, shape (rows, columns), or 0
+        Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit
+        does not cover them.
+    """
+
+    measured: Array
+    sigma: Array
+    baseline: Baseline
+    water: Array
+    seconds: float = 0.0
+    common: Array | None = field(default=None, kw_only=True)
+    loose: Array | float = field(default=0.0, kw_only=True)
+
+    @property
+    def panel(self) -> Panel:
+        """The panel of the baseline's scene."""
+        return self.baseline.scene.panel
+
+    def residual(self, change: Array | float = 0.0) -> Array:
+        """Return R − f(r0·e^change) − E δ, (cells,)."""
+        return self.deviation(self.baseline.network(change))
+
+    def deviation(self, network: RecognitionNetwork) -> Array:
+        """Return R − f − E δ, (cells,), of a solved network with the readings f."""
+        expected = network.reading().ravel() + self.offsets(network) @ self.baseline.offsets
+        return np.asarray(self.measured.ravel() - expected)
+
+    def offsets(self, network: RecognitionNetwork) -> Array:
+        """Return E (cells, offsets), the effect of every offset's standard deviation.
+
+        E belongs to the readings that a network predicts. With E of the measured readings, an error
+        of the reference would explain any change of a frame: E δ of the frame and of the unloaded
+        panel differ by a multiple of the change itself.
+        """
+        return self.baseline.model_errors.offsets(network.reading(), self.baseline.scene)
+
+    def slope(self, change: Array | float = 0.0) -> Array:
+        """Return ∂(f + E δ)/∂ln r at ln r/r0 = `change`, (cells, cells)."""
+        return self.sensitivity(self.baseline.network(change))
+
+    def sensitivity(self, network: RecognitionNetwork) -> Array:
+        """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
+        return np.asarray(self._gain[:, None] * network.sensitivity())
+
+    def change(self, pressure: Array) -> tuple[Array, Array]:
+        """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa.
+
+        |x| is at most MAX_LOG_CHANGE.
+        """
+        response = self.baseline.response
+        # kPa, for a central difference: F has corners
+        step = 1e-3
+        # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step
+        near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
+        change, up, down = response.gains * (
+            response.logarithm(near) - response.logarithm(self.water)
+        )
+        within = np.abs(change) < MAX_LOG_CHANGE
+        slope = (up - down) / (2 * step) * within
+        return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), slope
+
+    @cached_property
+    def _gain(self) -> Array:
+        """Derivative of f + E δ by f, (cells,): E depends linearly on the readings f."""
+        errors = self.baseline.model_errors
+        ends = (np.zeros(self.measured.shape), np.ones(self.measured.shape))
+        none, one = (errors.offsets(end, self.baseline.scene) for end in ends)
+        return np.asarray(1 + (one - none) @ self.baseline.offsets)
+
+    def covariance(self, network: RecognitionNetwork, cells: Array | float = 0.0) -> Array:
+        """Return the covariance of the readings about those of a network, (cells, cells).
+
+        It is σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E). The parts are the noise, errors shared
+        within the frame, the baseline's covariance C, and the drift T of cells.
+
+        Parameters
+        ----------
+        network : RecognitionNetwork
+            Solved network, with the slope J.
+        cells : array, shape (cells, cells)
+            Further covariance of ln r, added to T.
+        """
+        # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
+        slope = self.sensitivity(network)
+        both = np.hstack([slope, self.offsets(network)])
+        errors = self.baseline.covariance.copy()
+        errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(
+            self.seconds, len(slope)
+        )
+        errors[: len(slope), : len(slope)] += cells
+        total = both @ errors @ both.T
+        if self.common is not None:
+            total += self.common @ self.common.T
+        return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
+
+    def cells(self, start: Array, prior: Array) -> MostProbable:
+        """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`).
+
+        It is reached from a start (rows, columns).
+        """
+
+        def model(change: Array) -> tuple[Array, Array, Array]:
+            network = self.baseline.network(change.reshape(self.measured.shape))
+            slope = self.sensitivity(network)
+            return self.deviation(network), slope, self.covariance(network)
+
+        return most_probable(model, start.ravel(), np.zeros(start.size), prior, MAX_STEP / 10)
+
+    @cached_property
+    def _mapped(self) -> MostProbable:
+        zero = np.zeros(self.measured.shape)
+        return self.cells(zero, self.baseline.model_errors.mapped**2 * np.eye(zero.size))
+
+    @property
+    def map(self) -> Array:
+        """Most probable ln r/r0 of every cell, (rows, columns).
+
+        It is that for independent cells with the prior `mapped`.
+        """
+        return self._mapped.state.reshape(self.measured.shape)
+
+    @cached_property
+    def free(self) -> MostProbable:
+        """Most probable ln r/r0 of independent cells with the prior N(0, 1).
+
+        Any load may have changed them.
+        """
+        return self.cells(np.zeros(self.measured.shape), np.eye(self.measured.size))
+
+    @property
+    def free_map(self) -> Array:
+        """The state of `free`, (rows, columns)."""
+        return self.free.state.reshape(self.measured.shape)
+
+    @cached_property
+    def free_sd(self) -> Array:
+        """The standard deviations of `free`, (rows, columns)."""
+        return np.sqrt(np.diag(self.free.covariance)).reshape(self.measured.shape)
+
+    @cached_property
+    def mean_sd(self) -> Array:
+        """Standard deviation of `free` cells, averaged over their change, (rows, columns).
+
+        Beside large pull-ups a pressed cell changes readings less, so its own standard deviation is
+        that of a pressed cell. With sd(0) of cells at rest, the signed root of the likelihood ratio
+        between a change x and rest is the integral of 1/sd, here |x| (1/sd(0) + 1/sd(x))/2.
+        """
+        rest = self.baseline.network()
+        slope = self.sensitivity(rest)
+        whitening = Whitening(cholesky(slope @ slope.T + self.covariance(rest), lower=True))
+        # the posterior's diagonal with the prior I: 1 − diag Jᵀ (J Jᵀ + C)⁻¹ J
+        variance = 1 - ((whitening @ slope) ** 2).sum(axis=0)
+        at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
+        return np.asarray(2 / (1 / at_rest + 1 / self.free_sd))
+
+    def without(self, dropped: NDArray[np.intp]) -> "Observation":
+        """Return the observation without the readings of these numbers.
+
+        Their σ is so large that they do not count.
+        """
+        sigma = self.sigma.copy()
+        sigma.flat[dropped] *= DROPPED_FACTOR
+        return replace(self, sigma=sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Lower triangular root L of a covariance C of the readings, which whitens residuals.
+
+    Attributes
+    ----------
+    root : array, shape (readings, readings)
+        L.
+    scatter : float
+        Relative deviation of the film in C.
+    """
+
+    root: Array
+    scatter: float = 0.0
+
+    @classmethod
+    def about(
+        cls,
+        frame: Observation,
+        change: Array | float = 0.0,
+        cells: Array | float = 0.0,
+        scatter: float = 0.0,
+    ) -> "Whitening":
+        """Return the errors about ln r/r0 = `change`, with a further covariance `cells`.
+
+        It is a covariance of ln r, (cells, cells).
+        """
+        return cls(
+            cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True), scatter
+        )
+
+    @cached_property
+    def volume(self) -> float:
+        """½ ln det C."""
+        return float(np.log(np.diag(self.root)).sum())
+
+    def __matmul__(self, vectors: Array) -> Array:
+        """Return L⁻¹ v, errors of unit variance."""
+        return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
+
+
+def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
+    """Return the numbers of the readings that deviate from their prediction by all other readings.
+
+    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the leave-one-out residual over its standard deviation. The largest
+    one above SIGNIFICANT is removed before the next is determined, OUTLIER_SHARE of the readings at
+    most.
+
+    Parameters
+    ----------
+    whitening : Whitening
+        Root of C.
+    residual : array, shape (readings,)
+        e.
+    """
+    inverse = whitening @ np.eye(len(residual))
+    precision = inverse.T @ inverse
+    pull = precision @ residual
+    fitting = np.ones(len(residual), dtype=bool)
+    for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
+        # z²
+        score = np.divide(pull**2, np.diag(precision), out=np.zeros(len(pull)), where=fitting)
+        worst = int(np.argmax(score))
+        if score[worst] <= SIGNIFICANT**2:
+            break
+        fitting[worst] = False
+        # marginalise reading w: C⁻¹ ← C⁻¹ − C⁻¹_·w C⁻¹_w·/C⁻¹_ww
+        column = precision[:, worst] / precision[worst, worst]
+        pull = pull - column * pull[worst]
+        precision = precision - np.outer(column, precision[worst])
+    return np.flatnonzero(~fitting)
+
+
+def alone(panel: Panel, cells: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return those of the numbered cells that have no neighbour among them."""
+    first, second, _ = panel.neighbours
+    both = np.isin(first, cells) & np.isin(second, cells)
+    return np.setdiff1d(cells, np.concatenate([first[both], second[both]]))

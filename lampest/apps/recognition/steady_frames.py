@@ -1,0 +1,155 @@
+"""Frames of a window between steps of the readings, and their changes.
+
+The changes are without those by the water's pressure.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.apps.recognition.fit import Fit
+from lampest.apps.recognition.observation import Observation
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.panel.panel import Array
+
+LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
+MIN_PART = 4  # frames between two steps, with which a part says more than its mean
+
+
+class SteadyFrames(NamedTuple):
+    """Frames of a window without those in which the readings step.
+
+    Attributes
+    ----------
+    times : array, shape (frames,)
+        s.
+    logarithms : array, shape (frames, readings)
+        ln y.
+    part : integer array, shape (frames,)
+        Number of the steps before each frame.
+    period : float
+        Median step of time, s.
+    """
+
+    times: Array
+    logarithms: Array
+    part: NDArray[np.intp]
+    period: float
+
+    @classmethod
+    def of(cls, times: Array, logarithms: Array, steps: Sequence[float] = ()) -> "SteadyFrames":
+        """Return the interval of all frames but the ones about steps.
+
+        It also lacks parts of less than MIN_PART frames.
+        """
+        none = np.zeros(len(times), dtype=np.intp)
+        return cls(times, logarithms, none, float(np.median(np.diff(times)))).parted(steps)[0]
+
+    def parted(self, steps: Sequence[float]) -> tuple["SteadyFrames", NDArray[np.bool_]]:
+        """Return the interval with further steps, and which of its frames are left, (frames,)."""
+        at = np.array(sorted(steps))
+        apart = np.searchsorted(at, self.times) + (len(at) + 1) * self.part
+        still = np.all(
+            np.abs(self.times - at[:, None] - self.period / 2) > 1.6 * self.period, axis=0
+        )
+        still &= np.array(
+            [np.sum(still & (apart == number)) >= MIN_PART for number in apart], dtype=bool
+        )
+        _, part = np.unique(apart[still], return_inverse=True)
+        return SteadyFrames(self.times[still], self.logarithms[still], part, self.period), still
+
+    def only(self, frames: NDArray[np.bool_]) -> "SteadyFrames":
+        """Return the interval of some frames, (frames,)."""
+        _, part = np.unique(self.part[frames], return_inverse=True)
+        return SteadyFrames(self.times[frames], self.logarithms[frames], part, self.period)
+
+    def pulled(self, series: Array, axes: Array) -> tuple[float, ...]:
+        """Return the times between which a series, (frames,), is at another level.
+
+        () where a wave alone explains it as well. Both ends of the best level, or one, are compared
+        beside the best wave.
+
+        Parameters
+        ----------
+        series : array, shape (frames,)
+        axes : array, shape (rates, 2, frames)
+            Waves without a trend, orthonormal at each rate.
+        """
+        trend = self.trend()
+        count = len(series)
+        begins, ends = np.triu_indices(count + 1, MIN_PART)
+        numbers = np.arange(count)[:, None]
+        level = ((numbers >= begins) & (numbers < ends)).astype(float)
+        level -= trend @ (trend.T @ level)
+        amplitude = axes @ series
+        waves = axes @ level  # (rates, 2, levels)
+        size = np.sum(level**2, axis=0) - (waves**2).sum(axis=1)
+        along = level.T @ series - (amplitude[..., None] * waves).sum(axis=1)
+        explained = np.where(size > 1e-3, along**2 / np.maximum(size, 1e-3), 0.0)
+        beside = float(series @ series) - (amplitude**2).sum(axis=1)
+        remaining = beside[:, None] - explained
+        best = int(np.argmin(remaining.min(axis=0)))
+        ratio = float(beside.min()) / max(float(remaining.min()), 1e-12)
+        # twice the ln of the ratio of likelihoods, of normal residuals of unknown variance
+        if (count - trend.shape[1]) * np.log(ratio) <= SIGNIFICANT**2:
+            return ()
+        edges = (int(edge) for edge in (begins[best], ends[best]))
+        return tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count)
+
+    def trend(self) -> Array:
+        """Return an orthonormal basis of 1, t, t², ln(1 + t), and of a step between the parts.
+
+        ln(1 + t), the last of the functions of t, is for creep.
+        """
+        at = (self.times - self.times[0]) / max(float(np.ptp(self.times)), self.period)
+        steps = [self.part > number for number in range(self.part.max(initial=0))]
+        return np.linalg.qr(
+            np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *steps])
+        )[0]
+
+
+def changes_without_water(interval: SteadyFrames, frame: Observation, fit: Fit) -> Array:
+    """Return the changes of ln y, (frames, readings), since the recognised frame.
+
+    They are less those by the water's pressure. Outliers of each part between steps are drawn in.
+    The water's effect is estimated from lines without a load; it is 0 if all lines are loaded.
+
+    Parameters
+    ----------
+    interval : SteadyFrames
+    frame : Observation
+        The recognised frame.
+    fit : Fit
+        Its fit.
+    """
+    changes = interval.logarithms - np.log(frame.measured.ravel())
+    for number in range(interval.part.max(initial=-1) + 1):
+        own = interval.part == number
+        changes[own] = settled(changes[own])
+    loaded = fit.change != 0
+    response = frame.baseline.response
+    free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
+    pressure = (
+        response.pressure(fit.change / response.gains + response.logarithm(frame.water))
+        - frame.water
+    )
+    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
+    return changes - np.outer(
+        changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope
+    )
+
+
+def settled(series: Array) -> Array:
+    """Return a series (frames, …) clipped at four robust standard deviations from its level.
+
+    The level is the running median of LEVEL_FRAMES, which a pull moves.
+    """
+    # Estimates import this module and do not need scipy.ndimage.
+    from scipy.ndimage import median_filter
+
+    size = (LEVEL_FRAMES, *(1 for _ in series.shape[1:]))
+    level = median_filter(series, size, mode="nearest")
+    most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - level), axis=0)
+    return np.asarray(np.clip(series, level - most, level + most))

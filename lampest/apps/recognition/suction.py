@@ -1,0 +1,165 @@
+"""Suction without a shape: cells that have risen, enclosed by cells that have fallen.
+
+Suction lifts the film from its electrodes, and resistance rises; only suction does that. It is
+borne by a rim that presses around it. Neither depends on the form of a mouth, on what lies beside
+it, or on the film's curve.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.special import ndtr
+
+from lampest.apps.recognition.observation import Observation
+from lampest.files.levels import NOISE_REACH
+from lampest.panel.panel import Panel
+from lampest.recording.shapes.disc import Disc
+
+# ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
+# a cell by more than 0.1 beyond its error; of 48 mouths and cups of −2.5 kPa and more, 47 raised
+# one by more than 0.3, each by more than seven standard deviations (docs/studies/mouths.md).
+MIN_RISE = 0.2
+# Share of the cells around risen ones that have fallen: 0.6 and more around those mouths and cups.
+MIN_ENCLOSED = 0.5
+MIN_FALL = 0.05  # ln r/r0 of a cell under a rim; less is drift
+# Interquartile range of ln r0 of an unloaded film: 0.54 with a spread of 0.4, and 0.2 to 0.32 of
+# the shipped panels; a foot that stands or walks on an insole has 1.2 and 2.4.
+MAX_RANGE = 0.9
+RIM_MM = (6.0, -12.0)  # usual width of a rim, and suction, at which a fit begins
+APART_PITCHES = 2.2  # distance of two mouths: below, risen cells are of one
+
+
+@dataclass(frozen=True, eq=False)
+class Suction:
+    """A place on the panel that is under suction.
+
+    Attributes
+    ----------
+    cells : boolean array, shape (rows, columns)
+        Neighbouring cells that have risen.
+    probability : float
+        Probability that one of them has risen by more than MIN_RISE.
+    x_mm, y_mm : float
+        Their middle, weighted with ln r/r0.
+    """
+
+    cells: NDArray[np.bool_]
+    probability: float
+    x_mm: float
+    y_mm: float
+
+    def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
+        """Return the disc of the same area of suction with a usual rim.
+
+        Its diameter is multiplied by a factor.
+        """
+        inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm * larger
+        width, suction = RIM_MM
+        outer = inner + 2 * width
+        return Disc(
+            self.x_mm,
+            self.y_mm,
+            outer,
+            inner,
+            suction,
+            -suction * inner**2 / (outer**2 - inner**2),
+            0.0,
+            0.0,
+        )
+
+
+def suctions(frame: Observation) -> list[Suction]:
+    """Return the places under suction, the largest first.
+
+    A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
+    NOISE_REACH standard deviations. It is under suction if MIN_ENCLOSED of the cells around it have
+    fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven as
+    under loads: what rises may then have been relieved.
+    """
+    panel = frame.panel
+    change = frame.free_map
+    sd = frame.free_sd
+    if not _even(frame):
+        return []
+    clear = np.maximum(MIN_FALL, NOISE_REACH * sd)
+    places = list[Suction]()
+    for cells in _enclosed(panel, change > clear, change < -clear):
+        weight = change * cells
+        x, y = (float(np.nansum(weight * line) / weight.sum()) for line in panel.places_mm)
+        probability = float(ndtr(np.max((change - MIN_RISE)[cells] / sd[cells])))
+        places.append(Suction(cells, probability, x, y))
+    places.sort(key=lambda place: -float(change[place.cells].sum()))
+    return _merged(panel, places)
+
+
+def may_suck(frame: Observation) -> bool:
+    """Return whether cells may hide a suction.
+
+    Cells around them may have fallen so far that these do not show. The standard deviation of such
+    a cell is above MIN_RISE, and the cell may have risen by MIN_RISE within NOISE_REACH of it.
+    """
+    change = frame.free_map
+    sd = frame.free_sd
+    hidden = (sd > MIN_RISE) & (change + NOISE_REACH * sd > MIN_RISE)
+    fallen = (change < -np.maximum(MIN_FALL, NOISE_REACH * sd)) & ~hidden
+    return _even(frame) and bool(_enclosed(frame.panel, hidden, fallen))
+
+
+def _even(frame: Observation) -> bool:
+    """Return whether the unloaded cells are even, by the interquartile range of ln r0."""
+    logarithm = frame.baseline.logarithm[frame.panel.present & ~frame.baseline.scene.broken]
+    lower, upper = np.quantile(logarithm, (0.25, 0.75))
+    return bool(upper - lower < MAX_RANGE)
+
+
+def _enclosed(
+    panel: Panel, which: NDArray[np.bool_], fallen: NDArray[np.bool_]
+) -> list[NDArray[np.bool_]]:
+    """Return the groups of some cells around which MIN_ENCLOSED of the cells have fallen.
+
+    Shape (rows, columns) each.
+    """
+    groups = groups_of(panel, which)
+    rims = [around(panel, cells) for cells in groups]
+    return [
+        cells
+        for cells, rim in zip(groups, rims, strict=True)
+        if rim.any() and fallen[rim].sum() >= MIN_ENCLOSED * rim.sum()
+    ]
+
+
+def groups_of(panel: Panel, which: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
+    """Return the groups of neighbouring cells among some, in the order of their cells.
+
+    They are boolean, (rows, columns) each.
+    """
+    first, second, _ = panel.neighbours
+    linked = which.flat[first] & which.flat[second]
+    pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (which.size,))
+    _, labels = connected_components(pairs)
+    return [labels.reshape(which.shape) == label for label in dict.fromkeys(labels[which.ravel()])]
+
+
+def around(panel: Panel, group: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the neighbours of a group of cells that are not of it, boolean (rows, columns)."""
+    first, second, _ = panel.neighbours
+    beside = np.zeros(group.size, dtype=bool)
+    beside[second[group.flat[first]]] = True
+    beside[first[group.flat[second]]] = True
+    return beside.reshape(group.shape) & ~group
+
+
+def _merged(panel: Panel, places: list[Suction]) -> list[Suction]:
+    """Return the places without those that are nearer to a larger one than two mouths can be."""
+    separate = list[Suction]()
+    for place in places:
+        distances_mm = [
+            np.hypot(place.x_mm - larger.x_mm, place.y_mm - larger.y_mm) for larger in separate
+        ]
+        if min(distances_mm, default=np.inf) / panel.pitch_mm > APART_PITCHES:
+            separate.append(place)
+    return separate

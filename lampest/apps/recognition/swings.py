@@ -1,0 +1,262 @@
+"""Swings of a load, and their effects on readings: of its suction, its rim, its place and its tilt.
+
+Changes of suction and rim are proportional to the slopes ∂x/∂ln p of the cells on the film's
+response. The slopes are uncertain, because gains differ from cell to cell and the curve under
+suction has one measured point. `Patterns` holds the effect of each cause as a root of its
+covariance at unit amplitude.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
+from numpy.typing import NDArray
+
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.fit import Fit
+from lampest.apps.recognition.observation import Observation
+from lampest.apps.recognition.suction import MIN_FALL
+from lampest.files.levels import NOISE_REACH
+from lampest.panel.panel import Array, Panel
+from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
+
+# A: the mean amplitude of mouths is 5.4 % of their suction (docs/studies/mouths.md). That of loads
+# that do not breathe is an assumption: cups tremble and leak, but at no single rate.
+BREATHING_SD = 0.045
+TREMBLE_SD = 0.002
+# Largest amplitude of each cause, in units of its pattern. Suction: above 15 % the unevenness of a
+# film would explain the swings of a shaken cup. The rim alone: all of its pressure. Movements: ten
+# times their usual size.
+MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
+# Assumed relative standard deviation of the whole rim's swing against that of suction, because the
+# rim may press with more than it bears; and of each cell's change by a movement, because the places
+# of edges on its film are unknown.
+EDGE_SD = 0.5
+# Assumed: of each cell's swing with the suction, over the root mean square of all cells; and of the
+# depth of breath, by a curve under suction that was not measured.
+OWN_SD = 0.1
+CURVE_SD = 0.27
+# Suction from which an alternative curve through the published point may begin, instead of 0 kPa.
+THRESHOLD_KPA = -2.0
+# Distances of a body's cells to the nearest of a load, in pitches, at which it may move the rim.
+# Nearer ones may be of the rim itself.
+ADJOINS_PITCHES = (1.5, 3.2)
+
+
+class Patterns(NamedTuple):
+    """Effects of swings on whitened readings, (readings, n) each.
+
+    They are roots of their covariance at unit amplitude.
+
+    Attributes
+    ----------
+    own : array
+        Suction with its rim: the first column is the mean effect, the others are possible
+        deviations of the film.
+    rim : array
+        The rim alone.
+    moves : array
+        Place and tilt of the load.
+    others : array
+        Further changes of any size, which are projected out.
+    curve : float
+        Relative standard deviation of the depth by a curve under suction that was not measured.
+    adjoins : bool
+        Whether another load, or a body, adjoins the load and may move its rim.
+    """
+
+    own: Array
+    rim: Array
+    moves: Array
+    others: Array
+    curve: float = 0.0
+    adjoins: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        by_cell: Array,
+        rise: Array,
+        slopes: Array,
+        spread: Array,
+        moves: Array,
+        others: Array,
+        *,
+        curve: float = 0.0,
+    ) -> "Patterns":
+        """Return the patterns of a load.
+
+        Parameters
+        ----------
+        by_cell : array, shape (readings, cells)
+            Derivatives of the whitened readings by ln r.
+        rise : array, shape (cells,)
+            ln r/r0, negative under the rim.
+        slopes : array, shape (1 + n, cells)
+            Mean of ∂(ln r/r0)/∂ln p, and n common deviations of it.
+        spread : array, shape (cells,)
+            Standard deviation of each cell's own slope.
+        moves : array, shape (moves, cells)
+            Changes of ln r/r0 by movements of usual size.
+        others : array, shape (readings, m)
+            Further changes.
+        curve : float
+        """
+        mean = slopes[0]
+        rim = rise < 0
+        spread = np.hypot(spread, OWN_SD * np.sqrt(np.mean(mean**2)))
+        suction = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
+        rigid = np.delete(suction, 1, axis=1) * rim[:, None]
+        changes = np.linalg.norm(moves, axis=0)
+        moving = np.column_stack(
+            [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
+        )
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
+
+    def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
+        """Return the patterns and the changes (frames, readings) beside `others`.
+
+        They are projected on the complement of `others`.
+        """
+        span = np.linalg.qr(self.others)[0]
+        suction, rim, moves, remaining = (
+            pattern - span @ (span.T @ pattern)
+            for pattern in (self.own, self.rim, self.moves, changes.T)
+        )
+        return self._replace(own=suction, rim=rim, moves=moves), remaining.T
+
+    def whitened(self, whitening: Array) -> "Patterns":
+        """Return the patterns of readings that are whitened once more, by (readings, readings)."""
+        return self._replace(
+            own=whitening @ self.own,
+            rim=whitening @ self.rim,
+            moves=whitening @ self.moves,
+            others=whitening @ self.others,
+        )
+
+    def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
+        """Return the weights (readings,) with which readings sum to the amplitude of suction.
+
+        The sum has the least variance.
+
+        Parameters
+        ----------
+        depth : float
+            Amplitude at which the film's deviations are taken.
+        noise : float
+            Variance of each reading.
+        moving : float
+            Standard deviation of simultaneous changes of the rim alone, the place and the tilt.
+        """
+        mean = self.own[:, 0]
+        film = np.hstack([depth * self.own[:, 1:], moving * self.rim, moving * self.moves])
+        # w = C⁻¹ m/(mᵀ C⁻¹ m), with C = noise + F Fᵀ of the film's deviations and movements
+        weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
+        return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
+
+    def suction_weights(self, whitening: Array) -> Array:
+        """Return the weights (readings,) for the relative change of the load's suction.
+
+        With them changes of ln y sum to it. Changes common to all readings and those of other loads
+        are excluded; those of the load's place and of its rim alone have little weight. `whitening`
+        (readings, readings) whitens changes of ln y.
+        """
+        suction, _ = self.beside_others(np.zeros((1, len(whitening))))
+        return np.asarray(whitening.T @ suction.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
+
+
+def patterns_of(
+    frame: Observation, fit: Fit, whitening: Array, detector: Detector
+) -> list[Patterns | None]:
+    """Return the patterns of every load of a fit; None for loads that do not suck.
+
+    Parameters
+    ----------
+    frame : Observation
+        The recognised frame.
+    fit : Fit
+        Its fit.
+    whitening : array, shape (readings, readings)
+        Whitens changes of ln y.
+    detector : Detector
+    """
+    loads = fit.loads
+    panel = frame.panel
+    first = 0
+    patterns: list[Patterns | None] = [None] * len(loads)
+    if not any(part.sucks for part, _ in loads):
+        return patterns
+    departure, covariance = detector.departure(frame, fit)
+    rise = fit.change + departure
+    by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
+    slopes = _slopes(frame, rise, fit.scatter)
+    spread = np.sqrt(
+        (slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance))
+    )
+    cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
+    # cells of other loads, and of bodies beside, which move by themselves
+    changed = (
+        np.any(cells, axis=0)
+        | (np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)).ravel()
+    )
+    curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
+    _, by_parameter = detector.fitting(fit.candidate, frame).effect(fit.parameters)
+    for number, ((part, own), under) in enumerate(zip(loads, cells, strict=True)):
+        if part.sucks:
+            sways = np.array([prior.sway for prior in part.priors(panel).values()])[:, None]
+            moves = (sways * by_parameter[first : first + len(own), under])[sways[:, 0] > 0]
+            beside = changed & ~under
+            pattern = Patterns.of(
+                by_cell=by_cell[:, under],
+                rise=rise.ravel()[under],
+                slopes=slopes[:, under],
+                spread=spread[under],
+                moves=moves,
+                others=np.column_stack([whitening.sum(axis=1), by_cell[:, beside]]),
+                curve=curve,
+            )
+            patterns[number] = pattern._replace(adjoins=adjoin(panel, beside, under))
+        first += len(own)
+    return patterns
+
+
+def adjoin(panel: Panel, body: NDArray[np.bool_], load: NDArray[np.bool_]) -> bool:
+    """Return whether one of a body's cells, (cells,), is within ADJOINS_PITCHES of a load's."""
+    x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
+    distance = np.hypot(x[body, None] - x[load], y[body, None] - y[load])
+    nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
+    least, most = ADJOINS_PITCHES
+    return bool(np.any((nearest > least) & (nearest < most)))
+
+
+def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
+    """Return ∂x/∂ln p of cells at x = `rise`, (7, cells).
+
+    They are the mean, five deviations by the gain, and one by the curve. The gain differs by
+    `scatter` and by bending; its distribution is sampled at Gauss-Hermite points. The published
+    curve has one point under suction: a straight line of r, and an exponential beyond a threshold,
+    are each one standard deviation from their geometric mean.
+    """
+    response = frame.baseline.response
+    water = frame.water
+    points, weights = hermegauss(5)
+    gains = response.gains * np.exp(
+        np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None]
+    )
+    logarithm = rise / gains + response.logarithm(water)
+    pressure = response.pressure(logarithm) - water
+    more, lower = (
+        response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD)
+    )
+    rise = np.maximum(logarithm, 0.1)
+    delay = np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
+    straight = np.log(-np.expm1(-rise) / rise)
+    delayed = np.log1p(delay / rise)
+    unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
+    middle = unknown * (delayed + straight) / 2
+    curve = unknown * (delayed - straight) / 2
+    slopes = (gains * (more - lower) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)
+    shares = weights / weights.sum()
+    mean = shares @ slopes
+    common = shares @ (slopes * curve.reshape(slopes.shape))
+    return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])

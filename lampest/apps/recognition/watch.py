@@ -1,0 +1,505 @@
+"""Recognition over time on one panel: attachments, their times, and whether they suck and breathe.
+
+Steps of the readings are detected by a matched filter on their logarithms (Page, Biometrika 41,
+1954, for one series). Between two steps the load is recognised after 1, 2, 4 … seconds, from the
+median of the latest frames against the panel before the load. A load leaves only by a step back to
+that panel, up to the film's residue. A step whose readings return to the level before it, such as a
+deep breath or an outlier, is cancelled. Breath is judged through steps, because they are changes of
+a load and not its end. Without a load, the unloaded readings follow the frames.
+"""
+
+from dataclasses import dataclass, replace
+from math import exp
+
+import numpy as np
+
+from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
+from lampest.apps.recognition.departure import relieved_by_departure
+from lampest.apps.recognition.fit import RARE_LOG_ODDS
+from lampest.apps.recognition.observation import Observation, counting
+from lampest.apps.recognition.open_lines import open_lines, without_lines
+from lampest.apps.recognition.step_test import StepTest
+from lampest.apps.recognition.swings import patterns_of
+from lampest.apps.recognition.watch_parts import (
+    FOLLOWS_S,
+    MIN_FRAMES,
+    Frames,
+    Level,
+    Look,
+    WatchSetup,
+    latest,
+)
+from lampest.files.levels import NOISE_REACH
+from lampest.files.process import ONE_BLAS_THREAD, logged_reason
+from lampest.panel.panel import Array
+
+SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frames
+# Of the present load's score: a larger change is another load, or the load has left.
+MIN_CHANGE = 0.5
+# Patterns of loads take memory for each pair of cells: 134 MB, and 2 GB on 64 × 64.
+MAX_CELLS = 1024
+# Score of a single unloaded frame, which scatters more, over the threshold of a median of three.
+SINGLE_FRAME = 2.0
+TOUCHED = "something touched the panel while its unloaded frames were taken"
+UNEVENLY = (
+    "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
+)
+LEFT = "something stood on the panel in its unloaded frames, and left at {:.1f} s"
+RELIEVED = (
+    "the panel changed, and no contact is clear: no cells conduct more by five standard deviations"
+)
+# time until the first recognition, and the longest one between two
+FIRST_S = 1.0
+LOOKS_S = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """State of the recognition after a sequence of frames.
+
+    Readings are ln y, (cells,); times are in s.
+
+    Attributes
+    ----------
+    setup : WatchSetup
+    test : StepTest
+    sigma : array, shape (rows, columns)
+        Standard deviations of one frame's readings.
+    rest : Level
+        The panel without a load.
+    level : Level
+        The readings since the last step; without a load they are also the rest.
+    recent : tuple of two arrays
+        The last two frames.
+    window : tuple of (float, array)
+        Times and readings of the last frames under a load: those within WINDOW_S, and at least
+        MIN_FRAMES.
+    steps : tuple of float
+        Times of the steps in the window.
+    present : bool
+        Whether a load is on the panel.
+    known : bool
+        Whether there was a recognition since the last step.
+    next_s : float
+        Time of the next recognition.
+    look : Look or None
+        The last recognition.
+    film_sd : array, shape (cells,), or 0
+        Standard deviation of ln r0 by the residue of earlier loads in the film.
+    history : str
+        What the unloaded frames show of a load, in words; '' for nothing.
+    faults : tuple of (str, float)
+        Open lines, such as 'row 3', and the times in s of the first frames in which they were.
+    brief : tuple of (float, float)
+        Times, s, of loads that came and left too soon to be recognised.
+    attachments : tuple of Attachment
+    former : Watch or None
+        State before the last step; None once a load was recognised since.
+    """
+
+    setup: WatchSetup
+    test: StepTest
+    sigma: Array
+    rest: Level
+    level: Level
+    recent: tuple[Array, ...]
+    window: Frames = ()
+    steps: tuple[float, ...] = ()
+    present: bool = False
+    known: bool = False
+    next_s: float = np.inf
+    look: Look | None = None
+    film_sd: Array | float = 0.0
+    history: str = ""
+    faults: tuple[tuple[str, float], ...] = ()
+    brief: tuple[tuple[float, float], ...] = ()
+    attachments: tuple[Attachment, ...] = ()
+    former: "Watch | None" = None
+
+    @classmethod
+    def begin(
+        cls, setup: WatchSetup, measured: Array, sigma: Array, unloaded: Array, time: float
+    ) -> "Watch":
+        """Return the state before the first frame, from unloaded readings.
+
+        Parameters
+        ----------
+        setup : WatchSetup
+        measured : array, shape (rows, columns)
+            Mean of the unloaded readings.
+        sigma : array, shape (rows, columns)
+            Standard deviations of one frame's readings.
+        unloaded : array, shape (frames, rows, columns)
+            The unloaded readings; NaN where they are no values.
+        time : float
+            Time of the last unloaded frame, s.
+        """
+        frames = max(len(unloaded), 1)
+        sigma = counting(sigma, measured)
+        resting = np.log(measured.ravel())
+        frame = setup.frame(measured, sigma, setup.baseline(measured, sigma, frames))
+        filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
+            len(unloaded), resting.size
+        )
+        search = setup.detector.search(frame.panel)
+        intact = np.where(setup.scene.broken, np.nan, frame.baseline.logarithm)
+        test = StepTest.of(frame, search, np.log(filled))
+        uneven = search.lies_on(intact)
+        rest = Level(resting, frames, time, time)
+        return cls(
+            setup,
+            test,
+            sigma,
+            rest,
+            rest,
+            (resting, resting),
+            history=UNEVENLY if uneven else "",
+        )
+
+    @ONE_BLAS_THREAD
+    def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
+        """Return the watch after a frame.
+
+        Parameters
+        ----------
+        measured, sigma : array, shape (rows, columns)
+            Readings and their standard deviations; a reading without a finite σ does not count.
+        time : float
+            s.
+        """
+        watch = self.followed(measured, sigma, time)
+        if not watch.present:
+            return watch
+        # In this order: the load may have gone, the last step may be cancelled, loads are
+        # recognised, breath and suction judged.
+        if not watch.known:
+            frame = watch._frame(watch.level.mean, time)
+            if watch.setup.detector.calm(frame) is not None and watch._left(frame):
+                return watch._with_brief_load()._gone(watch.level.since_s)
+        if time >= watch.next_s:
+            watch = watch._resumed(watch.level.mean)
+        if time >= watch.next_s and len(watch._since_step) >= MIN_FRAMES:
+            watch = watch._looked(time)
+        return watch._heard(time) if watch.present and watch._recognised else watch
+
+    def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
+        """Return the watch after a frame, as `push`, with step detection only."""
+        sigma = np.where(measured > 0, sigma, np.inf)
+        faults = dict(self.faults)
+        if self.setup.scene.circuit.unit == "ohm":
+            at_rest = np.exp(self.rest.mean).reshape(measured.shape)
+            opened = open_lines(measured, sigma, at_rest)
+            sigma = without_lines(sigma, opened)
+            for line in opened:
+                faults.setdefault(line.name, time)
+        counts = np.isfinite(sigma).ravel()
+        logarithm = np.where(
+            counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean
+        )
+        # the median of three frames, so that a single wrong reading is no step
+        shown = np.median([*self.recent, logarithm], axis=0)
+        sigma = counting(sigma, np.exp(self.rest.mean).reshape(sigma.shape))
+        watch = replace(
+            self, recent=(self.recent[-1], logarithm), sigma=sigma, faults=tuple(faults.items())
+        )
+        return watch._stepped(shown, logarithm, time)
+
+    def ended(self) -> "Watch":
+        """Return the watch after the last frame.
+
+        A load that has just arrived in it is recognised, too.
+        """
+        return self._looked(self.window[-1][0]) if self.present and not self.known else self
+
+    def touched(self, unloaded: Array) -> bool:
+        """Return whether a load came or left during the unloaded frames, (frames, rows, columns).
+
+        Medians of three frames are tested, so that a single wrong reading is no load, and the first
+        and the last frame, which no median shows. The change with the largest score has to be more
+        probable as a load than as none.
+        """
+        logarithm = np.log(unloaded).reshape(len(unloaded), -1)
+        medians = [
+            np.median(logarithm[first : first + 3], axis=0) for first in range(len(unloaded) - 2)
+        ]
+        changes = np.nan_to_num([*medians, logarithm[0], logarithm[-1]] - self.rest.mean)
+        excess = np.array(
+            [np.max(self.test.scores(change) / self.test.least()) for change in changes]
+        )
+        first_and_last = slice(-2, None)
+        excess[first_and_last] /= SINGLE_FRAME
+        if excess.max() < 1:
+            return False
+        shown = self.rest.mean + changes[np.argmax(excess)]
+        frame = self._frame(shown, self.rest.until_s + SETTLES_S)
+        return self.setup.detector.verdict(frame).nothing < 0.5
+
+    @property
+    def stands_out(self) -> float:
+        """Largest score of the last frames against the panel at rest, in standard deviations."""
+        shown = np.median([*self.recent, self.level.mean], axis=0)
+        return float(np.max(self.test.scores(shown - self.rest.mean)))
+
+    @property
+    def change(self) -> Array | None:
+        """ln r/r0 (rows, columns) of the last recognised load; None before any."""
+        return None if self.look is None else self.look.verdict.best.change
+
+    @property
+    def doubt(self) -> str:
+        """The reason why the load on the panel is unknown, in words; '' where it is known."""
+        if self.present and not self.known:
+            return (
+                f"something touched the panel at {self.level.since_s:.1f} s, and has not been "
+                "still for long enough"
+            )
+        return self.history
+
+    @property
+    def _recognised(self) -> bool:
+        """Whether the load on the panel was recognised before or since the last step."""
+        return self.look is not None and not self.look.over
+
+    @property
+    def _since_step(self) -> Frames:
+        """Frames of the window since the last step."""
+        return tuple(frame for frame in self.window if frame[0] > self.level.since_s)
+
+    def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
+        """Return the watch after a frame.
+
+        A step back to the level before the last one continues that level, another one begins a new
+        interval. Any other frame continues the present one.
+
+        Parameters
+        ----------
+        shown : array, shape (cells,)
+            Median of the last three frames.
+        logarithm : array, shape (cells,)
+            The frame.
+        time : float
+            s.
+        """
+        scores = self.test.scores(shown - self.level.mean)
+        if not np.any(scores >= self._least_step(time)):
+            return self._continued(shown, logarithm, time)
+        resumed = self._resumed(shown)
+        if resumed is not self:
+            return resumed._stepped(shown, logarithm, time)
+        begun_s = self.level.until_s
+        window = latest((*self.window, (time, logarithm)))
+        return replace(
+            self,
+            level=Level(shown, 1.0, begun_s, time),
+            window=window,
+            steps=(*(step for step in self.steps if step >= window[0][0]), begun_s),
+            present=True,
+            known=False,
+            next_s=begun_s + FIRST_S,
+            former=replace(self, former=None) if self.present else None,
+        )
+
+    def _continued(self, shown: Array, logarithm: Array, time: float) -> "Watch":
+        """Return the watch after a frame without a step, with parameters as in `_stepped`.
+
+        The level is a running mean with the time constant FOLLOWS_S. Without a load, the panel at
+        rest and the mean squares of the scores follow, too.
+        """
+        share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
+        follows = max(1 / (self.level.frames + 1), share)
+        mean = self.level.mean + follows * (shown - self.level.mean)
+        frames = min(self.level.frames + 1, max(1 / follows, 1.0))
+        level = Level(mean, frames, self.level.since_s, time)
+        if self.present:
+            return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
+        scores = self.test.scores(shown - self.level.mean)
+        loud = self.test.loud + share * (scores**2 - self.test.loud)
+        rest = replace(level, frames=max(level.frames, self.rest.frames))
+        return replace(self, level=level, rest=rest, test=replace(self.test, loud=loud))
+
+    def _resumed(self, logarithm: Array) -> "Watch":
+        """Return the state before the last step with the frames since.
+
+        It is returned if readings have returned; else the state is unchanged.
+        """
+        former = self.former
+        if former is None:
+            return self
+        least = former._least_step(former.level.until_s)
+        if np.any(former.test.scores(logarithm - former.level.mean) >= least):
+            return self
+        level = replace(former.level, until_s=self.level.until_s)
+        return replace(
+            former,
+            recent=self.recent,
+            sigma=self.sigma,
+            window=self.window,
+            level=level,
+            faults=self.faults,
+        )
+
+    def _least_step(self, time: float) -> Array:
+        """Return the thresholds of the scores, (discs,).
+
+        They are a part of the load that is present, or of a fading residue.
+        """
+        if not self.present:
+            size: Array | float = 0.0 if self.look is None else self.look.fading(time)
+        elif self.known and self.look is not None:
+            size = self.look.size
+        else:
+            size = self.test.sizes(self.level.mean - self.rest.mean)
+        return np.maximum(self.test.least(), MIN_CHANGE * size)
+
+    def _frame(self, logarithm: Array, time: float) -> Observation:
+        """Return readings ln y as an observation against the panel before the load.
+
+        The film's residue is in C.
+        """
+        setup = self.setup
+        shape = self.setup.scene.panel.shape
+        baseline = setup.baseline(
+            np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
+        )
+        frame = setup.frame(
+            np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest.until_s
+        )
+        covariance = baseline.covariance.copy()
+        np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
+        return replace(frame, baseline=replace(baseline, covariance=covariance))
+
+    def _left(self, frame: Observation) -> bool:
+        """Return whether a frame shows less of the recognised ln r/r0 than the film's residue.
+
+        True without a load. The common change by temperature is the median over the cells that were
+        free, and is subtracted.
+        """
+        if not self._recognised:
+            return True
+        before = self._before
+        common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
+        residue = NOISE_REACH * self.setup.errors.residue * np.sum(before**2)
+        return bool(np.sum((frame.map - common) * before) <= residue)
+
+    def _keeps(self, frame: Observation) -> Array | float:
+        """Return `film_sd` after a step of the recognised load.
+
+        It is the residue of each cell's decrease of |ln r/r0|.
+        """
+        if self.known or not self._recognised:
+            return self.film_sd
+        fall = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
+        return np.asarray(np.maximum(self.film_sd, self.setup.errors.residue * fall))
+
+    @property
+    def _before(self) -> Array:
+        """ln r/r0 (rows, columns) of the load before the last step; 0 without one."""
+        if self.look is None or self.look.over:
+            return np.zeros(self.setup.scene.panel.shape)
+        return self.look.verdict.changed
+
+    def _gone(self, time: float) -> "Watch":
+        """Return the watch after the load has left at a time in s.
+
+        The present readings become the baseline, unless no load had been recognised.
+        """
+        closed = tuple(load.ended(time) if load.present else load for load in self.attachments)
+        watch = replace(
+            self, present=False, known=False, former=None, attachments=closed, film_sd=0.0
+        )
+        watch = replace(watch, next_s=np.inf, window=(), steps=())
+        if self.look is None or self.look.over:
+            return replace(watch, level=replace(self.rest, until_s=self.level.until_s))
+        rest = replace(self.level, since_s=time)
+        return replace(
+            watch, level=rest, rest=rest, look=replace(self.look, time_s=time, over=True)
+        )
+
+    def _with_brief_load(self) -> "Watch":
+        """Return the watch with a load that has left before it was looked at.
+
+        On a mat its contacts are recognised, from the frames in which it stood. What sucks is not
+        known so soon, so elsewhere it is noted alone.
+        """
+        if self._recognised:
+            return self
+        least = self.test.least()
+        stood = [
+            (at, logarithm)
+            for at, logarithm in self.window
+            if np.any(self.test.scores(logarithm - self.rest.mean) >= least)
+        ]
+        if len(stood) < MIN_FRAMES:
+            return self
+        begin = stood[0][0]
+        end = self.level.since_s
+        if not self.setup.detector.any_form:
+            return replace(self, brief=(*self.brief, (begin, end)))
+        frame = self._frame(np.median([logarithm for _, logarithm in stood], axis=0), begin)
+        verdict = self.setup.detector.verdict(frame)
+        loads = [load.ended(end) for load in attachments_of(verdict.frame, verdict, begin)]
+        return replace(self, attachments=(*self.attachments, *loads))
+
+    def _looked(self, time: float) -> "Watch":
+        """Return the watch after a look.
+
+        Loads are recognised from the median of the frames since the last step. The next look
+        follows after twice the time since the step, at the latest after LOOKS_S. One that fails is
+        left out.
+        """
+        again = time + min(max(time - self.level.since_s, FIRST_S), LOOKS_S)
+        scores = self.test.scores(self.level.mean - self.rest.mean)
+        median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
+        try:
+            frame = self._frame(median, time)
+            verdict = self.setup.detector.verdict(frame)
+        except (ArithmeticError, ValueError) as error:
+            logged_reason(error, f"look at {time:.1f} s")
+            return replace(self, next_s=again)
+        frame = verdict.frame
+        change = verdict.changed
+        before = self._before
+        least = NOISE_REACH * self.setup.errors.residue * np.sum(change * before)
+        # the film's residue in the cells of the former load
+        residue = self._recognised and not self.known and np.sum(change**2) <= least
+        # some steps are noise
+        noise = verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing)
+        if residue or noise:
+            # The load has left, unless its cells still show it.
+            shown = self.known and np.any(scores >= self.test.least())
+            if self._left(frame) and not shown:
+                return self._gone(time if self.known else self.level.since_s)
+            return replace(self, known=True, next_s=again, former=None)
+        look = Look(verdict, self.test.sizes(self.level.mean - self.rest.mean), time)
+        first = not self._recognised and not self.attachments
+        if first and self.setup.explained and relieved_by_departure(verdict):
+            left_s = self.level.since_s
+            history = LEFT.format(left_s)
+            return replace(self, look=look, history=history)._gone(left_s)
+        patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
+        loads = attachments_of(frame, verdict, self.level.since_s, patterns)
+        if not loads:
+            return replace(self, known=True, next_s=again, former=None, history=RELIEVED)
+        watch = replace(
+            self, film_sd=self._keeps(frame), look=look, known=True, former=None, next_s=again
+        )
+        continued = continued_by(self.attachments, loads, self.level.since_s, again=self.known)
+        return replace(watch, attachments=continued)
+
+    def _heard(self, time: float) -> "Watch":
+        """Return the watch after breath and suction of every load were judged.
+
+        They are judged once each FIRST_S and BLOCK_S. The last frame is left out of a breath,
+        because it may be the first one of a release. After a step the load may have left, so its
+        breath is judged again from the next recognition on.
+        """
+        assert self.look is not None
+        loads = list(self.attachments)
+        verdict = self.look.verdict
+        for number, load in enumerate(loads):
+            if load.present and load.patterns is not None:
+                load = load.sampled(self.window, self.test.whitening, verdict.frame)
+                if self.known:
+                    load = load.listened(self.window[:-1], self.steps, self.test.whitening, verdict)
+                loads[number] = load
+        return replace(self, attachments=tuple(loads))

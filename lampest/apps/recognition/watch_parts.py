@@ -1,0 +1,127 @@
+"""Parts of a watch: its constants, intervals without a step, and recognitions of a load."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampest.apps.film.pressure import water_pressure
+from lampest.apps.recognition.breathing import WINDOW_S
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.fit import Verdict
+from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation, patch_of
+from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+
+# Time constant, s, with which means follow the frames, and with which a residue fades.
+FOLLOWS_S = 20.0
+MIN_FRAMES = 3  # that a recognition needs
+# Times in s, and readings ln y, (cells,).
+Frames = tuple[tuple[float, Array], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WatchSetup:
+    """Constants of a watch.
+
+    Attributes
+    ----------
+    scene : RecognitionScene
+    detector : Detector
+    water : array, shape (rows, columns)
+        Pressure of the water, kPa.
+    errors : ModelErrors
+    common : callable or None
+        Returns a root (cells, n) of the covariance of random errors that a frame's readings share,
+        given the readings (rows, columns); None where there are none.
+    explained : bool
+        Whether the circuit explains the readings.
+    """
+
+    scene: RecognitionScene
+    detector: Detector
+    water: Array
+    errors: ModelErrors
+    common: Callable[[Array], Array] | None = None
+    explained: bool = True
+
+    @classmethod
+    def of(cls, scene: Scene, errors: ModelErrors, patch_mm: float | None = None) -> "WatchSetup":
+        """Return the constants of a scene, without errors that the readings of a frame share.
+
+        Parameters
+        ----------
+        scene : Scene
+        errors : ModelErrors
+        patch_mm : float or None
+            Edge of a cell's film; None where it is not specified.
+        """
+        detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
+        return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
+
+    def frame(
+        self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0
+    ) -> Observation:
+        """Return the observation of a mean of frames, with the σ of one frame.
+
+        The σ is that of one frame because films err equally in all.
+        """
+        common = None if self.common is None else self.common(measured)
+        return Observation(measured, sigma, baseline, self.water, seconds, common=common)
+
+    def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
+        """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame."""
+        scale = frames**-0.5
+        common = None if self.common is None else scale * self.common(measured)
+        return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Mean readings of an interval without a step.
+
+    Attributes
+    ----------
+    mean : array, shape (cells,)
+        ln y.
+    frames : float
+        Number of frames in the mean.
+    since_s, until_s : float
+        Times of its first and of its last frame, s.
+    """
+
+    mean: Array
+    frames: float
+    since_s: float
+    until_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The last recognition of a load.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    size : array, shape (discs,)
+        Scores of the load.
+    time_s : float
+        Time of the recognition, or at which the load left.
+    over : bool
+        Whether the load has left.
+    """
+
+    verdict: Verdict
+    size: Array
+    time_s: float
+    over: bool = False
+
+    def fading(self, time: float) -> Array:
+        """Return the scores of the residue of a load that left, (discs,)."""
+        return np.asarray(self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S))
+
+
+def latest(window: Frames) -> Frames:
+    """Return the last frames: those within WINDOW_S, and at least MIN_FRAMES."""
+    return window[-max(sum(at > window[-1][0] - WINDOW_S for at, _ in window), MIN_FRAMES) :]

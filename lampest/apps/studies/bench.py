@@ -1,0 +1,483 @@
+"""Benchmark of solvers on simulated recordings; docs/studies/bench.py adds SciPy's solvers."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from itertools import product
+from operator import attrgetter
+from time import perf_counter
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.stats import linregress
+
+from lampest.apps.studies import common, study
+from lampest.apps.studies.common import (
+    MIN_GAP,
+    Pushed,
+    TimedFrame,
+    inverse_time,
+    outcome,
+    peak_memory,
+    pushed,
+)
+from lampest.apps.studies.study import OnStep, column
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.methods.method import Method, OptimalMethod
+from lampest.estimate.sequence import first_stream
+from lampest.estimate.stream import Stream
+from lampest.files.typed import Configuration, check_range, check_ranges
+from lampest.panel.kirchhoff import laplacian
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.wiring import Lines
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
+from lampest.recording.shapes import AnyShape, Rod
+from lampest.recording.simulation.measure import Unmodelled
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
+from lampest.report.compare import Columns, grouped
+from lampest.report.words import text_of
+from lampest.solvers.solution import Settings
+
+
+def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
+    """Return loads and time course of recording `number`, periodic in 3.
+
+    0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three
+    standing rods. 2: a mouth of 35 mm that presses, then sucks, beside a rod.
+    """
+    pitch = Panel(*shape).pitch_mm
+    height, width = (pitch * (side - 1) for side in shape)
+    rods = tuple(
+        Rod(kind="rod", centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
+        for right, down, mass in ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))
+    )
+    breathing = common.shipped_lamprey().course
+    if number % 3 == 0:
+        return (
+            common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape)),
+        ), breathing
+    if number % 3 == 1:
+        return rods, Course()
+    mouth = common.lamprey_mouth((0.6 * width, 0.55 * height))
+    return (mouth, rods[0]), replace(breathing, start_s=-0.4, approach_s=2)
+
+
+@dataclass(frozen=True)
+class BenchLimits(Configuration):
+    """Largest side, max(rows, columns), of panels for each solver; 0: none.
+
+    joint : largest side on which relative methods solve the first frame jointly with the baseline.
+    """
+
+    reduced: int = common.MAX_SIDE
+    nodal: int = 16
+    joint: int = 10
+
+    @property
+    def solvers(self) -> tuple[str, ...]:
+        """Names of the solvers in order."""
+        return tuple(limit.name for limit in fields(self) if limit.name != "joint")
+
+
+@dataclass(frozen=True)
+class BenchFile(Configuration):
+    """Settings of the benchmark.
+
+    Attributes
+    ----------
+    sizes
+        Sides of square panels, or [rows, columns].
+    estimators
+        Methods by name, their terms as in a run file; by default the five of the paper.
+    recordings
+        Number of simulated recordings of every panel, each with its own loads and noise.
+    frames, repeats
+        Number of frames after the first, and of solves of each by every solver.
+    budget_s
+        Time limit in s; solves that would exceed it are left out and named.
+    seed, readout, unmodelled
+        Of the simulated recordings, as in a simulation file.
+    lines
+        Lines of their scenes; nodal is left out if they resist.
+    solver
+        Tolerance and iterations of all solvers.
+    limits
+        Largest side for each solver.
+    memory
+        Sides of panels on which the peak memory of a fresh process is measured.
+    """
+
+    schema: Literal[1]
+    sizes: common.Sizes
+    estimators: dict[str, common.StudyMethod] = field(default_factory=common.paper_methods)
+    recordings: int = 1
+    frames: int = 4
+    repeats: int = 3
+    budget_s: float = 3600.0
+    seed: int = 1
+    readout: TwoPointReadout = TwoPointReadout(noise_lsb=0.7)
+    unmodelled: Unmodelled = field(default_factory=Unmodelled)
+    lines: Lines | None = None
+    solver: Settings = Settings()
+    limits: BenchLimits = BenchLimits()
+    memory: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.sizes or not self.estimators:
+            raise ValueError("sizes and estimators must hold at least one")
+        common.check_sides(self.shapes, 2, common.MAX_SIDE)
+        check_range("a panel's side", self.memory, 2, common.MAX_SIDE)
+        for rows, columns in self.shapes:
+            if not self.solvers((rows, columns)):
+                raise ValueError(f"limits leave no solver for {rows} × {columns}")
+        check_ranges(self, 1, 1000, "recordings", "frames", "repeats")
+        check_ranges(self, 1e-3, 30 * 86400, "budget_s")
+
+    @property
+    def shapes(self) -> tuple[common.Shape, ...]:
+        """Shapes (rows, columns) of the panels."""
+        return common.shapes_of(self.sizes)
+
+    def solvers(self, shape: common.Shape) -> tuple[str, ...]:
+        """Return the names of the solvers that run on a panel."""
+        wired = self.lines is not None and self.lines.resist
+        known = (name for name in self.limits.solvers if not (wired and name == "nodal"))
+        return tuple(name for name in known if max(shape) <= getattr(self.limits, name))
+
+    def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
+        """Return a method with a solver for a panel.
+
+        The baseline of a large one is solved separately.
+        """
+        formulation = self.formulation(solver, joint=max(shape) <= self.limits.joint)
+        return self.estimators[method].estimator(formulation, self.solver, error_bars=False)
+
+    def formulation(self, solver: Any, *, joint: bool) -> Method:
+        """Return the formulation of a solver."""
+        return OptimalMethod(kind=solver, joint=joint)
+
+    def recording(self, shape: common.Shape, number: int = 0) -> Recording:
+        """Simulate a recording of a panel with 3 unloaded frames and the loads of `loads`."""
+        scene = common.simple_scene(shape, self.readout, self.lines)
+        touching, course = loads(number, shape)
+        known: dict[str, Any] = {"loads": touching, "course": course, "unmodelled": self.unmodelled}
+        return simulate(
+            Simulation(1, self.seed + number, scene, frames=self.frames + 1, **known), str(number)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchFrame(TimedFrame):
+    """A frame of the benchmark.
+
+    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²); the last part is the cost of missing every reading by
+        0.003 %.
+    """
+
+    kind: str = column(
+        "1", "first: a cold start; pair: together with the baseline; later: from the frame before"
+    )
+    inverse_s: float = column("s", "a dense inverse of size rows + columns - 1 at that time")
+
+
+class BenchPart(NamedTuple):
+    """A method on a recording of a panel."""
+
+    recording: int
+    shape: common.Shape
+    method: str
+
+    def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
+        """Predict the time from the largest panel up to this size, growing as (M + N)³."""
+        solvers = bench.solvers(self.shape)
+        lines = sum(self.shape)
+        similar = [
+            frame for frame in done if frame.method == self.method and frame.solver in solvers
+        ]
+        smaller = [sum(frame.shape) for frame in similar if sum(frame.shape) <= lines]
+        nearest = max(smaller, default=lines)
+        similar = [frame for frame in similar if sum(frame.shape) == nearest]
+        recordings = len({(frame.shape, frame.recording) for frame in similar}) or 1
+        return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
+
+
+PROCESS_START_S = 3.0  # that a fresh process takes to begin
+LONG_TURN_S = 1.0  # of all solvers, against which disturbances are small
+
+
+LeftOut = tuple[common.Shape, str, str]  # panel, method, and the part that was left out
+
+
+class Bench(NamedTuple):
+    """Measurements of the benchmark, and the parts that were left out."""
+
+    settings: BenchFile
+    frames: tuple[BenchFrame, ...]
+    left_out: tuple[LeftOut, ...] = ()
+
+
+def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
+    """Measure as much as the budget allows.
+
+    The first recordings of all panels come first, and small panels before large ones.
+
+    on_step : receives the numbers of finished and of all parts, and the name of the next one.
+    """
+    end = perf_counter() + bench.budget_s
+    frames = list[BenchFrame]()
+    missed = list[LeftOut]()
+    parts = [
+        BenchPart(*part)
+        for part in product(range(bench.recordings), bench.shapes, bench.estimators)
+    ]
+    simulated = lru_cache(maxsize=1)(bench.recording)
+    for number, part in enumerate(parts):
+        shape = part.shape
+        method = part.method
+        name = f"recording {part.recording + 1}"
+        on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
+        if part.expected_s(bench, frames) > end - perf_counter():
+            missed.append((shape, method, name))
+            continue
+        part_frames = list(_frames(bench, simulated(shape, part.recording), part, end))
+        count = part_frames[-1].frame + 1
+        if count <= bench.frames:
+            missed.append((shape, method, f"{name} after {count} of {bench.frames + 1} frames"))
+        with_memory = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
+        for solver in bench.solvers(shape) if with_memory else ():
+            solving_s = sum(frame.seconds for frame in part_frames if frame.solver == solver)
+            if PROCESS_START_S + solving_s > end - perf_counter():
+                missed.append((shape, method, f"memory of {solver}"))
+                continue
+            peak = peak_memory(
+                simulated(shape, part.recording), bench.estimator(method, solver, shape)
+            )
+            part_frames = [
+                replace(frame, memory_mb=peak) if frame.solver == solver else frame
+                for frame in part_frames
+            ]
+        frames += part_frames
+    return Bench(bench, tuple(frames), tuple(missed))
+
+
+def _frames(
+    bench: BenchFile, recording: Recording, part: BenchPart, end: float
+) -> Iterator[BenchFrame]:
+    """Solve every frame by all solvers, until less time is left than the last frame took."""
+    estimators = {
+        name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)
+    }
+    readings = recording.readings()
+    matrix = laplacian(np.ones(part.shape))[1:, 1:]
+    stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
+    # Without it, the first frame is a cold start.
+    start = stream.previous if stream.estimator.relative else None
+    streams = {
+        name: replace(stream, estimator=estimator, previous=start)
+        for name, estimator in estimators.items()
+    }
+    kind = "pair" if stream.estimator.joint_start else "first"
+    for number, frame in enumerate(recording.measured_frames()):
+        begin = perf_counter()
+        turns = _turns(streams, readings[frame], bench.repeats if number else 1)
+        objectives = {name: turn.objective for name, turn in turns[0].items()}
+        best = min(objectives, key=objectives.__getitem__)
+        # scale of the gap: φ_best + 1e-9 Σ R²
+        size = objectives[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
+        for name, turn in turns[0].items():
+            solved = turn.step.solution.solved
+            gap = (turn.objective - objectives[best]) / size if solved else np.inf
+            yield BenchFrame(
+                **outcome(recording, turn.step),
+                method=part.method,
+                solver=name,
+                frame=number,
+                seconds=min(turn[name].seconds for turn in turns),
+                objective=turn.step.solution.objective,
+                gap=gap if len(streams) > 1 else np.nan,
+                kind="later" if number else kind,
+                inverse_s=inverse_time(matrix),
+            )
+        # All continue from the best estimate, each with its own caches.
+        leader = turns[0][best].stream
+        streams = {
+            name: replace(leader, estimator=estimator, prepared=turns[0][name].stream.prepared)
+            for name, estimator in estimators.items()
+        }
+        if perf_counter() - begin > end - perf_counter():
+            return
+
+
+def _turns(
+    streams: Mapping[str, Stream], readings: Readings, repeats: int
+) -> list[dict[str, Pushed]]:
+    """Solve a frame by all solvers, several times in turn; once where that takes long."""
+    turns = list[dict[str, Pushed]]()
+    for _ in range(repeats):
+        turns.append({name: pushed(stream, readings) for name, stream in streams.items()})
+        if sum(turn.seconds for turn in turns[-1].values()) > LONG_TURN_S:
+            break
+    return turns
+
+
+ALL = "all"  # methods together
+GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
+PROBLEM = attrgetter("rows", "columns", "method", "frames")  # of rows that differ in their solvers
+
+
+def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
+    """Return rows by panel, method (all together first), solver, and first or later frames.
+
+    Panels on which a method was left out have no row of all methods.
+    """
+    methods = {frame.method for frame in frames}
+    rows: list[study.Row] = []
+    for panel in grouped(frames, lambda frame: frame.shape).values():
+        for name, chosen in {ALL: panel, **grouped(panel, lambda frame: frame.method)}.items():
+            for several in grouped(chosen, lambda frame: frame.solver).values():
+                kinds = grouped(several, lambda frame: frame.frame > 0).values()
+                rows += [
+                    _row(name, timed)
+                    for timed in kinds
+                    if name != ALL or {frame.method for frame in timed} == methods
+                ]
+    reduced = {PROBLEM(row): row.ms for row in rows if row.solver == "reduced"}
+    for row in rows:
+        row.ratio = row.ms / reduced[PROBLEM(row)] if PROBLEM(row) in reduced else None
+    return rows
+
+
+def _row(method: str, measured: Sequence[BenchFrame]) -> study.Row:
+    """Summarise frames of one kind by one solver.
+
+    ms is the median, gap the largest, infinite of a failed frame.
+    """
+    low, middle, high = np.quantile(
+        [1e3 * frame.seconds for frame in measured], (0.25, 0.5, 0.75)
+    ).tolist()
+    kinds = {frame.kind for frame in measured}
+    return study.Row(
+        **study.named_values(measured[0], "rows", "columns"),
+        method=method,
+        solver=measured[0].solver,
+        frames=kinds.pop() if len(kinds) == 1 else "first",
+        ms=middle,
+        ms_quartile_1=low,
+        ms_quartile_3=high,
+        ratio=None,
+        inverses=middle / 1e3 / float(np.median([frame.inverse_s for frame in measured])),
+        iterations=float(np.median([frame.iterations for frame in measured])),
+        gap=max((frame.gap for frame in measured if not np.isnan(frame.gap)), default=None),
+        count=len(measured),
+        verified=sum(frame.verified for frame in measured),
+        solved=sum(frame.solved for frame in measured),
+        memory_mb=max(
+            (frame.memory_mb for frame in measured if frame.memory_mb is not None), default=None
+        ),
+    )
+
+
+def growth(rows: Sequence[study.Row]) -> list[study.Row]:
+    """Fit time ∝ side^exponent, side = (rows + columns)/2, by solver, method and kind of frames.
+
+    A least-squares line through the logarithms of `ms` of two or more panels with sides of at least
+    32.
+    standard_error : of the exponent; None with two panels. largest : the largest side.
+    """
+    large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
+    exponents = []
+    for group, group_rows in grouped(large, attrgetter(*GROWTH[:3])).items():
+        sides = [(row.rows + row.columns) / 2 for row in group_rows]
+        if len(group_rows) > 1:
+            line = linregress(np.log(sides), np.log([row.ms for row in group_rows]))
+            error = float(line.stderr) if len(group_rows) > 2 else None
+            figures = (*group, float(line.slope), error, len(group_rows), max(sides))
+            exponents.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
+    return exponents
+
+
+GROWTH = ("solver", "method", "frames", "exponent", "standard_error", "panels", "largest")
+GROWTH_SCREEN = {
+    "solver": "{solver}",
+    "method": "{method}",
+    "frames": "{frames}",
+    "exponent of the side": "{exponent:.2f} ± {standard_error:.2f}",
+    "panels": f"{{panels}}, {GROWTH_FROM} to {{largest:.0f}}",
+}
+SCREEN: Columns = {
+    "panel": "{rows} × {columns}",
+    "solver": "{solver}",
+    "method": "{method}",
+    "frames": "{frames}",
+    "ms": "{ms:digits}",
+    "ratio": lambda row: "" if row.solver == "reduced" else text_of(row.ratio),
+    "quartiles": lambda row: (
+        f"{text_of(row.ms_quartile_1)}–{text_of(row.ms_quartile_3)}"
+        if row.ms_quartile_1 < row.ms_quartile_3
+        else ""
+    ),
+    "inverses": "{inverses:digits}",
+    "steps": "{iterations:g}",
+    "gap": lambda row: (
+        text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}"
+    ),
+    "verified": "{verified}/{count}",
+    "MB": "{memory_mb:.0f}",
+}
+
+
+def sheets(bench: Bench) -> list[study.Sheet]:
+    """Return the tables that are not empty."""
+    rows = bench_rows(bench.frames)
+    totals = [row for row in rows if row.method == ALL]
+    ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
+    shared = {title: of for title, of in SCREEN.items() if title not in ("method", "quartiles")}
+    titled: list[study.Sheet] = [
+        ("solvers: all methods together", totals, shared),
+        (
+            "methods: the reduced solver",
+            ours,
+            {title: of for title, of in SCREEN.items() if title != "solver"},
+        ),
+        ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
+    ]
+    return [sheet for sheet in titled if sheet[1]]
+
+
+def bench_remarks(bench: Bench) -> list[str]:
+    """Return sentences on limits and on parts that were left out."""
+    settings = bench.settings
+    largest = max(max(shape) for shape in settings.shapes)
+    limited = [
+        f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest
+    ]
+    lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
+    panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
+    for (shape, part), omissions in grouped(
+        bench.left_out, lambda left_out: (left_out[0], left_out[2])
+    ).items():
+        methods = [method for _, method, _ in omissions]
+        named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
+        panels.setdefault((part, named), []).append(f"{shape[0]} × {shape[1]}")
+    reason = f"left out, would not end within {settings.budget_s:g} s"
+    return lines + [
+        f"{reason}: {part}: {named} at {', '.join(several)}"
+        for (part, named), several in panels.items()
+    ]
+
+
+STUDY: study.Study[BenchFile, Bench] = study.Study(
+    "bench",
+    "methods",
+    "bench.yaml",
+    study.read_settings(BenchFile),
+    run_bench,
+    rows=lambda bench: bench_rows(bench.frames),
+    sheets=sheets,
+    form="bench/3",
+    records=lambda bench: [study.RecordGroup("frames", bench.frames, "seconds")],
+    texts=lambda bench: {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)},
+    remarks=bench_remarks,
+)

@@ -1,1 +1,0 @@
-"""Loads on a panel: response curve, pressure, shapes, recognition."""

@@ -1,8 +1,0 @@
-"""Import of other programs' files as recordings.
-
-These are text tables, sheets, arrays, and layouts of one's own.
-"""
-
-from lampest.recording.foreign.arrays import Layout
-
-LAYOUTS: tuple[Layout, ...] = ()

@@ -1,0 +1,934 @@
+"""Serial lines that never end or lie, counters that wrap, and several boards as one image."""
+
+import copy
+import itertools
+import os
+import re
+import signal
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
+
+from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
+from lampest.apps.board import several, stream
+from lampest.apps.board.journal import noise_from_repeats
+from lampest.apps.board.port import NoBoardError
+from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, message
+from lampest.apps.board.record import Progress, Recorded, _wanted, record
+from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.several import LATE_SECONDS, Alignment, samples_of
+from lampest.apps.board.stream import (
+    CLOCK_JUMPED,
+    CLOCK_STOPPED,
+    HOST_CLOCK_SET,
+    Sample,
+    Samples,
+    Scanning,
+    scene_of,
+)
+from lampest.files import process
+from lampest.panel.panel import EachModule, Modules
+from lampest.recording.acquisition import Acquisition
+from lampest.recording.recording import MEASURED, UNLOADED
+from tests.bodies import hello_body
+
+Sent = Iterator[tuple[float, bytes]]
+BOARD_SCENE = scene_of(IDLE, None)
+IMPOSSIBLE_FIELDS = {
+    "rows": (0, 255),
+    "columns": (0, 17),
+    "readings": (0, 65),
+    "most_rows": (0,),
+    "most_readings": (0,),
+}
+IMPOSSIBLE_FIELDS |= {
+    "shortest_period_us": (0,),
+    "supply_millivolt": (0,),
+    "reference_milliohm": (0,),
+    "adc_bits": (0, 33, 255),
+}
+PERIOD = 0.05
+ROUNDING_S = 1e-9
+LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
+SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
+HELLO_AT_PERIOD = replace(IDLE, period_us=round(1e6 * PERIOD))
+# Messages that arrive, how the board answers when it is asked (None: not at all), when the end is
+# requested, and how many samples come in each batch; and how many answers came since the last of
+# them.
+RUNNING = replace(IDLE, running=True, period_us=0)
+FIT = Frame(2, 9, 50, 0, np.ones((3, 4), np.uint16))
+ENDED_RUNS: tuple[tuple[list[Any], list[Hello | None], list[bool], list[int], int], ...] = (
+    ([(FIT,), (IDLE,)], [RUNNING], [False, False], [1, 0], 2),
+    ([(FIT,)], [RUNNING], [False, True], [1, 1], 0),
+    ([(), ()], [RUNNING, IDLE], [False, False], [0, 0], 2),
+    ([(), ()], [RUNNING, replace(RUNNING, readings=3)], [False, False], [0, 0], 2),
+    ([()], [None], [False], [0], 0),
+)
+# Frames and seconds at most, and what is left of batches of 2, 0, 3 and 2 frames, 0.1 s apart, of
+# 0.05 s each.
+LIMITS = (
+    (None, None, [2, 0, 3, 2]),
+    (4, None, [2, 0, 2]),
+    (5, None, [2, 0, 3]),
+    (6, None, [2, 0, 3, 1]),
+    (None, 0.25, [2, 0, 1]),
+    (None, 0.35, [2, 0, 2]),
+    (3, 0.35, [2, 0, 1]),
+    (4, 0.25, [2, 0, 1]),
+)
+MAX_SECONDS = 15.0  # until a line is given up that is allowed one second without a valid frame
+
+
+def larger(hello: Hello) -> Sent:
+    """Well-formed frames of another size, as fast as the line takes them."""
+    return ((0.0, wire(hello, number, shape=(5, 5))) for number in itertools.count())
+
+
+def garbage(hello: Hello) -> Sent:
+    rng = np.random.default_rng(16)
+    return ((0.0, rng.bytes(400)) for _ in itertools.count())
+
+
+def restarts(hello: Hello) -> Sent:
+    """A board that says again and again that it does not scan."""
+    return itertools.repeat((0.0, message(hello_body(replace(hello, running=False)))))
+
+
+def replayed(hello: Hello) -> Sent:
+    """Twenty frames, then the first ten of them for ever."""
+    return (
+        (0.01, wire(hello, number))
+        for number in itertools.chain(range(20), itertools.cycle(range(10)))
+    )
+
+
+def flooded(hello: Hello) -> Sent:
+    """Good frames, each among many of another size."""
+    return ((0.01, wire(hello, n) + wire(hello, n, shape=(5, 5)) * 20) for n in itertools.count())
+
+
+def recorded(script: Script, folder: Path, **limits: Any) -> Recorded:
+    with wild_board(script) as board:
+        return record(board.port, folder / "r.h5", period=0.01, **limits)
+
+
+def silent(frames: int) -> Script:
+    return lambda hello: ((0.01, wire(hello, number)) for number in range(frames))
+
+
+UNFIT = r"nothing fit for \d+ s, though the line is not silent \(\d+ "
+# What a line sends when ten frames are requested, the sentence, and how many frames are in the
+# file.
+USELESS: tuple[tuple[Script, str, int], ...] = (
+    (larger, UNFIT + "frames of another size", 0),
+    (garbage, UNFIT + "pieces that are no message", 0),
+    (restarts, UNFIT + "answers", 0),
+    (replayed, r"nothing fit .* frames out of order\); the 20 frames that came before are in", 20),
+    (silent(0), r"no frame came for \d s", 0),
+    (silent(5), r"no frame came for \d s; the 5 frames", 5),
+)
+
+
+@pytest.mark.slow
+def test_a_line_without_valid_frames_ends_with_a_sentence_and_keeps_earlier_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module, seconds in (("stream", 0.5), ("record", 1.0)):
+        monkeypatch.setattr(f"lampest.apps.board.{module}.UNFIT_SECONDS", seconds)
+    for script, sentence, count in USELESS:
+        began = time.monotonic()
+        with pytest.raises(InputError, match=sentence):
+            recorded(script, tmp_path, frames=30)
+        assert time.monotonic() - began < MAX_SECONDS
+        assert len(list(tmp_path.iterdir())) == (count > 0)
+        if count:
+            recording = Recording.load(tmp_path / "r.h5")
+            assert recording.acquisition.sequence.tolist() == list(range(count))
+            assert not recording.acquisition.lost.any()
+            (tmp_path / "r.h5").unlink()
+
+
+def test_frames_are_decoded_in_a_flood(tmp_path: Path) -> None:
+    summary = recorded(flooded, tmp_path, frames=50)
+    assert (summary.frames, summary.lost, summary.restarts) == (50, 0, 0)
+
+
+def frame(number: int, device_ms: int) -> Frame:
+    return Frame(2, number % 2**32, device_ms % 2**32, 0, np.zeros((3, 4), np.uint16))
+
+
+def run_of(*frames: tuple[int, int]) -> tuple[Scanning, list[Sample]]:
+    """A run of 10 ms between frames, and the samples that frames (number, ms) make of it."""
+    run = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 0, None)
+    samples = list[Sample]()
+    for number, device_ms in frames:
+        samples += run.take(frame(number, device_ms))
+    return run, samples
+
+
+def places(samples: list[Sample]) -> list[tuple[int, int, int]]:
+    return [(sample.frame.sequence, sample.lost, sample.session) for sample in samples]
+
+
+def complete_frames(count: int, session: int = 0) -> list[tuple[int, int, int]]:
+    return [(number, 0, session) for number in range(count)]
+
+
+def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tuple[int, int]]:
+    """Frames every 10 ms, without those that are gone.
+
+    They are on a clock that jumps by so many ms at a frame.
+    """
+    clock = (
+        100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number)
+        for number in range(count)
+    )
+    return [(number, ms) for number, ms in enumerate(clock) if number not in gone]
+
+
+TICKS = ticked(20, {})
+LATE_TICKS = [
+    (n, int(1000 + 10 * (n + late)))
+    for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))
+]
+# Frames (number, ms), what is made of them (number, frames lost before it, session), and where the
+# clock jumped.
+RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[int]]] = {
+    "numbers and clock wrap": (
+        [((2**32 - 5 + step) % 2**32, 2**32 - 22 + 10 * step) for step in range(9)],
+        [((2**32 - 5 + step) % 2**32, 0, 0) for step in range(9)],
+        [],
+    ),
+    "frames are sent again": ([*TICKS, *TICKS[:15], *TICKS[3:9]], complete_frames(20), []),
+    "frames are sent again, then new ones": (
+        [*TICKS, *TICKS[:15], (20, 100_200)],
+        complete_frames(21),
+        [],
+    ),
+    "numbers begin anew": (
+        [(0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550)],
+        [*complete_frames(3), *complete_frames(3, session=1)],
+        [],
+    ),
+    "numbers begin anew after a pause": (
+        [(0, 500), (1, 510), (2, 520), (0, 560), (1, 570)],
+        [*complete_frames(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
+        [],
+    ),
+    "a frame is out of order": (
+        [(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)],
+        complete_frames(4),
+        [],
+    ),
+    "a clock is wild once": (
+        [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
+        complete_frames(5),
+        [2],
+    ),
+    "a clock is wild once, and the frame before is gone": (
+        [(0, 500), (1, 510), (3, 5530), (4, 540), (5, 550)],
+        [*complete_frames(2), (3, 1, 0), (4, 0, 0), (5, 0, 0)],
+        [2],
+    ),
+    "scans are late": (LATE_TICKS, complete_frames(500), []),
+    **{
+        f"a jump by {ms} ms": (ticked(30, {10: ms}), complete_frames(30), [10])
+        for ms in (5_000, -5_000, 2**31, -(2**31))
+    },
+    **{
+        f"a jump by {ms} ms where {gone} are gone": (
+            ticked(30, {10: ms}, range(10, 10 + gone)),
+            [*complete_frames(10), (10 + gone, gone, 0), *complete_frames(30)[11 + gone :]],
+            [10],
+        )
+        for ms in (10_000, 300, -5_000)
+        for gone in (1, 4)
+    },
+}
+ADJACENT = ({10: 10_000, 11: -9_000}, {10: 5_000, 11: 5_000, 12: -3_000}, {10: -20, 11: 9_000})
+
+
+def test_frames_are_counted_and_timed_despite_wild_numbers_and_clocks() -> None:
+    for name, (sent, expected, jumps) in RUNS.items():
+        _, samples = run_of(*sent)
+        assert places(samples)[1:] == expected[1:], name
+        assert [
+            number for number, sample in enumerate(samples) if CLOCK_JUMPED in sample.events
+        ] == jumps, name
+        period = [0.01 * (1 + lost) for _, lost, _ in expected[1:]]
+        elapsed = [sample.time for sample in samples]
+        np.testing.assert_allclose(
+            np.diff(elapsed), period, atol=0.01 if sent is LATE_TICKS else 1e-9, err_msg=name
+        )
+    for jumps in ADJACENT:
+        _, samples = run_of(*ticked(30, jumps))
+        assert places(samples) == complete_frames(30)
+        np.testing.assert_allclose(
+            [sample.time for sample in samples], 0.01 * np.arange(30), atol=ROUNDING_S
+        )
+
+
+def test_a_wild_clock_in_the_last_frame_costs_no_frame() -> None:
+    for last_ms in (5_520, 100, 2**31):
+        run, samples = run_of((0, 500), (1, 510), (2, last_ms))
+        samples += run.last_sample()
+        assert places(samples) == complete_frames(3) and samples[-1].events == (CLOCK_JUMPED,)
+        assert samples[-1].time == pytest.approx(0.02) and not run.last_sample()
+    for last in ((1, 510), (0, 500), (900, 515)):
+        run, samples = run_of((0, 500), (1, 510), last)
+        assert not run.last_sample() and places(samples) == complete_frames(2), (
+            "repeated and foreign frames are none"
+        )
+
+
+def test_the_clock_limits_the_accepted_frame_number() -> None:
+    """The first one; and none that its clock puts days ahead."""
+    assert [
+        run_of(first)[1][0].lost for first in ((7, 100), (2**32 - 5, 100), (10**8, 2 * 10**9))
+    ] == [7, 0, 0]
+    assert places(run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (2, 520))[1]) == complete_frames(
+        3
+    )
+    _, samples = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
+    assert samples[2].session == 1 and samples[2].lost < 10_000 and samples[2].time < 100
+
+
+def test_a_stopped_clock_costs_no_frame_and_is_named_once() -> None:
+    _, samples = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
+    assert places(samples) == complete_frames(101) and np.all(
+        np.diff([sample.time for sample in samples]) >= 0.01 - ROUNDING_S
+    )
+    assert [(number, sample.events) for number, sample in enumerate(samples) if sample.events] == [
+        (6, (CLOCK_STOPPED,))
+    ]
+
+
+def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
+    random = np.random.default_rng(4343)
+    sent = []
+    ahead = 100_000
+    delivered = []
+    for number in range(3000):
+        if random.random() < 0.05:
+            ahead += int(random.integers(-10_000, 10_000))
+        if number in (0, 1, 2, 2998, 2999) or random.random() > 0.1:
+            sent.append((number, ahead + int(10 * (number + random.uniform(0, 0.9)))))
+            delivered.append(number)
+    _, samples = run_of(*sent)
+    numbers = [sample.frame.sequence for sample in samples]
+    assert len(samples) > 0.99 * len(delivered), "whole frames are kept"
+    assert sum(sample.lost for sample in samples) == numbers[-1] + 1 - len(samples)
+    assert not any(sample.session for sample in samples)
+    assert samples[-1].time == pytest.approx(29.99, rel=0.01)
+
+
+@pytest.mark.parametrize("step_s", [-86_400.0, -3600.0, 3600.0, 86_400.0])
+@pytest.mark.parametrize(
+    "frames",
+    {
+        "the board goes on": [(n, 500 + 10 * n) for n in range(6)],
+        "its clock stands still": [(n, 500) for n in range(6)],
+        "its clock jumps": [(n, 500 + 10 * n + 10**7 * (n > 2)) for n in range(6)],
+        "it restarts": [(n % 3, 500 + 10 * (n % 3) + 900 * (n > 2)) for n in range(6)],
+    }.values(),
+)
+def test_no_time_depends_on_a_clock_that_is_set(
+    monkeypatch: pytest.MonkeyPatch, frames: list[tuple[int, int]], step_s: float
+) -> None:
+    """The host's clock is set before the fourth frame; the steady one goes on by 10 ms a frame."""
+    steps = [0.0]
+    clocks = SimpleNamespace(
+        time=lambda: 1.7e9 + 0.01 * len(steps) + steps[-1], monotonic=lambda: 0.01 * len(steps)
+    )
+    monkeypatch.setattr(stream, "time", clocks)
+    runs = []
+    for sizes in (6 * [0.0], [0.0, 0.0, 0.0, step_s, step_s, step_s]):
+        steps[:] = [0.0]
+        run = Scanning(replace(IDLE, period_us=10_000), BOARD_SCENE, 0, None, since=0.0)
+        samples = list[Sample]()
+        for size, (number, device_ms) in zip(sizes, frames, strict=True):
+            steps.append(size)
+            samples += run.take(frame(number, device_ms))
+        runs.append(samples)
+    steady, moved = runs
+    assert len(moved) >= 5
+    assert [sample.time for sample in moved] == [sample.time for sample in steady]
+    assert [sample.session for sample in moved] == [sample.session for sample in steady]
+    assert max(np.diff([sample.time for sample in moved])) < 60
+    assert sum(HOST_CLOCK_SET in sample.events for sample in moved) == 1
+    assert not any(HOST_CLOCK_SET in sample.events for sample in steady)
+
+
+def test_an_unplugged_board_loses_no_counted_frames_and_missed_ticks_are_no_jump() -> None:
+    run, (*_, last) = run_of((0, 500), (1, 510))
+    resumed = Scanning(
+        replace(IDLE, period_us=10_000),
+        BOARD_SCENE,
+        1,
+        replace(last, arrived=last.arrived - 60),
+    )
+    (sample,) = resumed.take(frame(3, 540))
+    assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
+    (sample,) = run.take(replace(frame(2, 5520), missed=500))
+    assert sample.time == pytest.approx(5.02) and not sample.events
+
+
+def test_a_wrongly_accepted_frame_is_doubted_after_a_silence() -> None:
+    run, _ = run_of((0, 500), (1, 510), (149, 2000))
+    assert not run.take(frame(2, 520))
+    run.doubt()
+    assert not run.take(frame(0, 500)), "nor is what was sent before the frame that is not in doubt"
+    samples = run.take(frame(4, 540))
+    assert places(list(samples)) == [(4, 2, 0)] and samples[0].time > 1.5
+    assert run.take(frame(5, 550))
+
+
+def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    wrong = [(field, value) for field, values in IMPOSSIBLE_FIELDS.items() for value in values]
+    greetings = [replace(IDLE, **{field: value}) for field, value in wrong]
+    for hello, (field, value) in zip(greetings, wrong, strict=True):
+        assert re.fullmatch(
+            rf"the board says that {field} is {value}; 1 to \d+ is possible", hello.fault
+        )
+    assert IDLE.fault == ""
+    with (
+        wild_board(hundred_a_second, greetings[0]) as board,
+        pytest.raises(InputError, match=r"rows is 0; .* possible \(firmware pins\.h\)"),
+    ):
+        record(board.port, tmp_path / "r.h5", frames=3)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_recording_leaves_a_clean_file(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    def interrupt(progress: Progress) -> None:
+        if progress.frames == 6:
+            os.kill(os.getpid(), number)
+
+    with wild_board(hundred_a_second) as board:
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
+    assert summary.ended_by == number.name and summary.frames >= 6
+    assert len(Recording.load(tmp_path / "r.h5").time) == summary.frames
+    assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
+
+
+def test_signals_within_a_second_are_one_request_and_a_later_one_ends_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(KeyboardInterrupt), process.ending_signals():  # nothing is worth finishing
+        signal.raise_signal(signal.SIGTERM)
+    monkeypatch.setattr(process, "time", SimpleNamespace(monotonic=iter((0.0, 0.9, 1.1)).__next__))
+    with process.ending_signals(lambda: True) as ended_by:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.raise_signal(number)
+        assert ended_by() == "SIGTERM"
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+
+def test_an_ignored_signal_stays_ignored_unless_it_ends_programs() -> None:
+    """As nohup ignores SIGHUP, and shells Ctrl-C for their background jobs."""
+    handlers = {
+        number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGHUP, signal.SIGINT)
+    }
+    try:
+        with process.ending_signals(lambda: True) as ended_by:
+            signal.raise_signal(signal.SIGHUP)
+            assert ended_by() == ""
+            signal.raise_signal(signal.SIGINT)
+            assert ended_by() == "SIGINT"
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def test_a_scene_that_contradicts_the_board_is_refused() -> None:
+    for panel, changes, words in (
+        (Panel(17, 10), {}, r"panel\.rows is 17, but the board can do at most 16"),
+        (
+            Panel(3, 4),
+            {"readings": 65},
+            r"readout\.readings is 65, but the board can do at most 64",
+        ),
+        (
+            Panel(3, 4),
+            {"measured_across": "sensor"},
+            "measured_across is sensor, but the board says reference",
+        ),
+    ):
+        with pytest.raises(InputError, match=words):
+            scene_of(IDLE, Scene(panel, TwoPointReadout(**changes)))
+
+
+def test_the_error_names_a_port_without_a_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lampest.apps.board.port.HELLO_SECONDS", 0.5)
+    with pytest.raises(InputError, match="no lampest board answered"):
+        record("loop://", tmp_path / "r.h5", frames=1)
+
+
+def test_ports_and_modules_must_have_equal_numbers() -> None:
+    dead = replace(SCENE, faults=Faults(dead_modules=((0, 1),)))
+    larger = Scene(Panel(modules=Modules(2, 3, EachModule(3, 4))), TwoPointReadout(readings=2))
+    for ports, scene, words in (
+        ("ab", dead, r"reads 3 modules: .* order \[0, 0\], \[1, 0\], \[1, 1\]; not 2"),
+        ("ab", None, "several boards need a scene"),
+        (
+            "abcdefg",
+            larger,
+            r"reads 6 modules: .* order \[0, 0\], \[0, 1\], \[0, 2\], \[1, 0\], …; not 7",
+        ),
+    ):
+        with pytest.raises(InputError, match=words):
+            samples_of(ports, scene)
+
+
+def sent(number: int, at: float, arrived: float | None = None) -> Sample:
+    """Frame `number` of a board whose clock began at −100 s of the host's."""
+    sums = np.full((3, 4), number, np.uint16)
+    frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
+    moment = at if arrived is None else arrived
+    return Sample(frame, HELLO_AT_PERIOD, BOARD_SCENE, at + 100, moment, 0, 0, arrived=moment)
+
+
+def shown(alignment: Alignment, moment: float) -> list[tuple[int | None, ...]]:
+    frames = []
+    while (parts := alignment.frame(moment)) is not None:
+        frames.append(
+            tuple(parts[b].frame.sequence if b in parts else None for b in range(alignment.boards))
+        )
+    return frames
+
+
+def images(arrivals: Iterable[tuple[int, int, float, float]]) -> list[tuple[int | None, ...]]:
+    """Images of two boards' frames (board, number, time, arrival).
+
+    They are looked at on each arrival; board −1 sends none.
+    """
+    image = Alignment(2)
+    complete = list[tuple[int | None, ...]]()
+    for board, number, at, arrival in arrivals:
+        if board >= 0:
+            image.take(board, sent(number, at, arrival))
+        complete += shown(image, arrival)
+    return complete
+
+
+def test_the_next_board_leads_during_the_absence_of_the_first() -> None:
+    arrivals = [
+        (board, number, number * PERIOD, number * PERIOD + 0.01)
+        for number in range(20)
+        for board in (range(2) if not 5 <= number < 12 else (1,))
+    ]
+    late = 9 * PERIOD + 2.5 * PERIOD + LATE_SECONDS
+    delivered = images([*arrivals[:15], (-1, 0, 0.0, late), *arrivals[15:]])
+    complete = [(number, number) for number in (*range(5), *range(12, 20))]
+    assert [image for image in delivered if None not in image] == complete
+    assert [image for image in delivered if None in image] == [
+        (None, number) for number in range(5, 12)
+    ]
+
+
+def test_a_board_is_waited_for_until_it_is_late() -> None:
+    """A part that began 0.4 periods before belongs to the frame.
+
+    The second board leads once the first is late.
+    """
+    alignment = Alignment(2)
+    late = 1.5 * PERIOD + LATE_SECONDS
+    for board, at in enumerate((0.0, -0.4 * PERIOD)):
+        alignment.take(board, sent(0, at))
+    assert shown(alignment, 0.0) == [(0, 0)] and alignment.moment == 0.0 and LATE_SECONDS == 0.3
+    alone = copy.deepcopy(alignment)
+    waiting = alignment
+    alone.take(0, sent(1, PERIOD))
+    assert alone.frame(PERIOD + late - 1e-3) is None
+    assert shown(alone, PERIOD + late + 1e-3) == [(1, None)] and alone.missing == (1,)
+    waiting.take(1, sent(1, 0.9 * PERIOD))
+    assert waiting.frame(late + PERIOD - 1e-3) is None
+    assert shown(waiting, late + PERIOD + 1e-3) == [(None, 1)]
+    assert (waiting.moment, waiting.began) == (pytest.approx(0.9 * PERIOD), 0.0)
+
+
+def test_a_returning_board_is_shown_at_any_phase() -> None:
+    """Frames of the returning board arrive after those of the leading one.
+
+    The leading one must wait for them again.
+    """
+    for phase in (0.0, 0.1, 0.2, 0.4):
+        times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
+        delivered = images(
+            (*frame, frame[2]) for frame in times if frame[0] == 0 or not 5 <= frame[1] < 25
+        )
+        assert delivered[6:26] == [(number, None) for number in range(6, 26)]
+        assert delivered[26:] == [(number, number) for number in range(26, 40)]
+
+
+def test_the_image_begins_when_every_board_has_sent() -> None:
+    alignment = Alignment(2)
+    for number in range(-1, 3):
+        alignment.take(0, sent(number + 1, number * PERIOD))
+    assert alignment.frame(1e9) is None
+    alignment.take(1, sent(7, 0.4 * PERIOD))
+    assert shown(alignment, 0.1 * PERIOD) == [(1, 7)]
+
+
+def test_a_boards_clock_is_set_by_the_quickest_of_fifty_frames() -> None:
+    alignment = Alignment(1)
+    for number in range(60):
+        alignment.take(
+            0, sent(number, number * PERIOD, number * PERIOD + (0.01 if number == 12 else 0.02))
+        )
+    assert len(alignment.delays[0]) == 50
+    late = [alignment.waiting[0][number][0] - number * PERIOD for number in (11, 12, 59)]
+    assert late == pytest.approx([0.02, 0.01, 0.01])
+    alignment.take(0, replace(sent(60, 9.0, 9.5), session=1))
+    assert [*alignment.delays[0]] == pytest.approx([-99.5])
+
+
+def image_of(
+    monkeypatch: pytest.MonkeyPatch, boards: dict[str, list[Any]]
+) -> tuple[list[Sample], list[str]]:
+    """The image of four boards, and what is said meanwhile.
+
+    The boards send these samples and then fall silent.
+    """
+    states = list[str]()
+    silent = set[str]()
+    waiting = {port: iter(samples) for port, samples in boards.items()}
+
+    def samples(port: str, *arguments: Any) -> Samples:
+        for sample in waiting[port]:
+            if isinstance(sample, InputError):
+                raise sample
+            yield (sample,)
+        silent.add(port)
+        while not arguments[-1]():
+            time.sleep(1e-3)
+
+    monkeypatch.setattr(several, "board_samples", samples)
+    monkeypatch.setattr(several, "monotonic", lambda: 0.0)
+    monkeypatch.setattr(several, "RETRY_SECONDS", 0.0)
+    batches = samples_of(
+        [*boards], SCENE, PERIOD, states.append, lambda: len(silent) == len(boards)
+    )
+    return [sample for batch in batches for sample in batch], states
+
+
+def test_images_of_boards_survive_a_clock_that_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One board's frames carry another date from the fourth on, the other's from the fifth."""
+    boards = {name: [sent(number, 5 + number * PERIOD) for number in range(8)] for name in "abcd"}
+    for first, samples in zip((3, 4, 4, 3), boards.values(), strict=True):
+        samples[first:] = [
+            replace(sample, host_time=sample.host_time + 86_400) for sample in samples[first:]
+        ]
+    images, _ = image_of(monkeypatch, boards)
+    assert len(images) == 8 and not any(image.missing for image in images)
+    np.testing.assert_allclose(
+        [image.time for image in images], PERIOD * np.arange(8), atol=ROUNDING_S
+    )
+
+
+def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second board lacks the frames 2 and 3, and the third hangs.
+
+    The third is opened anew and says that it lost two frames.
+    """
+    boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
+    del boards["b"][2:4]
+    later = [replace(sample, lost=2, events=(CLOCK_JUMPED,)) for sample in boards["c"][4:]]
+    boards["c"][4:] = [InputError("nothing fit"), *later]
+    boards["d"] = [
+        replace(sent(number, at, at + 0.01), frame=replace(sent(number, at).frame, missed=3))
+        for number, at in enumerate(5 + PERIOD * np.arange(6))
+    ]
+    images, states = image_of(monkeypatch, boards)
+    assert [image.missing for image in images] == [0, 0, 1, 1, 0, 0]
+    jumped = (CLOCK_JUMPED,)
+    assert [image.events for image in images] == [
+        (),
+        (),
+        ("gone: 0,1",),
+        (),
+        (*jumped, "back: 0,1"),
+        jumped,
+    ]
+    assert [image.frame.sequence for image in images] == [0, 1, 2, 3, 4, 5]
+    assert {image.frame.missed for image in images} == {3}
+    assert [image.session for image in images] == [0, 0, 0, 0, 1, 1]
+    assert not any(image.lost for image in images), "no board lacks it where the others have it"
+    np.testing.assert_allclose(
+        [image.time for image in images], PERIOD * np.arange(6), atol=ROUNDING_S
+    )
+    np.testing.assert_allclose(
+        [image.host_time for image in images], 5.01 + PERIOD * np.arange(6), atol=ROUNDING_S
+    )
+    assert {(image.hello.rows, image.hello.columns) for image in images} == {(6, 8)}
+    parts = LAYOUT.split(np.array([image.frame.sums for image in images]))
+    assert [[int(module[0, 0]) for module in image] for image in parts][1:3] == [
+        [1] * 4,
+        [2, 65535, 2, 2],
+    ]
+    assert set(states) == {"module 0,1 at b: no frame came"}
+
+
+def test_frames_lost_by_all_boards_count_as_lost_and_a_silent_board_ends_the_recording(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    boards: dict[str, list[Any]] = {
+        name: [sent(number, number * PERIOD) for number in (0, 1, 4)] for name in "abcd"
+    }
+    for lost, samples in enumerate(boards.values(), 2):
+        samples[0], samples[-1] = replace(samples[0], lost=7), replace(samples[-1], lost=lost)
+    images, states = image_of(monkeypatch, boards)
+    assert ([image.lost for image in images], states) == ([0, 0, 2], [])
+    with pytest.raises(InputError, match="no board at d"):
+        image_of(monkeypatch, boards | {"d": [InputError("no board at d")]})
+
+
+def test_a_requested_recording_follows_the_unloaded_frames(tmp_path: Path) -> None:
+    messages: list[tuple[str, bool]] = []
+    path = tmp_path / "one.h5"
+    recorder = Recorder(tmp_path, 2, lambda sentence, runs: messages.append((sentence, runs)))
+    with pytest.raises(InputError, match="up to 64 letters"):
+        recorder.ask("a/b")
+    for name in ("earlier", "one"):  # the last request counts
+        recorder.ask(name)
+    for number in range(8):
+        if number == 4:
+            recorder.zero()
+        recorder.take(sent(number, 0.1 * number))
+    recorder.ask("")
+    recorder.take(sent(8, 0.8))
+    recorder.close()
+    growing = [(f"recording {path}: {count} frames", True) for count in (2, 3, 4, 5, 6, 7, 8)]
+    assert messages == [*growing, (f"closing {path}", False), (f"recorded 8 frames: {path}", False)]
+    recording = Recording.load(path)
+    assert recording.acquisition is not None and recording.raw_sums is not None
+    assert recording.acquisition.sequence.tolist() == [*range(8)]
+    assert recording.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 6
+    assert recording.acquisition.event_label == ("zero",) and recording.acquisition.event_time[
+        0
+    ] == pytest.approx(100.4)
+    del messages[:]
+    for name in ("one", "two"):
+        recorder.ask(name)
+        for number in range(9, 11):
+            recorder.take(sent(number, 0.1 * number))
+    recorder.close()
+    second = Recording.load(tmp_path / "two.h5")
+    assert second.acquisition is not None and second.acquisition.sequence.tolist() == [
+        4,
+        5,
+        9,
+        10,
+    ], "since the zero"
+    assert second.role.tolist() == [UNLOADED] * 2 + [MEASURED] * 2
+    assert messages[0] == (
+        f"not recorded: {path}: exists already; a recording is never written over",
+        False,
+    )
+
+
+def test_a_recording_summary_counts_its_events(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    samples = [sent(number, 0.1 * number - 100) for number in range(5)]
+    changes: tuple[dict[str, Any], ...] = (
+        {"lost": 2},
+        {"events": (CLOCK_JUMPED,)},
+        {"events": (CLOCK_STOPPED,)},
+    )
+    for number, change in enumerate((*changes, {"missing": 1, "session": 3}), 1):
+        samples[number] = replace(samples[number], **change)
+    calls: list[Any] = []
+
+    def arriving(
+        urls: object, scene: object, period: object, on_state: Any, ending: Any, baseline: int
+    ) -> Samples:
+        calls.append((urls, scene, period, ending(), baseline))
+        yield tuple(samples[:2])
+        on_state("the board does not answer")
+        on_state("the board is gone")
+        yield ()
+        yield tuple(samples[2:])
+        yield ()
+
+    monkeypatch.setattr("lampest.apps.board.record.samples_of", arriving)
+    steps: list[tuple[int, int, str]] = []
+    for name, ports, limits in (
+        ("a", "p", {"seconds": 2.0}),
+        ("b", ["p", "q"], {"frames": 5}),
+        ("c", None, {}),
+    ):
+        del steps[:]
+        limits |= {
+            "period": 0.1,
+            "on_progress": lambda at: steps.append((at.frames, at.lost, at.state)),
+        }
+        summary = record(ports, tmp_path / name, **limits)
+        counts = {"frames": 5, "lost": 2, "restarts": 3, "clock_jumps": 1, "parted": 1, "behind": 0}
+        assert {key: getattr(summary, key) for key in counts} == counts and summary.clock_stopped
+        assert (summary.path, summary.ended_by, summary.noise_lsb) == (tmp_path / name, "", None)
+        assert summary.silent == (1.55 if name == "a" else 0.0)
+        assert steps == [
+            (1, 0, ""),
+            (2, 2, ""),
+            (2, 2, "the board is gone"),
+            (3, 2, ""),
+            (4, 2, ""),
+            (5, 2, ""),
+        ]
+        recording = Recording.load(summary.path)
+        assert recording.role.tolist() == [MEASURED] * 5 and recording.acquisition is not None
+        assert recording.acquisition.event_label == ("clock jump", "clock stopped")
+        np.testing.assert_allclose(recording.acquisition.event_time, recording.time[[2, 3]])
+    assert calls == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
+
+
+def batches_of(*sizes: int) -> Samples:
+    numbers = itertools.count()
+    yield from (
+        tuple(sent(number, 0.1 * number - 100) for number in itertools.islice(numbers, size))
+        for size in sizes
+    )
+
+
+def test_invalid_messages_are_counted_by_kind_until_a_valid_frame() -> None:
+    line = stream._Line("url", None, None, lambda: False)
+    idle = replace(IDLE, running=True)
+    fit, misshapen = (Frame(2, 9, 50, 0, np.ones(shape, np.uint16)) for shape in ((3, 4), (3, 5)))
+    unfit = (Garbage(3), misshapen, misshapen, Garbage(1), Garbage(2), idle, idle, idle, idle)
+    for messages, over in ((unfit, False), ((*unfit, IDLE, fit), True)):
+        samples, finished = line._taken(Scanning(idle, BOARD_SCENE, 0, None), messages)
+        assert (samples, finished) == ((), over)
+    counts = {"pieces that are no message": 6, "frames of another size": 4, "answers": 9}
+    assert line._unfit == counts
+    line._since -= stream.UNFIT_SECONDS + 3.1
+    line.check(1.1)
+    kinds = "9 answers, 6 pieces that are no message, 4 frames of another size"
+    with pytest.raises(
+        InputError, match=rf"^url: nothing fit for 33 s, though the line is not silent \({kinds}\)$"
+    ):
+        line.check(1.0)
+    run = Scanning(idle, BOARD_SCENE, 0, None)
+    samples, finished = line._taken(run, (fit, fit))
+    assert len(samples) == 1 and not finished and line._unfit == {"frames out of order": 1}
+    assert line._taken(run, (fit,)) == ((), False) and line._unfit == {"frames out of order": 2}
+
+
+def test_a_frame_has_the_estimate_sent_before_it() -> None:
+    """A lost, garbled, late or failed estimate costs nothing but itself.
+
+    It is no reason to give a line up.
+    """
+    line = stream._Line("url", None, None, lambda: False)
+    run = Scanning(replace(IDLE, running=True), BOARD_SCENE, 0, None)
+    change = np.arange(12, dtype=np.float32).reshape(3, 4)
+    frames = [
+        Frame(2, number, 50 + 1000 * number, 0, np.ones((3, 4), np.uint16)) for number in range(7)
+    ]
+    messages = (
+        *(Estimate(0, 0, change), frames[0], frames[1]),
+        *(Estimate(0, 1, change), frames[2]),
+        *(Estimate(3, 3, change), frames[3]),
+        *(Estimate(0, 4, change[:, :3]), frames[4]),
+        *(Garbage(40), frames[5]),
+        *(Estimate(0, 6, 2 * change), Garbage(40), frames[6]),
+    )
+    samples, _ = line._taken(run, messages)
+    assert [sample.frame.sequence for sample in samples] == [*range(7)]
+    assert [sample.frame.log_change is None for sample in samples] == [False, *5 * [True], False]
+    assert samples[3].frame.unestimated == "something lies on the panel while it takes its baseline"
+    np.testing.assert_array_equal(samples[6].frame.log_change, 2 * change)
+    line._taken(run, 40 * (Estimate(0, 9, change),))
+    assert not line._unfit
+
+
+def test_a_run_ends_with_its_board_or_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A silent board is identified anew.
+
+    One that scans on is believed, one that does not has restarted.
+    """
+    monkeypatch.setattr(stream, "SILENCE_SECONDS", -1.0)
+    for arrived, answers, ending, sizes, since in ENDED_RUNS:
+        messages = iter(arrived)
+        identities = iter(answers)
+        ends = iter(ending)
+
+        def identify(identities: Iterator[Hello | None] = identities) -> Hello:
+            if (answer := next(identities)) is None:
+                raise NoBoardError("silent")
+            return answer
+
+        board: Any = SimpleNamespace(messages=messages.__next__, identify=identify, heard=5)
+        board.stop = lambda: (replace(FIT, sequence=10, device_ms=1050),)
+        line = stream._Line("url", None, None, ends.__next__)
+        batches = line._run(board, RUNNING, BOARD_SCENE)
+        taken = [*itertools.islice(batches, len(sizes))]
+        assert [len(batch) for batch in taken] == sizes
+        assert all(sample.session == 0 for batch in taken for sample in batch)
+        with pytest.raises(NoBoardError if None in answers else StopIteration):
+            next(batches)
+        assert line._unfit["answers"] == since
+    line.last = replace(sent(3, 0.0), session=4)
+    board.messages = [(FIT,)].pop
+    board.identify = lambda: IDLE
+    line._ending = lambda: False
+    assert [
+        sample.session for batch in line._run(board, RUNNING, BOARD_SCENE) for sample in batch
+    ] == [5]
+
+
+def test_a_recording_ends_after_its_frames_or_seconds() -> None:
+    for frames, seconds, sizes in LIMITS:
+        assert [
+            len(batch) for batch in _wanted(batches_of(2, 0, 3, 2), frames, seconds, 0.1)
+        ] == sizes
+
+
+def test_noise_is_estimated_from_pairs_of_consecutive_unloaded_codes() -> None:
+    """Pairs over a restart, of loaded frames and at the ends of the converter count as nothing."""
+    rng = np.random.default_rng(3)
+    readings = 4
+    frames = 60
+    readout = TwoPointReadout(readings=readings)
+    sums = np.round(readings * (500 + 3 * rng.standard_normal((frames, 2, 3)))).astype(np.uint16)
+    sums[30:] += 800
+    sums[50:] += np.arange(0, 1000, 100, dtype=np.uint16)[:, None, None]
+    sums[::2, 0, 0] = 2 * readings
+    sums[::2, 0, 1] = 1021 * readings
+    sums[1::2, 0, :2] = 500 * readings
+    codes = sums[:50].reshape(50, 6)[:, 2:] / readings
+    differences = np.concatenate([np.diff(codes[:30], axis=0), np.diff(codes[30:], axis=0)])
+    numbers = np.arange(frames)
+    session = (numbers >= 30).astype(np.uint16)
+    zeros = np.zeros(frames, np.uint16)
+    counters = numbers * 1.0, numbers, numbers, zeros, zeros, session
+
+    def first(count: int) -> Recording:
+        return Recording(
+            Scene(Panel(2, 3), readout),
+            readout.recorded_from_sums(sums[:count], readings),
+            numbers[:count] * 1.0,
+            np.where(numbers < 50, UNLOADED, MEASURED).astype(np.uint8)[:count],
+            raw_sums=sums[:count],
+            raw_readings=readings,
+            acquisition=Acquisition(*(counter[:count] for counter in counters), np.zeros(0)),
+        )
+
+    assert noise_from_repeats([first(frames)]) == readout.noise_of_variance(
+        np.mean(differences**2) / 2
+    )
+    assert noise_from_repeats([first(13)]) is None, "48 pairs"
+    assert noise_from_repeats([first(14)]) is not None, "52 pairs"

@@ -1,0 +1,41 @@
+"""The header of constants that the C library takes."""
+
+import re
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest.apps.microcontroller.constants import Constants
+from lampest.apps.microcontroller.header import header
+
+SINGLE_PRECISION = 1e-6
+
+
+def array_of(text: str, field: str) -> lampest.Array:
+    """The numbers of an array that a header declares."""
+    declared = re.search(rf"panel_{field}\[\d*\] = \{{(.*?)\}}", text, flags=re.DOTALL)
+    assert declared is not None
+    return np.array([float(number) for number in re.findall(r"[-+.\de]+(?=f)", declared[1])])
+
+
+def test_series_resistances_of_lines_add_up_to_those_of_the_readings() -> None:
+    """A reading has the sum of its row's and its column's resistance."""
+    rng = np.random.default_rng(5)
+    rows = 4
+    columns = 3
+    lines = lampest.SeriesPerLine(
+        rows=tuple(rng.uniform(50, 90, rows)), columns=tuple(rng.uniform(10, 40, columns))
+    )
+    panel = lampest.Panel(rows, columns)
+    readout = lampest.TwoPointReadout(noise_lsb=0.7, readings=20)
+    scene = lampest.Scene(panel, readout, series_resistance_ohm=lines)
+    cells = rng.uniform(900, 2000, (5, rows, columns))
+    recorded = scene.circuit.to_recorded(scene.circuit.exact_reading(cells), scene)
+    role = np.array([0, 0, 1, 1, 1], dtype=np.uint8)
+    recording = lampest.Recording(scene, recorded, np.arange(5.0), role)
+    terms = [lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)]
+    case = lampest.reconstruct(recording, terms, formulation="reduced").result("smooth")
+    of_lines = array_of(header(Constants.of(case), "panel", ()), "series")
+    total = of_lines[:rows, None] + of_lines[rows:]
+    assert total == pytest.approx(lines.ohm(panel), rel=SINGLE_PRECISION)

@@ -1,0 +1,323 @@
+"""Visits as a biologist counts them.
+
+They are rows with clock times over recordings and folders, which nothing ends.
+"""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from laws.recognised import answered, every_frame, known_before
+
+from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
+from docs.studies.attachments import recording as attached
+from lampest import Array
+from lampest.apps.recognition.attachment import Attachment, continued_by
+from lampest.apps.recognition.breath import breath
+from lampest.apps.recognition.breathing import Breathing
+from lampest.apps.recognition.detect.answer import (
+    LAMPREY,
+    MIN_PROBABILITY,
+    PRESSES,
+    SUCKS,
+    Detected,
+    answer_of,
+)
+from lampest.apps.recognition.detect.detection import Known, known_of, measured_frames
+from lampest.apps.recognition.detect.visits import COLUMNS, count_table, visits_of
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.pumping import Pumping
+from lampest.apps.recognition.steady_frames import SteadyFrames
+from lampest.apps.recognition.swings import Patterns
+from lampest.apps.recognition.watch import Watch
+from lampest.estimate.prepared import Prepared
+from lampest.recording.recording import MEASURED
+
+# P(sucks)
+MOUTH = 1.0
+RING = 0.0
+
+
+def load(
+    since_s: float, until_s: float | None, diameter_mm: float = 35.0, sucks: float = MOUTH
+) -> Attachment:
+    breath = Breathing(
+        odds=10.0,
+        previous_odds=10.0,
+        hertz=(1.1, 0.05),
+        depth=(0.08, 0.02),
+        full_s=9.0,
+        judged_s=9.0,
+    )
+    numbers = {
+        "diameter_mm": (diameter_mm, 1.0),
+        "suctions": ((-10.0, 1.0), (-12.0, 1.0), (-30.0, 2.0)),
+    }
+    return Attachment(
+        sucks, since_s, (40.0, 1.0), (50.0, 1.0), until_s=until_s, breath=breath, **numbers
+    )
+
+
+def detected_loads(
+    *loads: Attachment, start: str | None = "2026-05-04T17:30:00+00:00", end_s: float = 7200.0
+) -> Detected:
+    return Detected.of("pond", loads, 4.0, start_time=start, end_s=end_s)
+
+
+def test_a_visit_gives_a_row_with_the_clock_of_its_recording() -> None:
+    first, second = visits_of([detected_loads(load(600.0, 900.0), load(3600.0, None, sucks=RING))])
+    assert (first.answer, first.begin, first.duration_s, first.left) == (
+        LAMPREY,
+        "2026-05-04T17:40:00.000+00:00",
+        300.0,
+        "yes",
+    )
+    # typical, and where it was strongest
+    assert (first.suction_kpa, first.strongest_kpa) == (-12.0, -30.0)
+    assert (second.answer, second.duration_s, second.left, second.suction_kpa) == (
+        PRESSES,
+        3600.0,
+        "no",
+        None,
+    )
+
+
+def contact(x_mm: float, clear: float = 50.0) -> Attachment:
+    """A contact without a shape whose place is known to half a pitch."""
+    return Attachment(RING, 60.0, (x_mm, 5.0), (50.0, 5.0), clear=clear)
+
+
+def test_contacts_under_a_clearer_load_are_its_rim() -> None:
+    """The disc reaches to 57.5 mm."""
+    mouth = replace(load(0.0, None), clear=100.0)
+    rim = [contact(41.0), contact(22.0), contact(60.0)]
+    assert continued_by([mouth], rim, 60.0) == (mouth,)
+    assert len(continued_by([mouth], [*rim, contact(75.0)], 60.0)) == 2
+    clearer = [contact(x_mm, clear=200.0) for x_mm in (41.0, 22.0)]
+    assert len(continued_by([mouth], clearer, 60.0)) == 2
+
+
+def test_visits_are_counted_by_day_and_by_night() -> None:
+    answer = detected_loads(load(600.0, 900.0), load(3600.0, 3700.0))  # at 17:40 and at 18:30
+    table = count_table([answer], visits_of([answer]))
+    ((day, hours, lampreys, _, an_hour, hours_of_night, at_night, _, _),) = table.cells
+    assert (day, hours, lampreys, an_hour, hours_of_night, at_night) == (
+        "2026-05-04",
+        "0.5",
+        "1",
+        "2",
+        "1.5",
+        "1",
+    )
+
+
+def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
+    loads = load(0.0, 100.0, 30.0), load(200.0, 300.0, 40.0), load(400.0, 500.0, 30.5)
+    assert [visit.may_be_visit for visit in visits_of([detected_loads(*loads)])] == [None, None, 1]
+
+
+def test_visits_of_several_recordings_are_sorted_by_time() -> None:
+    late = detected_loads(load(10.0, 20.0))
+    early = detected_loads(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")
+    assert [visit.begin[:10] for visit in visits_of([late, early]) if visit.begin] == [
+        "2026-05-03",
+        "2026-05-04",
+    ]
+
+
+def test_the_sentence_counts_visits() -> None:
+    sentence = detected_loads(load(0.0, 100.0), load(200.0, 300.0), load(400.0, None)).sentence
+    assert sentence.startswith("3 lamprey visits; last: lamprey attached since 400.0 s")
+
+
+@pytest.mark.parametrize(("threshold", "answer"), [(0.9, LAMPREY), (0.999, SUCKS)])
+def test_the_threshold_determines_the_answer_lamprey(threshold: float, answer: str) -> None:
+    sure = replace(load(0.0, None), sucks=0.99)
+    assert answer_of(sure, 4.0, threshold)[0] == answer
+
+
+def test_a_reason_applies_to_its_time() -> None:
+    """After 55 minutes nothing shows within minutes.
+
+    After nine seconds nothing shows at 4.5 s at the earliest.
+    """
+    silent = replace(load(0.0, None), breath=Breathing(judged_s=9.0))
+    assert "earliest" not in answer_of(silent, 4.0)[2]
+    watched = replace(Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0), observed_s=3300.0)
+    assert "in 55 minutes" in answer_of(replace(silent, track=watched), 1.0)[2]
+
+
+@pytest.mark.slow
+def test_a_folder_of_recordings_gives_one_table(
+    tmp_path: Path, lampest: Callable[..., Any]
+) -> None:
+    """Two recordings of one name, with clocks and in folders of their own.
+
+    Their visits are exported from the file.
+    """
+    recording, *_ = attached("ring", 1.0, 5, 6, 6.0)
+    season = tmp_path / "season"
+    out = tmp_path / "out"
+    for day in (1, 2):
+        (season / str(day)).mkdir(parents=True)
+        replace(recording, start_time=f"2026-05-0{day}T12:00:00+00:00").save(
+            season / str(day) / "pond.h5"
+        )
+    assert lampest("detect", season, "--out", out).code == 0
+    with (out / "visits.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == list(COLUMNS) and [row["recording"] for row in rows] == [
+        "pond",
+        "pond_2",
+    ]
+    assert [row["begin"][:10] for row in rows] == ["2026-05-01", "2026-05-02"]
+    assert (out / "visits.png").exists()
+    assert (
+        lampest(
+            "export", out / "detections.h5", "--to", "csv", "--out", tmp_path / "visits.csv"
+        ).code
+        == 0
+    )
+    assert (tmp_path / "visits.csv").read_text() == (out / "visits.csv").read_text()
+    refused = lampest("export", out / "detections.h5", "--to", "nwb")
+    assert refused.code == 2 and "csv, parquet, mat" in refused.err
+    answers = json.loads(lampest("detect", season, "--json").out)
+    assert [answer["recording"] for answer in answers] == ["pond", "pond_2"]
+
+
+def test_a_folder_without_a_recording_is_refused(
+    tmp_path: Path, lampest: Callable[..., Any]
+) -> None:
+    refused = lampest("detect", tmp_path)
+    assert refused.code == 2 and "holds no recording" in refused.err
+
+
+def test_a_frame_that_cannot_be_computed_is_left_out_with_a_note(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
+    known = known_before(recording)
+    frames = list(every_frame(recording, known))
+    failing_s = frames[2][2]
+    push = Watch.push
+
+    def pushed(watch: Watch, measured: Array, sigma: Array, time: float) -> Watch:
+        if time == failing_s:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return push(watch, measured, sigma, time)
+
+    monkeypatch.setattr(Watch, "push", pushed)
+    answer = known.answer(frames)
+    assert answer.answer == PRESSES
+    assert any(
+        note.startswith(f"the frame at {failing_s:.1f} s is left out") for note in answer.notes
+    )
+
+
+def test_a_failed_recognition_is_repeated_with_the_next_frames(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The next attempt recognises the load, and the recording is evaluated to its end."""
+    recording, *_ = attached("rod", 4.0, 3, 6, 8.0)
+    known = known_before(recording)
+    attempts = list[bool]()
+    verdict = Detector.verdict
+
+    def failing(*frame: object) -> object:
+        attempts.append(True)
+        if len(attempts) == 1:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return verdict(*frame)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Detector, "verdict", failing)
+    answer = known.answer(every_frame(recording, known))
+    assert (
+        len(attempts) > 1 and answer.answer == PRESSES and answer.attachments[0].until_s is not None
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(3))
+def test_a_trembling_ring_is_never_taken_for_a_lamprey(number: int) -> None:
+    """The ring trembles by 3 % at a breathing rate; no cell has risen."""
+    recording, *_ = attached("trembling ring", 4.0, 8100 + number)
+    known = known_before(recording)
+    watch = known.watch()
+    sucking = 0.0
+    for frame in every_frame(recording, known):
+        watch = watch.push(*frame)
+        sucking = max([sucking, *(attachment.sucks for attachment in watch.attachments)])
+    assert sucking < 0.5
+
+
+@pytest.mark.slow
+def test_a_release_is_no_evidence_of_breath() -> None:
+    """A current moves the cup at 0.56 Hz before it is released."""
+    recording, *_ = attached("cup in current", 4.0, 5551011)
+    released_s = float(recording.time[recording.role == MEASURED][0]) + TOUCH_S + ATTACHED_S
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    watch = known.watch()
+    lives = list[float]()
+    released = list[float]()
+    for frame in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
+        watch = watch.push(*frame)
+        probabilities = [load.breath.probability for load in watch.attachments]
+        (released if frame[-1] >= released_s else lives).extend(probabilities)
+    assert watch.attachments[0].until_s is not None
+    assert set(released) == {lives[-1]}
+    assert max(lives) < MIN_PROBABILITY
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", ["wavy mouth", "mouth and body", "pulled mouth", "mouth in current"]
+)
+def test_uneven_mouths_near_bodies_in_currents_or_pulled_are_recognised(kind: str) -> None:
+    answers = [seen(kind, 4.0, 8200 + number) for number in range(3)]
+    assert all(attachment.sucks > 0.9 for attachment in answers)
+    # a body whose tail beats at the rate of breath may hide it
+    assert (
+        kind == "mouth and body"
+        or sum(np.isfinite(attachment.lamprey) for attachment in answers) >= 2
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["bubbles", "rock", "hand", "fin"])
+def test_an_arriving_load_is_not_assumed_in_the_unloaded_frames(kind: str) -> None:
+    for number in range(3):
+        recording, *_ = attached(kind, 4.0, 8300 + number)
+        answer = answered(recording)
+        assert not any("in its unloaded frames" in note for note in (*answer.notes, answer.why))
+
+
+@pytest.mark.slow
+def test_few_cells_becoming_even_are_not_taken_for_a_departed_load() -> None:
+    """A fin presses on few cells, which happen to be more even under it."""
+    answer = answered(attached("fin", 4.0, 977000)[0])
+    assert answer.answer == PRESSES and not any(
+        "in its unloaded frames" in note for note in answer.notes
+    )
+
+
+def test_a_wave_at_half_the_frame_rate_has_the_depth_of_a_breath() -> None:
+    """The sine of the wave is hardly sampled.
+
+    The prior bounds the amplitude, and nothing is divided by zero.
+    """
+    times = np.arange(0, 8, 0.25)
+    rise = np.repeat([-2.0, 1.0], 20)
+    slopes = np.repeat([-300.0, 90.0], 20)
+    moves = np.ones((1, 40))
+    supply = np.ones((40, 1))
+    patterns = Patterns.of(np.eye(40), rise, slopes[None], 0.2 * np.abs(slopes), moves, supply)
+    noise = np.random.default_rng(4).standard_normal((len(times), 40))
+    changes = np.outer(0.08 * np.sin(2 * np.pi * 2.0 * times + 0.3), slopes) + noise
+    wave = breath(SteadyFrames.of(times, changes), changes, patterns)
+    assert wave is not None and wave.depth[0] < 0.3 and wave.hertz[0] < 2.0

@@ -1,0 +1,160 @@
+"""A disk that is full, fails, or loses the file while a board is recorded.
+
+Its frames are whole or absent, and one sentence says how many there are.
+"""
+
+import errno
+import itertools
+import os
+import re
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from wild_board import hundred_a_second, wild_board
+
+from lampest import InputError, Recording
+from lampest.apps.board import journal
+from lampest.apps.board.record import Progress, record
+from lampest.apps.board.recorder import Recorder
+from lampest.apps.board.stream import board_samples
+
+FRAMES = 100
+COMMAND = (sys.executable, "-c", "from lampest.cli import main; main()")
+ROOM = 412_000  # bytes: a journal of 3 × 4 cells reserves 366,000, its first frame takes 45,000
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch, is_full: Callable[[], bool], room: int) -> None:
+    """Refuse bytes behind the first `room` of every growing file while the disk is full."""
+    write: Callable[..., int] = os.pwrite
+    allocate: Callable[..., None] = os.posix_fallocate
+
+    def refuse(end: int) -> None:
+        if is_full() and end > room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def limited_write(descriptor: int, data: bytes, begin: int) -> int:
+        refuse(begin + 1)
+        return write(descriptor, data[: room - begin] if is_full() else data, begin)
+
+    def limited_allocate(descriptor: int, begin: int, size: int) -> None:
+        refuse(begin + size)
+        allocate(descriptor, begin, size)
+
+    monkeypatch.setattr(os, "pwrite", limited_write)
+    monkeypatch.setattr(os, "posix_fallocate", limited_allocate)
+
+
+def recorded(out: Path, frames: int = FRAMES, **options: Any) -> Any:
+    with wild_board(hundred_a_second) as board:
+        return record(board.port, out, period=0.01, frames=frames, **options)
+
+
+def check_frames(out: Path, frames: int) -> Recording:
+    """Whether the file has these first frames, whole and in order."""
+    recording = Recording.load(out)
+    acquisition = recording.acquisition
+    assert acquisition is not None and acquisition.sequence.tolist() == list(range(frames))
+    assert np.all(recording.raw_sums == 700) and len(recording.time) == frames
+    return recording
+
+
+def test_a_full_disk_ends_the_command_with_one_sentence_and_whole_frames(tmp_path: Path) -> None:
+    """The limit is one of the operating system on a file's size."""
+    out = tmp_path / "r.h5"
+    with wild_board(hundred_a_second) as board:
+        words = ["record", "--port", board.port, "--period", "0.01", "--count", FRAMES]
+        completed = subprocess.run(
+            [*COMMAND, *map(str, words), "--out", str(out)],
+            capture_output=True,
+            text=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM)),
+        )
+    assert completed.returncode == 2 and "Traceback" not in completed.stderr, completed
+    kept = re.search(r"no space: ([\d,]+) frames? kept until \d\d:\d\d:\d\d", completed.stderr)
+    assert kept is not None and 0 < int(kept[1].replace(",", "")) < FRAMES, completed.stderr
+    assert check_frames(out, int(kept[1].replace(",", ""))).acquisition.event_label == ("no space",)
+
+
+def test_frames_wait_for_a_disk_that_is_full_for_a_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted: list[Progress] = []
+    full_disk(monkeypatch, lambda: len(counted) < 70, ROOM)
+    summary = recorded(tmp_path / "r.h5", on_progress=counted.append)
+    assert summary.frames == FRAMES and summary.lost == 0
+    recording = check_frames(tmp_path / "r.h5", FRAMES)
+    assert recording.acquisition.event_label == ("no space",)
+    assert max(progress.frames for progress in counted[:70]) < 60, "absent frames were counted"
+
+
+@pytest.mark.parametrize("call", [9, 40, 171])
+def test_a_write_that_fails_once_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: int
+) -> None:
+    write: Callable[..., int] = os.pwrite
+    calls = itertools.count()
+
+    def failing(descriptor: int, data: bytes, begin: int) -> int:
+        if next(calls) == call:
+            raise OSError(errno.EIO, "Input/output error")
+        return write(descriptor, data[: len(data) // 2 + 1], begin)  # short writes besides
+
+    monkeypatch.setattr(os, "pwrite", failing)
+    assert recorded(tmp_path / "r.h5").frames == FRAMES
+    check_frames(tmp_path / "r.h5", FRAMES)
+
+
+def test_a_disk_that_stays_full_ends_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal, "PATIENCE_SECONDS", 0.3)
+    counted: list[Progress] = []
+    full_disk(monkeypatch, lambda: len(counted) > 9, ROOM)
+    with pytest.raises(InputError, match=r"no space: [\d,]+ frames? kept until"):
+        recorded(tmp_path / "r.h5", frames=100_000, on_progress=counted.append)
+    check_frames(tmp_path / "r.h5", counted[-1].frames)
+
+
+def test_a_disk_that_is_full_from_the_beginning_gets_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full_disk(monkeypatch, lambda: True, 1000)
+    with pytest.raises(InputError, match=r"r\.h5: cannot be made \(No space left on device\)"):
+        recorded(tmp_path / "r.h5")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_removed_file_is_noticed_at_the_next_frame(tmp_path: Path) -> None:
+    out = tmp_path / "r.h5"
+
+    def remove(progress: Progress) -> None:
+        if progress.frames == 9:
+            out.unlink()
+
+    with pytest.raises(InputError, match=r"r\.h5: was removed or renamed .* frames went with it"):
+        recorded(out, frames=100_000, on_progress=remove)
+
+
+def test_the_page_says_that_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    full_disk(monkeypatch, lambda: True, ROOM)
+    with wild_board(hundred_a_second) as board:
+        recorder = Recorder(tmp_path, 1, lambda sentence, running: said.append(sentence))
+        recorder.ask("r")
+        samples = (sample for batch in board_samples(board.port, period=0.01) for sample in batch)
+        for sample in itertools.islice(samples, FRAMES):
+            recorder.take(sample)
+        recorder.close()
+        samples.close()
+    assert re.search(r"no space: \d+ frames? kept until .*; it is tried again", "\n".join(said))
+    kept = re.fullmatch(r"recorded (\d+) frames: .*r\.h5; no space: .*", said[-1])
+    assert kept is not None, said[-1]
+    check_frames(tmp_path / "r.h5", int(kept[1].replace(",", "")))
