@@ -50,7 +50,7 @@ from lampest.recording.shapes.shape import Candidate
 # of rods have up to 0.5, hands and rocks up to 3.
 MAX_COARSE = 0.7
 # χ² of a reading beyond which a load that sucks is refuted by its own misfit, though cells have
-# risen: readings that saturate under a heavy load raise others (tests/oracles/test_detect.py).
+# risen: readings that saturate under a heavy load raise others (tests/apps/recognition/test_detector.py).
 MAX_MISFIT = 10.0
 SHARPENED = 2  # rounds of fits and outlier detection
 START_SIZES = (0.8, 1.1)  # diameters of the starts, over that of the area of the risen cells
