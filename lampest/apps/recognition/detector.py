@@ -27,6 +27,7 @@ from lampest.apps.recognition.candidates import (
 from lampest.apps.recognition.fit import (
     EVIDENCE_SHARE,
     MAX_LOG_RATIO,
+    MAX_MISFIT,
     SEARCH,
     CellLikelihood,
     Fit,
@@ -49,9 +50,6 @@ from lampest.recording.shapes.shape import Candidate
 # χ² of a reading in a fit with coarse errors, beyond which it is not refined: rods, rings and pairs
 # of rods have up to 0.5, hands and rocks up to 3.
 MAX_COARSE = 0.7
-# χ² of a reading beyond which a load that sucks is refuted by its own misfit, though cells have
-# risen: readings that saturate under a heavy load raise others (tests/apps/recognition/test_detector.py).
-MAX_MISFIT = 10.0
 SHARPENED = 2  # rounds of fits and outlier detection
 START_SIZES = (0.8, 1.1)  # diameters of the starts, over that of the area of the risen cells
 
@@ -108,6 +106,7 @@ class Detector:
         kinds = tuple(load for load in self.loads if load.sucks)
         places = suctions(without)[: self.most_loads]
         if places and kinds:
+            # cells rise, too, where other readings saturate under a heavy load
             verdict = self._sucking(frame, kinds, places, field, without)
             refuted = verdict.goodness > MAX_MISFIT
             return self._judged(without, (field,)) if refuted else verdict

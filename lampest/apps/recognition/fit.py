@@ -38,6 +38,9 @@ NEGLIGIBLE = 5.0
 PROFILE_STEPS = 5
 MAX_PROFILE = 6
 FARTHER = 1.5
+# χ² of a reading beyond which a fit is refuted by its own misfit: films that keep a part of a load,
+# and shapes that are not quite theirs, have less (tests/apps/recognition/test_detector.py).
+MAX_MISFIT = 10.0
 # Difference of ln P to the best candidate beyond which candidates do not count.
 MAX_LOG_RATIO = 20.0
 # Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and
@@ -524,7 +527,7 @@ class Verdict:
         """
         before = np.array([prior_cost(fit) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
-        refuted = np.array([fit.chi2 > MAX_MEAN_SQUARE * frame.measured.size for fit in fits])
+        refuted = np.array([fit.chi2 > MAX_MISFIT * frame.measured.size for fit in fits])
         if not refuted.all():
             unloaded = np.array([fit.candidate in UNIFORM for fit in fits])
             evidence = np.where(unloaded & refuted, -np.inf, evidence)
