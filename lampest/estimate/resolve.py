@@ -341,7 +341,7 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     if specified(scene, PASSES) == ESTIMATED:
         passes = None
         if PASSES in estimated:
-            passes = passed_range(estimated[PASSES], readout.full_scale_volt)
+            passes = passed_range(estimated[PASSES], readout.range_volt)
         readout = replace(readout, passes_volt=passes)
     own: dict[str, Any] = {key: numbers.get(key) for key in requested if "." not in key}
     return replace(scene, readout=readout, systematic=systematic, estimated=estimated, **own)

@@ -79,10 +79,13 @@ class Address:
         `lampest.panel.difference_network.DifferenceNetwork` for its entries.
     read : boolean array, shape (rows, columns)
         Which readings are taken.
+    ends : array, shape (lines,), or None
+        Potentials in which the lines end; None: at the ground of the circuit.
     """
 
     ties: Array
     read: NDArray[np.bool_]
+    ends: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +125,7 @@ class Readout(Converter, ABC):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the voltage at the converter is Vcc minus the network's reading."""
+        """Whether the voltage at the converter falls where the network's reading rises."""
         return False
 
     @property
@@ -284,6 +287,14 @@ class Readout(Converter, ABC):
 
     # Information of readings on the circuit.
 
+    def largest_possible(self, measured: Array) -> Array:
+        """Return the largest value of each reading that the others allow, (..., rows, columns).
+
+        Infinite readings in `measured` allow anything. The result is infinite where no law limits a
+        reading.
+        """
+        return np.full(measured.shape, np.inf)
+
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return tests of inequalities that the circuit's readings satisfy for any cells.
 
@@ -304,11 +315,11 @@ class Readout(Converter, ABC):
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
-        return self.supply_volt - recorded if self.mirrored else recorded
+        return recorded
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
-        return self.supply_volt - reading if self.mirrored else reading
+        return reading
 
     @property
     def direction(self) -> float:
@@ -439,6 +450,7 @@ def without_memory(
     recorded, sigma : array, shape (…, rows, columns)
         Recorded values V and their standard deviations, in the readout's unit.
     """
+    least, most = readout.range_volt
 
     def of_previous_channel(values: Array) -> Array:
         """Return for every channel the value of the previous one in scan order."""
@@ -451,7 +463,7 @@ def without_memory(
         They are taken at least half an LSB away from the ends of the range.
         """
         step = STEP_LSB * readout.lsb_volt
-        inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
+        inside = np.clip(volt, least + readout.lsb_volt / 2, most - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
 
@@ -462,8 +474,8 @@ def without_memory(
     previous_noise = of_previous_channel(noise)
     unknown = ~np.isfinite(previous)
     previous = np.where(unknown, volt, previous)
-    previous_noise = np.where(unknown, readout.full_scale_volt / np.sqrt(12), previous_noise)
-    true = np.clip((volt - fraction * previous) / (1 - fraction), 0.0, readout.full_scale_volt)
+    previous_noise = np.where(unknown, (most - least) / np.sqrt(12), previous_noise)
+    true = np.clip((volt - fraction * previous) / (1 - fraction), least, most)
     true_noise = np.hypot(noise, fraction * previous_noise) / (1 - fraction)
     return readout.recorded_from_volt(true), true_noise * slope(true)
 
