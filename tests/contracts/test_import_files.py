@@ -319,6 +319,7 @@ BLOCKS = np.concatenate(
 )  # as many frames again that were not written
 STEP_NS = 2.0**26  # doubles hold its multiples exactly, also since 1970
 SINCE_1970_NS = STEP_NS * (25_609_000_000 + np.arange(4))
+START = "2024-06-17T02:21:38.176000Z"
 WITH_TIMES = np.column_stack([SINCE_1970_NS, FRAMES.reshape(4, -1)])
 FIELDS = np.zeros(4, dtype=[("time", "f8"), ("values", "f8", (ROWS, COLUMNS))])
 FIELDS["time"] = np.arange(4) / 4
@@ -350,13 +351,14 @@ FILES |= {
         "time: ns since 1970",
         arrays={"R": WITH_TIMES},
         times=np.arange(4) * STEP_NS * 1e-9,
+        start=START,
     ),
     "HDF5: fields of one dataset": tree(
         "array log.values read as (frames, rows, columns)",
         arrays={"log": FIELDS},
         times=np.arange(4) / 4,
     ),
-    "NPY: the time in the first column": array(WITH_TIMES, "the time first"),
+    "NPY: the time in the first column": array(WITH_TIMES, "the time first", start=START),
     "JSON: frames": records(listed(HOLES), "read as (frames, rows, columns)", expected=HOLES),
     "JSON: a name beside times": records(
         {"unit": "ohm", "t": [0, 1, 2, 3], "R": listed(FRAMES)}, "array R read as"
