@@ -17,7 +17,10 @@ def sources() -> tuple[Path, ...]:
 
 
 def library_version() -> int:
-    """Return LAMPEST_ESTIMATE_VERSION, which constants must name: 10,000 major + 100 minor + patch."""
+    """Return LAMPEST_ESTIMATE_VERSION, which constants must name.
+
+    It is 10,000 major + 100 minor + patch.
+    """
     text = (library_folder() / "lampest_estimate.h").read_text(encoding="utf-8")
     match = re.search(r"^#define LAMPEST_ESTIMATE_VERSION (\d+)$", text, re.MULTILINE)
     assert match is not None
