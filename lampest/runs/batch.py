@@ -44,7 +44,7 @@ from lampest.runs.filling import case_result
 from lampest.runs.results import (
     PublishedFigures,
     join_case,
-    read_scene,
+    read_case_scene,
     stored_cases,
     write_results,
 )
@@ -241,7 +241,7 @@ def run_batch(
             warnings=_different_lines(cases, "warnings"),
             advice=_different_lines(cases, "advice"),
             estimated=about_recordings(
-                (case.recording, read_scene(case).estimated)
+                (case.recording, read_case_scene(case).estimated)
                 for case, previous in zip(cases, (None, *cases), strict=False)
                 if previous is None or previous.recording != case.recording
             ),

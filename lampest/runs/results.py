@@ -377,7 +377,7 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
         return tuple(cases)
 
 
-def read_scene(case: StoredCase) -> Scene:
+def read_case_scene(case: StoredCase) -> Scene:
     """Return the scene of a case's recording. Raises InputError as `read_results`."""
     with _results_file(case.path) as file:
         return _read_scene(file, case.recording)
