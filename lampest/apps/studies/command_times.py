@@ -103,7 +103,7 @@ def command_times(
         (folder / "run.yaml").write_text(RUN, encoding="utf-8")
         scene = recordings[0].scene
         (folder / "scene.yaml").write_text(scene_text(scene), encoding="utf-8")
-        (folder / "table.csv").write_text(readings_table(recordings[0]), encoding="utf-8")
+        (folder / "table.csv").write_text(_table_of(recordings[0]), encoding="utf-8")
         unloaded = str(int(np.sum(recordings[0].role == UNLOADED)))
         seconds = dict[str, float]()
         for command, arguments in COMMANDS.items():
@@ -118,7 +118,7 @@ def command_times(
         yield CommandTime(command, rows, columns, spent, solves_s)
 
 
-def readings_table(recording: Recording) -> str:
+def _table_of(recording: Recording) -> str:
     """Return readings as a table for `lampest import`: a line for each, in ohm."""
     lines = ["time_s,row,column,resistance_ohm"]
     for time, frame in zip(recording.time, recording.recorded, strict=True):
