@@ -282,7 +282,7 @@ class DrivenCircuit(Readout):
 
     @property
     def by_columns(self) -> bool:
-        return self.driven == "columns"
+        return self.driven == "columns" if self.scan_order is None else super().by_columns
 
     @property
     def _along_sensed(self) -> int:
