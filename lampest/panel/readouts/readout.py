@@ -302,6 +302,10 @@ class Readout(Converter, ABC):
         # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
+    def unseen_scales(self, rows: int, columns: int) -> tuple[str, ...]:
+        """Return the scales of cells that no reading shows: 'all', 'rows', 'columns'."""
+        return ()
+
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """Return the common factor of all cells relative to a prediction.
 
