@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.board.own_estimate import board_sentence
 from lampest.files import hdf5
+from lampest.files.applications import applications
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.whole import own
@@ -115,7 +115,7 @@ def _recording_lines(recording: Recording) -> list[str]:
         *_audit(recording),
         ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
         *(("", sentence) for sentence in _holes(recording)),
-        ("board", board_sentence(recording)),
+        *applications().advice(recording),
         (
             "besides",
             ", ".join(name for name, values in extras.items() if values is not None) or "nothing",
