@@ -62,7 +62,7 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.potentials import FOLLOWS, LineEnds
+from lampest.panel.readouts.potentials import FOLLOWS, LineEnds, check_line_ends
 from lampest.panel.readouts.readout import (
     MIN_LOAD_SHARE,
     SHORT_SHARE,
@@ -189,34 +189,7 @@ class DrivenCircuit(Readout):
             check_apart(self.groups)
         if self.driven_groups is not None:
             check_apart(self.driven_groups, "driven_groups")
-        self._check_potentials()
-
-    def _check_potentials(self) -> None:
-        """Raise ValueError if potentials contradict the circuit."""
-        volts = {name: getattr(self, name) for name in ("idle_volt", "load_volt", "idle_load_volt")}
-        for name, volt in volts.items():
-            if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
-                raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
-        loads, idle_loads = self.loads_connected
-        for name, connected, lines in (
-            ("idle_volt", self.idle_connected, "idle driven lines"),
-            ("load_volt", loads, "sensed lines"),
-            ("idle_load_volt", idle_loads, "idle sensed lines keep their load or"),
-        ):
-            if volts[name] is not None and not connected:
-                raise ValueError(f"{name} has no place where {lines} float: name their resistor")
-        if self.idle_volt == FOLLOWS:
-            if self.groups is not None and len(self.groups) > 1:
-                raise ValueError(
-                    "idle_volt: follows needs one sensed line at a time, not groups in parallel"
-                )
-            if self.driven_groups is not None:
-                raise ValueError("idle_volt: follows has no place with driven_groups")
-        ends = self.line_ends
-        if self.idle_volt != FOLLOWS and ends.source == ends.reference:
-            raise ValueError(
-                f"all lines end at {ends.source:g} V, as the driven one does: no current flows"
-            )
+        check_line_ends(self)
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError as `Readout.check`, or if lists do not fit the panel's lines.

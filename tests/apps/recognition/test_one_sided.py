@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lampest import Array, GroundedReadout, Panel, Recording, Scene, VirtualGroundReadout
-from lampest.apps.recognition.detect.detection import detect_recording, one_sided
+from lampest.apps.recognition.detect.detection import detect_recording, with_bounds_counted
 
 SHAPE = (8, 8)
 CONVERTER: dict[str, Any] = {"readings": 1, "adc_bits": 12}
@@ -38,7 +38,9 @@ def test_a_bound_beyond_rest_counts_as_a_change_of_that_much() -> None:
     value = np.array([[2.0, 2.0, 1.0, 0.1]])
     sides = np.array([[0.0, 1.0, 1.0, -1.0]])
     sigma = np.full((1, 4), 0.01)
-    shown, spread = one_sided(value, sigma, sides, resting, np.array([[0.0, 0.0, 0.0, -1.0]]))
+    shown, spread = with_bounds_counted(
+        value, sigma, sides, resting, np.array([[0.0, 0.0, 0.0, -1.0]])
+    )
     assert shown.tolist() == value.tolist()
     assert spread.tolist() == [[0.01, pytest.approx(0.1), np.inf, 0.01]]
 

@@ -205,14 +205,14 @@ class Known:
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns).
 
-        σ is infinite where a reading is no value and says nothing of a change; see `one_sided`.
+        σ is infinite where a reading is no value and says nothing of a change; see `with_bounds_counted`.
         """
         sigma = self.sigma if readings.sigma is None else readings.sigma
         side = np.where(readings.seen > 0, readings.side, np.nan)
-        return one_sided(readings.value, sigma, side, self.resting, self.resting_side)
+        return with_bounds_counted(readings.value, sigma, side, self.resting, self.resting_side)
 
 
-def one_sided(
+def with_bounds_counted(
     value: Array, sigma: Array, side: Array, resting: Array, resting_side: Array | None
 ) -> tuple[Array, Array]:
     """Return values and σ of frames in which bounds count as far as they say anything.
@@ -309,7 +309,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
     if case.reading_side is not None:
         bounded = np.isfinite(case.measured) & (case.reading_side != 0)
         sides = np.where(bounded, case.reading_side, sides)
-    bounds, spread = one_sided(case.measured, spread, sides, baseline, None)
+    bounds, spread = with_bounds_counted(case.measured, spread, sides, baseline, None)
     values = np.where(np.isfinite(spread), bounds, side)
     return known, zip(values, spread, map(float, case.time), strict=True)
 
