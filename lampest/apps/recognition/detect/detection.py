@@ -205,7 +205,8 @@ class Known:
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns).
 
-        σ is infinite where a reading is no value and says nothing of a change; see `with_bounds_counted`.
+        σ is infinite where a reading is no value and says nothing of a change; see
+        `with_bounds_counted`.
         """
         sigma = self.sigma if readings.sigma is None else readings.sigma
         side = np.where(readings.seen > 0, readings.side, np.nan)
