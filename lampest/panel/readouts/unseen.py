@@ -62,7 +62,7 @@ def _share_within(null: Array, direction: Array) -> float:
     return float(np.sum((null @ flat) ** 2) / np.sum(flat**2))
 
 
-def unseen_sentence(scales: tuple[Scale, ...]) -> str:
+def unseen_sentence(scales: tuple[str, ...]) -> str:
     """Return the scales in words, with the cure; '' for none."""
     if not scales:
         return ""

@@ -173,7 +173,7 @@ def measured(
         count = 1 + len(passes)
         crossings = total[0].size
         lines = np.repeat(np.arange(count), -(-crossings // count))[:crossings]
-        read_in = in_panel_order(actual, lines, total.shape[1:])
+        read_in = in_panel_order(actual, lines.astype(float), total.shape[1:]).astype(int)
         total = np.take_along_axis(np.stack([total, *passes]), read_in[None, None], axis=0)[0]
     normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
     total = total * np.exp((unmodelled.reading_error or 0.0) * normal)
