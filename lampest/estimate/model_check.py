@@ -244,7 +244,7 @@ class Question(ComparedFrames):
         if last[0] not in self.standing:
             question = replace(self, standing=last)
             latest = frame.refitted(question.readings(self.specified)[1], ())
-            pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
+            pairs += [] if latest is None else [(question.loaded, FittedPair((resting, latest)))]
         lies_on = applications().provided("recognition", "a load on unloaded cells")
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
         loaded = (

@@ -200,7 +200,7 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
     last = fitted(scene, readings[int(measured[-1])], patient=True)
     if base is None or last is None:
         return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
-    evidence = FittedPair.of(base, last).evidence
+    evidence = FittedPair((base, last)).evidence
     if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
         return noise.undetermined(
             "creep", "the load touches most cells: record a frame with less load at the end"

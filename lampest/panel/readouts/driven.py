@@ -42,6 +42,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.alternation import Alternation
 from lampest.panel.readouts.branches import LEVELS, MAX_MISFIT, misfit, panels_alike, uniform_panels
+from lampest.panel.readouts.channels import errors_of_channels
 from lampest.panel.readouts.characteristic import MAX_VOLT
 from lampest.panel.readouts.converter import MIN_VOLT
 from lampest.panel.readouts.diode import Diode
@@ -668,6 +669,9 @@ class DrivenCircuit(Readout):
         """
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
+
+    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
+        return errors_of_channels(self, cells, scene.wiring, channel)
 
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
         """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm."""

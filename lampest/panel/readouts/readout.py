@@ -431,16 +431,28 @@ class Readout(Converter, ABC):
         array, shape (1 + rows + columns, rows, columns), or (1, rows, columns) without `channel`
             Effect of the reference, then of the channel of each line, rows first.
         """
-        rows, columns = cells.shape
-        lines = rows + columns if channel else 0
         unchanged = self.exact_reading(cells, scene.wiring)
-        errors = np.zeros((1 + lines, rows, columns))
+        errors = np.zeros((1, *cells.shape))
         if reference:
             errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
-        for line, extra in enumerate(channel * np.eye(lines)):
-            recorded = self.simulated(cells, scene, extra[:rows], extra[rows:])
-            errors[1 + line] = self.from_recorded(recorded, scene) - unchanged
-        return errors
+        if not channel:
+            return errors
+        return np.concatenate([errors, self.channel_errors(cells, scene, channel)])
+
+    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
+        """Return the effect of each line's channel on the readings, rows first.
+
+        Shape (rows + columns, rows, columns). See `shared_errors`.
+        """
+        unchanged = self.exact_reading(cells, scene.wiring)
+        rows, columns = cells.shape
+        return np.stack(
+            [
+                self.from_recorded(self.simulated(cells, scene, extra[:rows], extra[rows:]), scene)
+                - unchanged
+                for extra in channel * np.eye(rows + columns)
+            ]
+        )
 
 
 def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
