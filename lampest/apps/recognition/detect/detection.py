@@ -31,7 +31,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import VALUE, Readings, stand_in
+from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand_in
 from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
@@ -432,9 +432,9 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
 
 def _open_at_rest(resting: Readings, scene: Scene) -> bool:
     """Return whether the unloaded panel is one of bounds, as open cells give them."""
-    missing = (resting.seen == 0) & scene.requested
-    bounded = resting.bounds & scene.requested
-    return not resting.enough(scene) and 2 * missing.sum() <= bounded.sum()
+    of_open = AT_LEAST if scene.circuit.unit == "ohm" else AT_MOST
+    opened = resting.bounds & (resting.side == of_open) & scene.requested
+    return not resting.enough(scene) and bool(2 * opened.sum() >= scene.requested.sum())
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:
