@@ -16,7 +16,7 @@ from lampest.apps.board.protocol import (
 
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
-    *fields, wiring, drive, _ = vars(hello).values()
+    *fields, wiring, drive, _, _ = vars(hello).values()
     fields[6] = hello.firmware[0] << 8 | hello.firmware[1]
     fields[13] = ACROSS.index(hello.measured_across)
     wiring_fields = (
@@ -26,7 +26,8 @@ def hello_body(hello: Hello) -> bytes:
 
 
 def frame_body(frame: Frame) -> bytes:
-    fields = (*frame.sums.shape, frame.readings, frame.sequence, frame.device_ms, frame.missed)
+    numbers = (frame.readings, frame.sequence, frame.device_ms, frame.missed, frame.identity)
+    fields = (*frame.sums.shape, *numbers)
     return (
         protocol._FRAME.pack(PROTOCOL_VERSION, Kind.FRAME, *fields)
         + frame.sums.astype("<u2").tobytes()
@@ -41,6 +42,7 @@ def answer_body(answer: Answer) -> bytes:
 
 
 def estimate_body(estimate: Estimate) -> bytes:
-    fields = (*estimate.log_change.shape, estimate.outcome, estimate.sequence)
-    numbers = estimate.log_change.astype("<f4").tobytes()
-    return protocol._ESTIMATE.pack(PROTOCOL_VERSION, Kind.ESTIMATE, *fields) + numbers
+    numbers = (estimate.outcome, estimate.sequence, estimate.identity)
+    fields = (*estimate.log_change.shape, *numbers)
+    changes = estimate.log_change.astype("<f4").tobytes()
+    return protocol._ESTIMATE.pack(PROTOCOL_VERSION, Kind.ESTIMATE, *fields) + changes

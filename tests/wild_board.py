@@ -35,6 +35,7 @@ class WildBoard:
     port: str = ""
     sent: int = 0
     deaf: bool = False
+    identity: int = 0
     hello: Hello = IDLE
     _spoken_to: bool = False
     _plan: Iterator[tuple[float, bytes]] | None = None
@@ -101,16 +102,17 @@ class WildBoard:
             self._plan = script(self.hello) if kind is Kind.START else None
         # It does not estimate.
         result = Result.REFUSED_UNKNOWN if kind is Kind.SET_BASELINE else Result.DONE
+        value = self.identity if kind is Kind.START else value
         return message(answer_body(Answer(kind, tag, result, value)))
 
 
 @contextmanager
-def wild_board(script: Script, hello: Hello = IDLE) -> Iterator[WildBoard]:
+def wild_board(script: Script, hello: Hello = IDLE, identity: int = 0) -> Iterator[WildBoard]:
     """A board with that script, as long as the block lasts."""
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
-    board = WildBoard(os.ttyname(slave), hello=hello)
+    board = WildBoard(os.ttyname(slave), hello=hello, identity=identity)
     thread = threading.Thread(target=board.live, args=(master, script), daemon=True)
     thread.start()
     try:
@@ -123,12 +125,17 @@ def wild_board(script: Script, hello: Hello = IDLE) -> Iterator[WildBoard]:
 
 
 def wire(
-    hello: Hello, number: int, device_ms: int | None = None, shape: tuple[int, int] | None = None
+    hello: Hello,
+    number: int,
+    device_ms: int | None = None,
+    shape: tuple[int, int] | None = None,
+    identity: int = 0,
 ) -> bytes:
     """Frame `number` as it goes over the line; its first reading tells the number."""
     sums = np.full(shape or (hello.rows, hello.columns), 700 * hello.readings // 2, np.uint16)
     clock = 1000 + round(number * hello.period_us / 1000) if device_ms is None else device_ms
-    return message(frame_body(Frame(hello.readings, number % 2**32, clock % 2**32, 0, sums)))
+    numbers = (hello.readings, number % 2**32, clock % 2**32, 0)
+    return message(frame_body(Frame(*numbers, sums + np.uint16(identity), identity=identity)))
 
 
 def hundred_a_second(hello: Hello) -> Iterator[tuple[float, bytes]]:

@@ -25,6 +25,7 @@ static void sayHello() {
 
 static void obey(uint8_t length) {
     uint8_t answer[LAMPEST_HELLO_BYTES + LAMPEST_HELLO_WIRING_BYTES + LAMPEST_CRC_BYTES];
+    if (!settings.running && length > 1 && inbox.bytes[1] == LAMPEST_START) settings.identity = scanner_identity();
     lampest_settings_t before = settings;
     uint8_t bytes = lampest_command(&settings, inbox.bytes, length, answer);
     bool stopped = before.running && !settings.running;

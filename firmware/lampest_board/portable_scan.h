@@ -7,6 +7,7 @@
 #include <Arduino.h>
 
 #include "pins.h"
+#include "protocol.h"
 
 static const uint8_t portable_row_pins[] = LAMPEST_ROW_PINS, portable_column_pins[] = LAMPEST_COLUMN_PINS;
 
@@ -22,6 +23,15 @@ static inline void portable_scan_begin() {
 
 static inline void portable_select(const uint8_t *pins, uint8_t channel) {
     for (uint8_t bit = 0; bit < 4; ++bit) digitalWrite(pins[bit], channel >> bit & 1 ? HIGH : LOW);
+}
+
+/* A number that another board hardly draws: of the noise of the converter, and of the time. */
+static inline uint16_t portable_identity() {
+    uint16_t drawn = lampest_crc16(0xFFFF, (uint8_t)micros());
+    for (uint8_t reading = 0; reading < LAMPEST_IDENTITY_READINGS; ++reading) {
+        drawn = lampest_crc16(drawn, (uint8_t)analogRead(LAMPEST_ADC_PIN));
+    }
+    return drawn;
 }
 
 /* Sums of `readings` codes of each cell, row by row. */

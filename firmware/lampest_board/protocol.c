@@ -96,6 +96,7 @@ lampest_settings_t lampest_start_settings(void) {
     settings.period_us = LAMPEST_START_PERIOD_US;
     settings.estimates = 0;
     settings.baseline = 0;
+    settings.identity = 0;
     return settings;
 }
 
@@ -177,6 +178,7 @@ static uint32_t present_value(const lampest_settings_t *settings, uint8_t comman
         case LAMPEST_SET_PERIOD: return settings->period_us;
         case LAMPEST_SET_SETTLE: return settings->settle_us;
         case LAMPEST_SET_BASELINE: return settings->baseline;
+        case LAMPEST_START: return settings->identity;
         default: return settings->running;
     }
 }
@@ -245,6 +247,7 @@ void lampest_frame_header(const lampest_settings_t *settings, uint32_t sequence,
     lampest_put_u32(body + 5, sequence);
     lampest_put_u32(body + 9, device_ms);
     lampest_put_u16(body + 13, missed);
+    lampest_put_u16(body + 15, settings->identity);
 }
 
 void lampest_estimate_header(const lampest_settings_t *settings, uint32_t sequence, uint8_t outcome, uint8_t *body) {
@@ -254,6 +257,7 @@ void lampest_estimate_header(const lampest_settings_t *settings, uint32_t sequen
     body[3] = settings->columns;
     body[4] = outcome;
     lampest_put_u32(body + 5, sequence);
+    lampest_put_u16(body + 9, settings->identity);
 }
 
 void lampest_scan_next(uint8_t *row, uint8_t *column, uint8_t rows, uint8_t columns) {

@@ -9,13 +9,16 @@
  *            and only where the wiring is not LAMPEST_TWO_POINT: wiring u8, drive mOhm u32. Boards without these two are
  *            wired with two multiplexers. With loaded columns the reference is the load of every column, and the voltage
  *            is taken across it.
- *   FRAME    version, type, rows, columns, readings: u8, sequence u32, device ms u32, missed ticks u16,
+ *   FRAME    version, type, rows, columns, readings: u8, sequence u32, device ms u32, missed ticks u16, identity u16,
  *            sums u16[rows * columns], row by row
- *   ESTIMATE version, type, rows, columns, outcome: u8, sequence u32, ln(r / r unloaded) f32[rows * columns], row by row.
+ *   ESTIMATE version, type, rows, columns, outcome: u8, sequence u32, identity u16,
+ *            ln(r / r unloaded) f32[rows * columns], row by row.
  *            Sent before the FRAME of the same sequence, by boards that estimate. The outcome is that of lampest_frame;
  *            the numbers are meant only where it is 0. Unloaded frames have none, unless the baseline fails.
- *   ANSWER   version, type, command, tag, result: u8, value u32 (the value that now holds)
+ *   ANSWER   version, type, command, tag, result: u8, value u32 (the value that now holds; of START the identity)
  *   commands version, type, tag: u8, value u32
+ *
+ * The identity is a number that the board draws at each START. Frames of another board on the same line have another one.
  */
 #ifndef LAMPEST_PROTOCOL_H
 #define LAMPEST_PROTOCOL_H
@@ -26,9 +29,9 @@
 extern "C" {
 #endif
 
-#define LAMPEST_PROTOCOL_VERSION 1
-#define LAMPEST_FIRMWARE_MAJOR 1
-#define LAMPEST_FIRMWARE_MINOR 2
+#define LAMPEST_PROTOCOL_VERSION 2
+#define LAMPEST_FIRMWARE_MAJOR 2
+#define LAMPEST_FIRMWARE_MINOR 0
 #define LAMPEST_BAUD 500000UL
 
 #define LAMPEST_HELLO 1
@@ -70,13 +73,16 @@ extern "C" {
 
 #define LAMPEST_HELLO_BYTES 29
 #define LAMPEST_HELLO_WIRING_BYTES 5
-#define LAMPEST_FRAME_HEADER_BYTES 15
-#define LAMPEST_ESTIMATE_HEADER_BYTES 9
+#define LAMPEST_FRAME_HEADER_BYTES 17
+#define LAMPEST_ESTIMATE_HEADER_BYTES 11
 #define LAMPEST_ANSWER_BYTES 9
 #define LAMPEST_COMMAND_BYTES 7
 #define LAMPEST_CRC_BYTES 2
 #define LAMPEST_MOST_BODY_BYTES \
     (LAMPEST_FRAME_HEADER_BYTES + 2 * LAMPEST_MOST_ROWS * LAMPEST_MOST_COLUMNS + LAMPEST_CRC_BYTES)
+
+/* Codes of which a board draws its identity: noise of half a step turns each last bit as often as not. */
+#define LAMPEST_IDENTITY_READINGS 32
 
 /* The timer that sets the period counts in 4 us and to 65536 at most; longer periods are made of equal slices. */
 #define LAMPEST_TICK_US 4
@@ -94,6 +100,7 @@ typedef struct {
     uint32_t period_us;
     uint8_t estimates; /* 1 where the sketch estimates; set by it */
     uint8_t baseline;  /* unloaded frames after START */
+    uint16_t identity; /* set by the sketch before it carries out a START */
 } lampest_settings_t;
 
 typedef struct {

@@ -169,6 +169,17 @@ void scanner_release(void) {
     }
 }
 
+uint16_t scanner_identity(void) {
+    uint16_t drawn = lampest_crc16(0xFFFF, (uint8_t)TCNT1);
+    for (uint8_t conversion = 0; conversion < LAMPEST_IDENTITY_READINGS; ++conversion) {
+        ADCSRA = (CONVERTER & ~_BV(ADIE)) | _BV(ADIF) | _BV(ADSC);
+        while (ADCSRA & _BV(ADSC)) continue;
+        drawn = lampest_crc16(drawn, (uint8_t)ADC);
+    }
+    ADCSRA = CONVERTER | _BV(ADIF);
+    return drawn;
+}
+
 uint8_t scanner_second_passed(void) {
     static uint64_t last;
     uint64_t now;

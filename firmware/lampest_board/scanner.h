@@ -19,6 +19,9 @@ uint8_t scanner_has_finished(void);
 uint8_t *scanner_finished(void);
 void scanner_release(void);
 
+/* A number that another board hardly draws: of the noise of the converter, and of the time. For idle boards. */
+uint16_t scanner_identity(void);
+
 /* 1 once for every second since the last call that saw one. */
 uint8_t scanner_second_passed(void);
 

@@ -27,6 +27,8 @@
 #define CONVERSION_CYCLES 1664
 #define PUMP_CYCLES 80000 /* 5 ms */
 /* Of an ATmega2560, in its data space: datasheet, register summary. */
+#define ADCSRA_ADDRESS 0x7A
+#define ADCSRA_ADIE 0x08
 #define ADCSRB_ADDRESS 0x7B
 #define ADCSRB_MUX5 0x08
 #define MUX5_MODE 32 /* what MUX5 adds to the number of a multiplexer mode */
@@ -83,11 +85,20 @@ static int chosen_input(const bench_t *bench) {
     return (bench->avr->data[ADMUX_ADDRESS] & 7) | (bench->avr->data[ADCSRB_ADDRESS] & ADCSRB_MUX5 ? 8 : 0);
 }
 
+/* simavr turns millivolt into code by mV * 1023 / Vref, rounded down. */
+static void raise_code(const bench_t *bench, int input, int code) {
+    avr_raise_irq(bench->adc + ADC_IRQ_ADC0 + (input & 7), (uint32_t)(code * 5000 + 1022) / 1023);
+}
+
 static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
     bench_t *bench = param;
     (void)irq;
     (void)value;
     int input = chosen_input(bench);
+    if (!(bench->avr->data[ADCSRA_ADDRESS] & ADCSRA_ADIE)) { /* the board draws its identity: no conversion of a scan */
+        raise_code(bench, input, panel_code(&bench->panel, panel_s(bench)));
+        return;
+    }
     if (LAMPEST_WIRING == LAMPEST_LOADED_COLUMNS)
         panel_sense(&bench->panel, bench->column_of_channel[input]);
     int origin = bench->panel.row == 0 && bench->panel.column == 0;
@@ -102,8 +113,7 @@ static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param) {
         bench->panel.switched_s -= 1;
     }
     int code = panel_code(&bench->panel, panel_s(bench) + (double)SAMPLE_CYCLES / CLOCK_HZ);
-    /* simavr turns millivolt into code by mV * 1023 / Vref, rounded down. */
-    avr_raise_irq(bench->adc + ADC_IRQ_ADC0 + (input & 7), (uint32_t)(code * 5000 + 1022) / 1023);
+    raise_code(bench, input, code);
     bench->conversion_ended_s = board_s(bench) + (double)CONVERSION_CYCLES / CLOCK_HZ;
     ++bench->conversions;
 }

@@ -17,7 +17,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
-from lampest.recording.readings import Readings, median
+from lampest.recording.readings import AT_LEAST, Readings, median
 from lampest.recording.recording import Recording
 
 WINDOW = 4  # neighbouring frames that are compared
@@ -139,7 +139,8 @@ def without_readings(recording: Recording, unread: NDArray[np.bool_]) -> Recordi
 def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """Flag single readings that are larger than any cells allow, given the frame's other readings.
 
-    A contact that fails for one reading makes such an outlier, however long it lasts. After a pass
+    A contact that fails for one reading makes such an outlier, however long it lasts. So does an
+    infinite one among good ones, a lower bound that the others do not allow. After a pass
     the flagged readings are ignored and the others are tested again. If more than MAX_SHARE of a
     frame's readings violate the circuit's inequalities, the circuit is another one, and none is
     flagged.
@@ -156,10 +157,11 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
     """
     value = readings.value
     sigma = readings.sigma_of_values
-    outliers = np.zeros(value.shape, dtype=bool)
+    outliers = _impossible_bounds(circuit, readings)
     frames = np.arange(len(value))
-    if sigma is None:
+    if sigma is None or not len(frames):
         return outliers
+    bounds = outliers.copy()
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
         for test in circuit.free_tests(value[frames], np.where(outliers, np.inf, sigma)[frames]):
@@ -173,8 +175,30 @@ def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool
         frames = frames[broken]
         if not len(frames):
             break
-    outliers[frames] = False
+    outliers[frames] = bounds[frames]
     return outliers
+
+
+def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+    """Flag lower bounds beyond the largest value that a frame's other readings allow.
+
+    Noise of that value counts. If more than MAX_SHARE of a frame's readings are, none is flagged.
+    """
+    bound = (readings.side == AT_LEAST) & (readings.seen > 0)
+    if not bound.any():
+        return bound
+    plain = np.where(readings.plain, readings.value, np.inf)
+    allowed = circuit.largest_possible(plain)
+    if readings.sigma is not None:
+        noise = circuit.sigma(np.where(np.isfinite(allowed), allowed, 1.0))
+        allowed = allowed + OUTLIER_THRESHOLD * noise
+    # A bound without a finite number has the largest value of its frame.
+    largest = np.max(
+        readings.value, axis=(-2, -1), keepdims=True, initial=0.0, where=readings.plain
+    )
+    impossible = bound & (np.where(readings.value > largest, readings.value, np.inf) > allowed)
+    count = impossible.sum(axis=(-2, -1), keepdims=True)
+    return np.asarray(impossible & (count <= max(1.0, MAX_SHARE * bound[0].size)))
 
 
 def without_outliers(
@@ -182,7 +206,8 @@ def without_outliers(
 ) -> tuple[NDArray[np.bool_], Readings]:
     """Return the outliers and the readings without them.
 
-    Unloaded outliers are omitted, measured ones replaced. Bounds are never outliers.
+    Unloaded outliers are omitted, measured ones replaced. Bounds that the other readings allow are
+    never outliers.
 
     Parameters
     ----------
@@ -200,7 +225,7 @@ def without_outliers(
     Readings
         The readings without them.
     """
-    readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+    readings = readings.without(impossible)
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying = np.zeros(value.shape, dtype=bool)
@@ -300,7 +325,7 @@ class FramesBefore:
         """
         impossible = impossible_readings(scene.circuit, readings.alone())[0]
         count = int(impossible.sum())
-        readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+        readings = readings.without(impossible)
         if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, count
         value = np.stack([frame.plain_values for frame in self.frames])

@@ -110,6 +110,17 @@ class Compiled(CasadiOwner):
         buffer.set_res(0, result.data)
         return buffer, trigger, held, result
 
+    @guarded
+    def __getstate__(self) -> str:
+        """Return the function as text; a buffer belongs to its process and is made again."""
+        return str(self.function.serialize())
+
+    @guarded
+    def __setstate__(self, text: str) -> None:
+        import casadi
+
+        object.__setattr__(self, "function", casadi.Function.deserialize(text))
+
     def __call__(self, *arguments: Array) -> Array:
         with _LOCK:
             _, trigger, held, result = self._buffer

@@ -1,7 +1,7 @@
 """Readings of a network from recorded values: two-sided values, one-sided bounds, or missing."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -180,6 +180,15 @@ class Readings:
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
         value = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
         return cls(value, None if noise is None else _filled(noise, seen), side, seen)
+
+    def without(self, omitted: NDArray[np.bool_]) -> "Readings":
+        """Return the readings without some of them, which are missing."""
+        if not omitted.any():
+            return self
+        seen = np.where(omitted, 0.0, self.seen)
+        side = np.where(omitted, VALUE, self.side)
+        value = _standing_in(self.value, side, np.where(omitted, 0.0, 1.0), seen)
+        return replace(self, value=value, side=side, seen=seen)
 
     @classmethod
     def _of_modules(

@@ -53,9 +53,10 @@ def recorded(path: Path, values: np.ndarray) -> Path:
 def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command) -> None:
     values = healthy(2)
     values[2, 0, 1] = np.nan
-    values[2, 2, 2] = np.inf
+    values[2, 2, 2] = np.inf  # which the other readings do not allow
     values[3, 3] = np.nan
     values[4] = np.nan
+    values[5, 3] = np.inf
     recorded(tmp_path / "holes.h5", values)
     cut = recorded(tmp_path / "cut.h5", healthy(3))
     cut.write_bytes(cut.read_bytes()[:3000])
@@ -74,11 +75,12 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
         cells = file["entry/holes/LSM/cell_resistance"][()]
         assert np.isnan(cells[2]).all() and np.isfinite(cells[[0, 1, 3, 4]]).all()
         given = file["entry/holes/recording"]
-        assert (
-            given["missing_readings"][()].tolist() == [1, 5, 20, 0, 0]
-            and given["bound_readings"][0] == 1
+        assert given["missing_readings"][()].tolist() == [2, 5, 20, 0, 0] and given[
+            "bound_readings"
+        ][()].tolist() == [0, 0, 0, 5, 0]
+        assert np.isnan(given["resistance"][1, 3]).all() and np.all(
+            given["reading_side"][3, 3] == 1
         )
-        assert np.isnan(given["resistance"][1, 3]).all() and given["reading_side"][0, 2, 2] == 1
 
 
 @pytest.mark.slow

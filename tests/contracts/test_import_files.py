@@ -671,7 +671,7 @@ def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path
 
 
 def test_the_page_shows_the_output_of_the_command(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "howto" / "import.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/apps/foreign/import.md").read_text(encoding="utf-8")
     typed = re.split(
         r"^\$ ", page.partition("```console\n")[2].partition("```")[0], flags=re.MULTILINE
     )[1:]

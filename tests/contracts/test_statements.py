@@ -21,6 +21,7 @@ PAGES = (
     *sorted((ROOT / "docs" / "theory").glob("*.md")),
     *sorted((ROOT / "docs" / "howto").glob("*.md")),
     *sorted((ROOT / "docs" / "howto" / "adding").glob("*.md")),
+    *sorted((ROOT / "docs" / "apps").rglob("*.md")),
 )
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Words that exclude every exception, or that say what lampest judges and allows for. "All", "every"

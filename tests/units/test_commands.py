@@ -36,7 +36,8 @@ from lampest.apps.board.record import Progress, Recorded
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
 from lampest.apps.studies.study import Row, Study
-from lampest.cli import app, screen
+from lampest.cli import screen
+from lampest.cli.program import app
 from lampest.files.whole import sparing, write_whole
 from lampest.report.compare import compare
 from lampest.runs.batch import run_batch
@@ -83,6 +84,7 @@ COUNTS = {
     "clock_jumps": 0,
     "clock_stopped": False,
     "host_clock_set": 0,
+    "other_board": False,
     "parted": 0,
     "behind": 0,
 }
@@ -95,6 +97,7 @@ ENDS_WITH_WARNINGS: tuple[tuple[dict[str, Any], str], ...] = (
     ({}, ""),
     ({"clock_jumps": 1}, "1 jump of the board's clock; "),
     ({"clock_jumps": 12}, "12 jumps of the board's clock; "),
+    ({"other_board": True}, "another board sends on the same line; "),
     ({"host_clock_set": 1}, "this computer's clock was set 1 time; "),
     ({"clock_stopped": True}, "the board's clock stood still; "),
     ({"parted": 3}, "3 of the 7 frames lack a module; "),
@@ -132,7 +135,8 @@ def test_a_study_creates_its_folder(
 ) -> None:
     folders: list[object] = []
     monkeypatch.setattr(
-        "lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out)
+        "lampest.apps.studies.commands.run_study",
+        lambda study, config, out, assign: folders.append(out),
     )
     for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
         completed = lampest(*name.split(), "--out", str(tmp_path / "new"))
@@ -250,7 +254,7 @@ def test_exhausted_memory_gives_one_sentence(
         def failing(error: MemoryError = error) -> None:
             raise error
 
-        monkeypatch.setattr("lampest.cli._program", lambda failing=failing: failing)
+        monkeypatch.setattr("lampest.cli.program.program", lambda failing=failing: failing)
         completed = lampest("info")
         assert (completed.code, completed.out, completed.err) == (
             2,

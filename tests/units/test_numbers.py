@@ -83,7 +83,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("One fifth of all mouths is assumed to show no pumps", pumping.HIDDEN_SHARE, 0.2),
         ("The eight most probable times of the last jump", pumping.HYPOTHESES, 8),
     ],
-    "docs/howto/detect.md": [
+    "docs/apps/recognition/detect.md": [
         ("by three standard deviations, by 5 %", levels.NOISE_REACH, 3),
         ("and by a twentieth of the strongest change", contacts.GHOST_SHARE, 0.05),
         ("at less than 15 % of the strongest", contacts.SMALL_SHARE, 0.15),
@@ -109,11 +109,11 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("refuse more than 100,000,000 values", hdf5.MAX_VALUES, 1e8),
         ("for two minutes beyond ten limits", process.HUNG_SECONDS, 120),
     ],
-    "docs/howto/board.md": [
+    "docs/apps/board/board.md": [
         ("1.5 periods and 0.3 s on", several.LATE_SECONDS, 0.3),
         ("no valid frame ends after 30 s", stream.UNFIT_SECONDS, 30),
     ],
-    "docs/howto/film.md": [
+    "docs/apps/film/film.md": [
         ("off by more than 15 % (0.8 kPa)", tare.MAX_CHANGE, 0.15),
         ("by more than 6 % in the mean", tare.MAX_CHANGE_OF_FOUR, 0.06),
     ],

@@ -154,8 +154,8 @@ class Board:
             f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {line}"
         )
 
-    def order(self, kind: Kind, value: int = 0) -> None:
-        """Send a command until it is answered.
+    def order(self, kind: Kind, value: int = 0) -> int:
+        """Send a command until it is answered, and return the value in force.
 
         Raises InputError if it is refused, NoBoardError without an answer.
         """
@@ -164,6 +164,7 @@ class Board:
         runs = kind is Kind.START and answer.result is protocol.Result.REFUSED_RUNNING
         if answer.result is not protocol.Result.DONE and not runs:
             raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
+        return int(answer.value)
 
     def identify(self) -> Hello:
         """Request and return a HELLO. Raises NoBoardError without an answer."""
@@ -246,8 +247,8 @@ class Board:
         settings = self.identify()
         if settings.size != (rows, columns, readings):
             raise NoBoardError(f"{self._url}: the board restarted while it was being set")
-        self.order(Kind.START)
-        settings = replace(settings, estimates=estimates)
+        identity = self.order(Kind.START)
+        settings = replace(settings, estimates=estimates, identity=identity)
         # HELLOs from before the start would look like a restart.
         self._waiting = [item for item in self._waiting if isinstance(item, Frame | Estimate)]
         return settings

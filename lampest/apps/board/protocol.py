@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 BAUD = 500_000
 MAX_ROWS = MAX_COLUMNS = 16
 MAX_CODE = 1023
@@ -22,9 +22,9 @@ MAX_LOG_CHANGE = 28.0  # ln(1e9 ohm / 1e-3 ohm): the widest range of cells that 
 MAX_READINGS = np.iinfo(np.uint16).max // MAX_CODE  # the sum of so many codes fits into 16 bits
 _HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
 _HELLO_WIRING = struct.Struct("<BI")
-_FRAME = struct.Struct("<BBBBBIIH")
+_FRAME = struct.Struct("<BBBBBIIHH")
 _ANSWER = struct.Struct("<BBBBBI")
-_ESTIMATE = struct.Struct("<BBBBBI")
+_ESTIMATE = struct.Struct("<BBBBBIH")
 _COMMAND = struct.Struct("<BBBI")
 ACROSS: tuple[Literal["reference"], Literal["sensor"]] = ("reference", "sensor")
 WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", "loaded_columns")
@@ -124,7 +124,8 @@ class Hello:
 
     They are sent after a reset, once a second while idle, and on request. With loaded columns,
     reference_milliohm is the load of every column, and drive_milliohm the resistance in series with
-    each row. `estimates` is no part of HELLO: boards that estimate accept SET_BASELINE.
+    each row. `estimates` and `identity` are no part of HELLO. Boards that estimate accept
+    SET_BASELINE; the identity is the number that a board drew at START, as its answer says.
     """
 
     rows: int
@@ -145,6 +146,7 @@ class Hello:
     wiring: Literal["two_point", "loaded_columns"] = "two_point"
     drive_milliohm: int = 0
     estimates: bool = False
+    identity: int = 0
 
     @property
     def fault(self) -> str:
@@ -195,6 +197,8 @@ class Frame:
         ln(r / r unloaded) that the board estimated, from the message before the frame.
     unestimated : str
         Why the board says that it did not estimate the frame, one of OUTCOMES, or ''.
+    identity : int
+        Number that the board drew at START.
     """
 
     readings: int
@@ -204,16 +208,18 @@ class Frame:
     sums: NDArray[np.uint16]
     log_change: NDArray[np.float32] | None = None
     unestimated: str = ""
+    identity: int = 0
 
     def with_estimate(self, estimate: "Estimate | None") -> "Frame":
         """Return the frame with the board's estimate, or why it failed.
 
         The frame is unchanged if that is of another frame.
         """
-        if estimate is None or (estimate.sequence, estimate.log_change.shape) != (
-            self.sequence,
-            self.sums.shape,
-        ):
+        if estimate is None or (
+            estimate.identity,
+            estimate.sequence,
+            estimate.log_change.shape,
+        ) != (self.identity, self.sequence, self.sums.shape):
             return self
         if estimate.outcome == 0:
             return replace(self, log_change=estimate.log_change)
@@ -232,11 +238,14 @@ class Estimate:
         Number of the frame.
     log_change : array, shape (rows, columns)
         ln(r / r unloaded); without meaning unless the outcome is 0.
+    identity : int
+        Number that the board drew at START.
     """
 
     outcome: int
     sequence: int
     log_change: NDArray[np.float32]
+    identity: int = 0
 
 
 @dataclass(frozen=True)
@@ -315,24 +324,25 @@ def _read_hello(body: bytes) -> Hello:
 
 
 def _read_frame(body: bytes) -> Frame:
-    _, _, rows, columns, readings, sequence, device_ms, missed = _FRAME.unpack_from(body)
+    header = _FRAME.unpack_from(body)
+    rows, columns, readings, sequence, device_ms, missed, identity = header[2:]
     sums = np.frombuffer(body, "<u2", offset=_FRAME.size).astype(np.uint16).reshape(rows, columns)
     # A 16-bit CRC misses some errors, so that the range of the sums is checked as well.
     possible = readings <= MAX_READINGS and sums.max() <= readings * MAX_CODE
     if not (possible and rows <= MAX_ROWS and columns <= MAX_COLUMNS and readings):
         raise ValueError("no board sends such a frame")
-    return Frame(readings, sequence, device_ms, missed, sums)
+    return Frame(readings, sequence, device_ms, missed, sums, identity=identity)
 
 
 def _read_estimate(body: bytes) -> Estimate:
-    _, _, rows, columns, outcome, sequence = _ESTIMATE.unpack_from(body)
+    _, _, rows, columns, outcome, sequence, identity = _ESTIMATE.unpack_from(body)
     log_change = (
         np.frombuffer(body, "<f4", offset=_ESTIMATE.size).astype(np.float32).reshape(rows, columns)
     )
     fits = 0 < rows <= MAX_ROWS and 0 < columns <= MAX_COLUMNS and outcome < len(OUTCOMES)
     if not (fits and np.all(np.abs(log_change) <= MAX_LOG_CHANGE)):
         raise ValueError("no board sends such an estimate")
-    return Estimate(outcome, sequence, log_change)
+    return Estimate(outcome, sequence, log_change, identity)
 
 
 def _read_answer(body: bytes) -> Answer:

@@ -20,6 +20,7 @@ from lampest.apps.board.stream import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
     HOST_CLOCK_SET,
+    OTHER_BOARD,
     UNFIT_SECONDS,
     Sample,
     Samples,
@@ -48,6 +49,8 @@ class Recorded:
         Whether the board's clock stood still at any time.
     host_clock_set : int
         Number of frames before which this computer's clock was set.
+    other_board : bool
+        Whether frames of another board came on the same line; they are left out.
     parted : int
         Frames without the readings of a module.
     behind : int
@@ -70,6 +73,7 @@ class Recorded:
     clock_jumps: int
     clock_stopped: bool
     host_clock_set: int
+    other_board: bool
     parted: int
     behind: int
     ended_by: str
@@ -143,6 +147,7 @@ class Tally:
             "clock_jumps": self.count[CLOCK_JUMPED],
             "clock_stopped": self.count[CLOCK_STOPPED] > 0,
             "host_clock_set": self.count[HOST_CLOCK_SET],
+            "other_board": self.count[OTHER_BOARD] > 0,
             "unestimated": tuple(self.unestimated.items()),
         }
 

@@ -26,6 +26,7 @@ RETRY_SECONDS = 0.2  # s between attempts to open a port
 CLOCK_STOPPED = "clock stopped"
 CLOCK_JUMPED = "clock jump"
 HOST_CLOCK_SET = "host clock set"
+OTHER_BOARD = "another board"
 # s, and 0.1 % of the time between two frames, by which the host's clocks differ unless one was set:
 # adjtime disciplines a clock by 0.05 %, and a busy machine reads the two clocks 0.1 s apart
 HOST_CLOCK_STEP = 1.0
@@ -166,6 +167,8 @@ class Scanning:
         Its arrival in s since 1970-01-01 UTC, and on the steady clock.
     stopped : bool
         Whether the clock stands still.
+    others : bool
+        Whether frames of another board came, which no event has marked yet.
     since : float
         Start of the board in s on the host's steady clock.
     """
@@ -181,6 +184,7 @@ class Scanning:
     stray_host_time: float = 0.0
     stray_arrived: float = 0.0
     stopped: bool = False
+    others: bool = False
     since: float = field(default_factory=time.monotonic)
 
     def take(self, frame: Frame) -> tuple[Sample, ...]:
@@ -289,6 +293,9 @@ class Scanning:
                 at = self.last.time + max(elapsed, self.hello.period)
             if abs(host_time - self.last.host_time - elapsed) > HOST_CLOCK_STEP + 1e-3 * elapsed:
                 events = (*events, HOST_CLOCK_SET)
+        if self.others:
+            events = (*events, OTHER_BOARD)
+            self.others = False
         return Sample(
             frame=frame,
             hello=self.hello,
@@ -520,7 +527,10 @@ class _Line:
                 continue
             more = tuple[Sample, ...]()
             instead = "answers"
-            if isinstance(item, Frame):
+            if isinstance(item, Frame) and item.identity != run.hello.identity:
+                run.others = True
+                instead = "frames of another board"
+            elif isinstance(item, Frame):
                 fits = (*item.sums.shape, item.readings) == run.hello.size
                 more = run.take(item) if fits else ()
                 instead = "frames out of order" if fits else "frames of another size"

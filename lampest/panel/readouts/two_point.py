@@ -172,6 +172,14 @@ class TwoPointReadout(Divider):
         single = four_point_excess(measured, sigma)
         return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
 
+    def largest_possible(self, measured: Array) -> Array:
+        """Return min_pq (R_jq + R_pq + R_pk); see `Readout.largest_possible`."""
+        largest = np.empty(measured.shape)
+        for row in range(measured.shape[-2]):
+            between = (measured[..., [row], :] + measured).min(axis=-1)  # to each row p
+            largest[..., row, :] = (between[..., None] + measured).min(axis=-2)
+        return largest
+
     def simulated(
         self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array
     ) -> Array:

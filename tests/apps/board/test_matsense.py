@@ -18,7 +18,7 @@ from support import block_of
 
 import lampest
 
-PAGE = Path(__file__).parents[3] / "docs" / "howto" / "matsense.md"
+PAGE = Path(__file__).parents[3] / "docs" / "apps" / "board" / "matsense.md"
 RESTING_OHM = 12_000.0
 PRESSED_OHM = 700.0
 UNLOADED = 10

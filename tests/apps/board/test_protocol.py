@@ -214,9 +214,9 @@ def test_noise_gives_neither_a_frame_nor_an_error_and_fills_no_memory(noise: byt
 
 def test_commands_are_nine_bytes_with_the_numbers_of_their_kinds() -> None:
     """Boards with this version of the protocol were flashed with these numbers."""
-    assert {kind.name: kind.value for kind in Kind} == KINDS and protocol.PROTOCOL_VERSION == 1
+    assert {kind.name: kind.value for kind in Kind} == KINDS and protocol.PROTOCOL_VERSION == 2
     wire = command(Kind.SET_PERIOD, 7, 0x01020304)
-    body = b"\x01\x16\x07\x04\x03\x02\x01"
+    body = b"\x02\x16\x07\x04\x03\x02\x01"
     assert protocol.unstuffed(wire.strip(b"\0")) == body + protocol.crc16(body).to_bytes(2, "big")
 
 

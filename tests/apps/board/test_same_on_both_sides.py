@@ -51,7 +51,7 @@ COMMANDS = (
     (Kind.SET_PERIOD, 60_000_001, Result.REFUSED_RANGE, 1_000_000),
     (Kind.SET_SETTLE, 0, Result.DONE, 0),
     (Kind.SET_SETTLE, 30_001, Result.REFUSED_RANGE, 40),
-    (Kind.START, 0, Result.DONE, 1),
+    (Kind.START, 0, Result.DONE, 0),
     (Kind.STOP, 0, Result.DONE, 0),
 )
 
@@ -64,6 +64,7 @@ class Settings(ctypes.Structure):
         ("settle_us", ctypes.c_uint16),
         ("period_us", ctypes.c_uint32),
         *((name, ctypes.c_uint8) for name in ("estimates", "baseline")),
+        ("identity", ctypes.c_uint16),
     ]
 
 
@@ -191,15 +192,15 @@ def test_hello_agrees_in_c_and_python() -> None:
 
 
 @given(
-    st.integers(1, 16),
-    st.integers(1, 16),
-    st.integers(1, 64),
-    *(st.integers(0, 2**bits - 1) for bits in (32, 32, 16)),
+    st.tuples(st.integers(1, 16), st.integers(1, 16), st.integers(1, 64)),
+    st.tuples(*(st.integers(0, 2**bits - 1) for bits in (32, 32, 16, 16))),
 )
 def test_frames_agree_in_c_and_python(
-    rows: int, columns: int, readings: int, sequence: int, device_ms: int, missed: int
+    size: tuple[int, int, int], numbers: tuple[int, int, int, int]
 ) -> None:
-    settings = Settings(rows, columns, readings, 1, 40, 1_000_000)
+    rows, columns, readings = size
+    sequence, device_ms, missed, identity = numbers
+    settings = Settings(rows, columns, readings, 1, 40, 1_000_000, 0, 0, identity)
     sums = np.arange(rows * columns, dtype=np.uint16).reshape(rows, columns)
     room = ctypes.create_string_buffer(600)
     c().lampest_frame_header(
@@ -209,26 +210,32 @@ def test_frames_agree_in_c_and_python(
         ctypes.c_uint16(missed),
         room,
     )
-    assert room.raw[:15] + sums.tobytes() == frame_body(
-        Frame(readings, sequence, device_ms, missed, sums)
+    assert room.raw[:17] + sums.tobytes() == frame_body(
+        Frame(readings, sequence, device_ms, missed, sums, identity=identity)
     )
     longest = c().lampest_frame_bytes(ctypes.byref(settings))
-    assert len(sent_by_c(room.raw[:15] + b"\1" * (2 * sums.size))) <= longest
+    assert len(sent_by_c(room.raw[:17] + b"\1" * (2 * sums.size))) <= longest
 
 
-@given(st.integers(1, 16), st.integers(1, 16), st.integers(0, 4), st.integers(0, 2**32 - 1))
+@given(
+    st.integers(1, 16),
+    st.integers(1, 16),
+    st.integers(0, 4),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**16 - 1),
+)
 def test_estimates_agree_in_c_and_python(
-    rows: int, columns: int, outcome: int, sequence: int
+    rows: int, columns: int, outcome: int, sequence: int, identity: int
 ) -> None:
-    settings = Settings(rows, columns, 20, 1, 40, 1_000_000)
+    settings = Settings(rows, columns, 20, 1, 40, 1_000_000, 0, 0, identity)
     change = np.linspace(-27.5, 20.25, rows * columns, dtype=np.float32).reshape(rows, columns)
-    room = ctypes.create_string_buffer(9 + 4 * change.size)
+    room = ctypes.create_string_buffer(11 + 4 * change.size)
     c().lampest_estimate_header(
         ctypes.byref(settings), ctypes.c_uint32(sequence), ctypes.c_uint8(outcome), room
     )
     for number, value in enumerate(change.ravel()):
-        c().lampest_put_f32(ctypes.byref(room, 9 + 4 * number), ctypes.c_float(value))
-    assert room.raw == estimate_body(Estimate(outcome, sequence, change))
+        c().lampest_put_f32(ctypes.byref(room, 11 + 4 * number), ctypes.c_float(value))
+    assert room.raw == estimate_body(Estimate(outcome, sequence, change, identity))
     assert len(sent_by_c(room.raw)) - 2 <= protocol.MAX_STUFFED
 
 
@@ -286,9 +293,9 @@ def test_a_board_answers_or_refuses_every_command_and_refuses_most_while_running
         assert answers == (Answer(kind, 9, result, stored),)
     settings = c().lampest_start_settings()
     for body, result in (
-        ([1, 99, 7, 0, 0, 0, 0], Result.REFUSED_UNKNOWN),
-        ([1, Kind.START, 7], Result.REFUSED_UNKNOWN),
-        ([2, Kind.START, 7, 0, 0, 0, 0], Result.REFUSED_VERSION),
+        ([2, 99, 7, 0, 0, 0, 0], Result.REFUSED_UNKNOWN),
+        ([2, Kind.START, 7], Result.REFUSED_UNKNOWN),
+        ([1, Kind.START, 7, 0, 0, 0, 0], Result.REFUSED_VERSION),
     ):
         (answer,) = answered_by_c(settings, message(bytes(body)))
         assert (

@@ -329,6 +329,25 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
     assert samples[-1].time == pytest.approx(29.99, rel=0.01)
 
 
+@pytest.mark.parametrize("first", [7, 9])
+def test_frames_of_another_board_on_the_line_are_left_out_and_said(
+    tmp_path: Path, first: int
+) -> None:
+    """Two boards whose numbers and clocks go in step; of each frame either may come first."""
+
+    def both(hello: Hello) -> Sent:
+        for number in itertools.count():
+            yield 0.01, wire(hello, number, identity=first)
+            yield 0.0, wire(hello, number, identity=16 - first)
+
+    with wild_board(both, identity=7) as board:
+        summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=40)
+    recording = Recording.load(tmp_path / "r.h5")
+    assert np.all(recording.raw_sums == 707) and (summary.frames, summary.lost) == (40, 0)
+    assert recording.acquisition.sequence.tolist() == list(range(40))
+    assert summary.other_board and "another board" in recording.acquisition.event_label
+
+
 @pytest.mark.parametrize("step_s", [-86_400.0, -3600.0, 3600.0, 86_400.0])
 @pytest.mark.parametrize(
     "frames",

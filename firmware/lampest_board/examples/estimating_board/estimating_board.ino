@@ -44,6 +44,7 @@ static void start() {
 static void obey(uint8_t length) {
     uint8_t answer[LAMPEST_HELLO_BYTES + LAMPEST_HELLO_WIRING_BYTES + LAMPEST_CRC_BYTES];
     const bool ran = settings.running;
+    if (!ran && length > 1 && inbox.bytes[1] == LAMPEST_START) settings.identity = portable_identity();
     settings.estimates = settings.rows == PANEL_ROWS && settings.columns == PANEL_COLUMNS &&
                          settings.readings == PANEL_READINGS;
     const uint8_t bytes = lampest_command(&settings, inbox.bytes, length, answer);
