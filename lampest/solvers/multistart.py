@@ -135,14 +135,17 @@ def best_solution(
 
 
 def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Yield the starts of a frame, endless where their number is requested."""
+    """Yield the starts of a frame.
+
+    They are endless where their number is requested, and with losses that are not convex.
+    """
     cost = solver.cost
-    if cost.convex_losses:
-        yield from starts(cost, data, previous)
-    else:
-        first = next(starts(cost, data, previous))
+    usual = starts(cost, data, previous)
+    if not cost.convex_losses:
+        first = next(usual)
         yield first
         yield from relaxed_starts(solver.continued(None), evaluated(cost, data, first))
+    yield from usual
     if solver.settings.starts is not None:
         yield from scattered(data)
 
