@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
@@ -21,7 +22,6 @@ from lampest.estimate.outliers import detect_outliers, frozen_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.variance_components import Scatter, posterior_size, scatter
-from lampest.estimate.warnings import touched
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
@@ -562,7 +562,7 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
         noise = Prepared(recording).noise
         assert (
             noise.estimated["systematic.reading_error"][0] < 5 * ABSENT
-            and not noise.possible_errors.in_sigma > 0.001
+            and not noise.possible_errors.in_sigma > ABSENT
         )
 
 
