@@ -346,8 +346,10 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
         return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    status = Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM
-    return solution_at(at, residual, outcome, Status.MISSED if misses_many(at) else status)
+    if misses_many(at):
+        return solution_at(at, residual, outcome, Status.MISSED)
+    held = bounds_matter(at, gradient, dual)
+    return solution_at(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
 
 
 def misses_many(at: Evaluation) -> bool:
