@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
+from lampest.files.checksums import check_datasets
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
@@ -43,6 +44,7 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
     with hdf5.existing_file(path) as file:
         if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
+        check_datasets(file)
         scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
         group = f"/entry/{group_of(scene.circuit)}"
         signal = scene.circuit.signal

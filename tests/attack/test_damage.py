@@ -142,13 +142,18 @@ def _place(node: h5py.Dataset) -> int:
     return Path(node.file.filename).read_bytes().index(node[()].tobytes(), header)
 
 
-def _long_recording(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
+def _long_recording(
+    path: Path, rng: Rng, shape: tuple[int, int, int], series_ohm: float = 0.0
+) -> Path:
     """A recording of several chunks; smooth readings are packed, noisy ones are not."""
     role = np.ones(shape[0], dtype=np.uint8)
     role[:3] = 0
     values = rng.uniform(500, 5000, shape).round(9 * (shape[1] % 2))
     Recording(
-        Scene(Panel(*shape[1:]), TwoPointReadout()), values, np.arange(float(shape[0])), role
+        Scene(Panel(*shape[1:]), TwoPointReadout(), series_ohm),
+        values,
+        np.arange(float(shape[0])),
+        role,
     ).save(path)
     return path
 
@@ -239,6 +244,38 @@ def test_check_notices_exchanged_and_foreign_datasets(
                 del group["resistance"]
                 foreign.copy("entry/two_point/resistance", group)
         yield called("check", path).refused("datasets were added, removed or exchanged")
+
+
+def test_the_header_of_another_recording_is_refused_by_every_reader(tmp_path: Path) -> None:
+    """A sector of 512 bytes has the scene; a run took that of the other recording."""
+    path, other = (
+        _long_recording(tmp_path / f"{name}.h5", np.random.default_rng(SEED), (20, 3, 4), series)
+        for name, series in (("a", 100.0), ("b", 200.0))
+    )
+    content = path.read_bytes()
+    foreign = other.read_bytes()
+    assert len(content) == len(foreign)
+    refused = 0
+    for first in range(0, 4096, 512):
+        path.write_bytes(content[:first] + foreign[first : first + 512] + content[first + 512 :])
+        try:
+            assert np.all(Recording.load(path).scene.series_ohm == 100.0), first
+        except InputError as error:
+            assert "datasets were added, removed or exchanged" in str(error)
+            assert called("info", path).code == 2
+            refused += 1
+    assert refused
+
+
+def test_the_documented_edit_of_values_leaves_a_file_that_check_accepts(tmp_path: Path) -> None:
+    path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
+    with h5py.File(path, "r+") as file:
+        dataset = file["entry/two_point/resistance"]
+        dataset[0, 0, 0] = 1234.5
+        del dataset.attrs[BLOCKS], file.attrs[DATASETS]
+    completed = called("check", path)
+    assert completed.code == 0 and "/entry/two_point/resistance" in completed.out
+    assert Recording.load(path).recorded[0, 0, 0] == 1234.5
 
 
 def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:
