@@ -19,11 +19,11 @@ import lazy_loader
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lampest.apps.film.tare import Tare
     from lampest.cost.terms import Term
     from lampest.estimate.estimator import AutoWeight, Bounds
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
+    from lampest.estimate.objective import Tare
     from lampest.estimate.witness import Verify
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction
@@ -51,10 +51,17 @@ def __getattr__(name: str) -> object:
         return datasets
     if name not in _names:
         raise AttributeError(f"module 'lampest' has no attribute '{name}'")
-    from lampest.files.errors import extra
+    from lampest.files.errors import InputError, extra
 
-    with extra():
-        return _attribute(name)
+    try:
+        with extra():
+            return _attribute(name)
+    except ModuleNotFoundError as error:
+        room, _, rest = (error.name or "").removeprefix("lampest.").partition(".")
+        if room != "apps":
+            raise
+        application = rest.partition(".")[0]
+        raise InputError(f"{name}: the application '{application}' is not installed") from error
 
 
 def reconstruct(

@@ -6,7 +6,6 @@ Editors, type checkers and `lazy_loader` read them from here.
 import collections.abc
 import typing
 
-from .apps.film.tare import Tare as Tare
 from .apps.foreign.arrays import Layout as Layout
 from .apps.foreign.importing import import_file as import_file
 from .cost.losses import Absolute as Absolute
@@ -41,6 +40,7 @@ from .estimate.methods.method import Method as Method
 from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
 from .estimate.model_check import ModelCheck as ModelCheck
+from .estimate.objective import Tare as Tare
 from .estimate.own_program import OwnProgram as OwnProgram
 from .estimate.own_program import OwnSolution as OwnSolution
 from .estimate.own_program import program as program
@@ -61,6 +61,7 @@ from .panel.readouts import LoadedColumnsReadout as LoadedColumnsReadout
 from .panel.readouts import Readout as Readout
 from .panel.readouts import TwoPointReadout as TwoPointReadout
 from .panel.readouts import VirtualGroundReadout as VirtualGroundReadout
+from .panel.readouts.characteristic import Characteristic as Characteristic
 from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.floating import two_point_resistance as two_point_resistance
 from .panel.readouts.lines import SeriesPerLine as SeriesPerLine

@@ -177,6 +177,8 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     high, low = (0.0, readout.supply_volt)[
         :: 1 if getattr(readout, "polarity", "up") == "down" else -1
     ]
+    if has_potentials(readout):
+        return with_potentials(network, readout, low, sensed)
     volt = potentials(network, {"high": high, "low": low})
     if isinstance(readout, VirtualGroundReadout):
         through = [
@@ -185,6 +187,48 @@ def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
         ]
         return per_line(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
     return volt[("load", sensed) if ("load", sensed) in volt else ("s", sensed)]
+
+
+def has_potentials(readout: Any) -> bool:
+    """Whether lines of a circuit end in potentials of their own."""
+    keys = ("idle_volt", "load_volt", "idle_load_volt")
+    return any(getattr(readout, key, None) is not None for key in keys)
+
+
+def with_potentials(network: list[Resistor], readout: Any, low: float, sensed: int) -> float:
+    """Return the voltage of one reading whose line ends have potentials.
+
+    Idle lines that follow the sensed one are at a potential at which the sensed one is, too; it is
+    between the answers to two trials, because the network is linear.
+    """
+    load = low if readout.load_volt is None else readout.load_volt
+    source = getattr(readout, "drive_volt", None)
+    if source is None:
+        source = readout.supply_volt if low == 0 else 0.0
+    held = {
+        "high": source,
+        "low": low,
+        "load end": load,
+        "idle load end": load if readout.idle_load_volt is None else readout.idle_load_volt,
+    }
+
+    def of_idle(idle: float, *, at_line: bool = False) -> float:
+        volt = potentials(network, held | {"idle": idle})
+        line = volt["s", sensed]
+        if at_line:
+            return line
+        if isinstance(readout, VirtualGroundReadout):
+            channel = next(ohm for a, b, ohm in network if a == ("s", sensed) and b == "load end")
+            lines = len([node for node in volt if isinstance(node, tuple) and node[0] == "s"])
+            feedback = per_line(readout.feedback_ohm, lines)[sensed]
+            return feedback * (line - load) / channel
+        return volt.get(("load", sensed), line)
+
+    if readout.idle_volt != "follows":
+        return of_idle(low if readout.idle_volt is None else readout.idle_volt)
+    at_zero = of_idle(0.0, at_line=True)
+    slope = of_idle(1.0, at_line=True) - at_zero
+    return of_idle(at_zero / (1 - slope))
 
 
 def cells_between(matrix: Array) -> list[Resistor]:
@@ -214,11 +258,13 @@ def divider(
     return potentials(network, {"high": readout.supply_volt, "low": 0.0})[tap]
 
 
-def load_of(line: int, channel: float, load: float, input_ohm: float | None) -> list[Resistor]:
+def load_of(
+    line: int, channel: float, load: float, input_ohm: float | None, end: Node = "low"
+) -> list[Resistor]:
     """Channel and load of a sensed line, and the converter's input beside the load."""
     resistors: list[Resistor] = [
         (("s", line), ("load", line), channel),
-        (("load", line), "low", load),
+        (("load", line), end, load),
     ]
     return resistors + ([] if input_ohm is None else [(("load", line), "low", input_ohm)])
 
@@ -229,7 +275,13 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
     They are those while one line is driven and one is sensed.
     """
     lines, sense_lines = (range(count) for count in matrix.shape)
-    if isinstance(readout, DrivenReadout) or getattr(readout, "groups", None) is not None:
+    states = (
+        isinstance(readout, DrivenReadout)
+        or getattr(readout, "groups", None) is not None
+        or getattr(readout, "driven_groups", None) is not None
+        or has_potentials(readout)
+    )
+    if states:
         return network_of_states(matrix, readout, driven, sensed)
     floating = isinstance(readout, LoadedColumnsReadout)
     drive = per_line(readout.drive_ohm, len(lines))
@@ -263,24 +315,42 @@ def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> 
         ),
         count,
     )
+    several = has_potentials(readout)
+    idle_end, load_end, idle_load_end = (
+        ("idle", "load end", "idle load end") if several else ("low",) * 3
+    )
+    driven_groups = getattr(readout, "driven_groups", None)
+    if driven_groups is not None:
+        place = next(list(group).index(driven) for group in driven_groups if driven in group)
+        at_place = {group[place] for group in driven_groups if place < len(group)}
+        idle = tuple(drive[line] if line in at_place else np.inf for line in range(count))
     network = cells_between(matrix)
     network += [
         (
             ("d", line),
-            "high" if line == driven else "low",
+            "high" if line == driven else idle_end,
             (drive if line == driven else idle)[line],
         )
         for line in range(count)
     ]
+    if isinstance(readout, VirtualGroundReadout):
+        channels = per_line(readout.sense_ohm, sense_count)
+        ends = [load_end if line == sensed else idle_load_end for line in range(sense_count)]
+        return [
+            *network,
+            *((("s", line), ends[line], channels[line]) for line in range(sense_count)),
+        ]
     groups = readout.groups or [range(sense_count)]
     turn = next(list(group).index(sensed) for group in groups if sensed in group)
     read = [group[turn] for group in groups if turn < len(group)]
     loads = per_line(readout.load_ohm, sense_count)
     channels = per_line(getattr(readout, "sense_ohm", 0.0), sense_count)
     stays = getattr(readout, "idle_load_ohm", None) is None and readout.groups is None
+    stays = stays and getattr(readout, "sense", "all") == "all"
     for line in range(sense_count):
         if line in read or stays:
-            network += load_of(line, channels[line], loads[line], readout.input_ohm)
+            network += load_of(line, channels[line], loads[line], readout.input_ohm, load_end)
         elif getattr(readout, "idle_load_ohm", None) is not None:
-            network.append((("s", line), "low", per_line(readout.idle_load_ohm, sense_count)[line]))
+            ohm = per_line(readout.idle_load_ohm, sense_count)[line]
+            network.append((("s", line), idle_load_end, ohm))
     return [(first, second, ohm) for first, second, ohm in network if ohm < np.inf]

@@ -12,7 +12,7 @@ from names import names_page
 from sphinx.application import Sphinx
 from typer.cli import get_docs_for_click
 
-from lampest.cli import app as commands
+from lampest.cli.program import app as commands
 from lampest.runs.case import all_columns
 from lampest.solvers.solution import ADVICE
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lampest.apps.studies.commands import run_study
 from lampest.apps.studies.study import Study
 from lampest.cli.screen import WRONG_INPUT, warn
-from lampest.cli.studies import run_study
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_THREAD
 from lampest.files.whole import sparing

@@ -112,7 +112,8 @@ int panel_code(panel_t *panel, double time_s) {
     panel->converted = volt += panel->memory * (panel->converted - volt);
     double steps = volt * (1 << LAMPEST_ADC_BITS) / (LAMPEST_SUPPLY_MILLIVOLT / 1000.0);
     if (panel->noise_lsb > 0) steps += panel->noise_lsb * random_normal(&panel->random_state);
-    int code = (int)floor(steps);
+    /* A converter rounds: its first transition is half a step above zero (data sheet). */
+    int code = (int)floor(steps + 0.5);
     int most = (1 << LAMPEST_ADC_BITS) - 1;
     return code < 0 ? 0 : code > most ? most : code;
 }

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from lampest.files.document import parse_document, plain_content, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
@@ -71,11 +73,29 @@ def with_lines(
     refused = list[str]()
     for line in dict.fromkeys(finding.line for finding in findings if finding.line):
         try:
-            scene = with_line(scene, line)
-            accepted.append(line)
+            changed = with_line(scene, line)
         except InputError as error:
             refused.append(f"{line}: {str(error).partition(': ')[2]}")
+            continue
+        if not same_values(scene, changed):
+            refused.append(
+                f"{line}: recorded values, in {scene.circuit.unit}, would mean something else; "
+                "import the readings again with this line in the scene"
+            )
+            continue
+        scene = changed
+        accepted.append(line)
     return scene, tuple(accepted), tuple(refused)
+
+
+def same_values(scene: Scene, changed: Scene) -> bool:
+    """Return whether recorded values stand for the same voltages in two scenes."""
+    first, second = scene.circuit, changed.circuit
+    if first.unit != second.unit or (scene.readout is None) != (changed.readout is None):
+        return False
+    least, most = first.range_volt
+    volt = np.linspace(least, most, 7)[1:-1]
+    return np.allclose(second.volt_from_recorded(first.recorded_from_volt(volt)), volt)
 
 
 def _fitting(content: dict[str, Any], addition: dict[str, Any]) -> dict[str, Any]:

@@ -167,7 +167,7 @@ class _View:
         circuit = scene.circuit
         exact = circuit.exact_reading(cells, scene.wiring)
         volts = circuit.volt_from_recorded(circuit.to_recorded(exact, scene))
-        return np.asarray(np.clip(volts, 0.0, circuit.full_scale_volt))
+        return np.asarray(np.clip(volts, *circuit.range_volt))
 
     @cached_property
     def usual_ohm(self) -> float:

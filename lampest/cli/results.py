@@ -2,42 +2,21 @@
 
 import dataclasses
 import json
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from lampest.cli import screen
+from lampest.files.applications import applications
 from lampest.files.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from lampest.apps.recognition.detect.answer import Detected
-    from lampest.apps.recognition.detect.pressed import PressedCells
-    from lampest.apps.recognition.detect.visits import Visit
-
-FramesNamed = Annotated[
-    str | None, screen.option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")
-]
-
-
-def _frames(text: str | None) -> range | None:
-    """Return the frames that an option names, or None for all.
-
-    Raises InputError unless it names some.
-    """
-    from lampest.recording.tare import frames_named
-
-    return None if text is None else frames_named(text)
 
 
 def compare(
     results: list[Path],
     csv: screen.Output = None,
     report: screen.Output = None,
-    frames: FramesNamed = None,
+    frames: screen.FramesNamed = None,
     published: bool = False,
 ) -> None:
     """Compare methods over recordings.
@@ -58,13 +37,12 @@ def compare(
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
 
     with screen.progress("recordings") as on_recording:
-        rows = compare_files(results, _frames(frames))
+        rows = compare_files(results, screen.frames_of(frames))
         if csv:
             write_csv(csv, rows)
         if report:
-            from lampest.apps.page.page import write_report
-
-            write_report(results, report, on_recording, _frames(frames))
+            write_report = applications().required("page", "report", "--report")
+            write_report(results, report, on_recording, screen.frames_of(frames))
     blocks = screen_blocks(rows, published=published)
     for block in blocks:
         screen.say(block.title)
@@ -79,7 +57,7 @@ def plot(
     frame: Annotated[int | None, screen.option(min=0)] = None,
     recording: list[str] | None = None,
     estimator: list[str] | None = None,
-    frames: FramesNamed = None,
+    frames: screen.FramesNamed = None,
 ) -> None:
     """Plot contours of every recording side by side, or error bars, or pressures.
 
@@ -104,11 +82,10 @@ def plot(
     chosen: dict[str, Any] = {
         "estimators": tuple(estimator or ()),
         "recordings": tuple(recording or ()),
+        "frames": screen.frames_of(frames),
     }
     with screen.progress("pictures") as shown:
-        files = plot_results(
-            results, out, show, on_picture=shown, frame=frame, frames=_frames(frames), **chosen
-        )
+        files = plot_results(results, out, show, on_picture=shown, frame=frame, **chosen)
     for path in files:
         screen.say(path)
 
@@ -119,7 +96,7 @@ def export(
     out: screen.Output = None,
     recording: str | None = None,
     start: str | None = None,
-    frames: FramesNamed = None,
+    frames: screen.FramesNamed = None,
     estimator: str | None = None,
     within: screen.Amount = None,
     milliseconds: screen.Amount = None,
@@ -156,189 +133,15 @@ def export(
             raise InputError(
                 "--to c takes no --start and no --frames: it exports an estimator, not frames"
             )
-        _export_sketch(results, out, recording, estimator, (within, milliseconds, processor))
+        write_sketch = applications().required("microcontroller", "sketch", "--to c")
+        write_sketch(results, out, recording, estimator, (within, milliseconds, processor))
         return
     if any(value is not None for value in (estimator, within, milliseconds, processor)):
         raise InputError("--estimator, --within, --milliseconds and --processor belong to --to c")
     from lampest.report.export import export_results
 
-    for file in export_results(results, to, out, recording, start, _frames(frames)):
+    for file in export_results(results, to, out, recording, start, screen.frames_of(frames)):
         screen.say(file)
-
-
-def _export_sketch(
-    results: Path,
-    out: Path | None,
-    recording: str | None,
-    estimator: str | None,
-    wishes: tuple[float | None, float | None, str | None],
-) -> None:
-    """Write a sketch for a microcontroller, and print what budgets buy."""
-    from lampest.apps.microcontroller.sketch import Wishes, export_sketch
-    from lampest.apps.microcontroller.trade import table_of
-
-    sketch = export_sketch(results, out, recording, estimator, Wishes(*wishes))
-    for line in sketch.about:
-        screen.say(line)
-    if sketch.table:
-        screen.print_table(table_of(sketch.table))
-    screen.print_notes(sketch.notes)
-    for path in sketch.files:
-        screen.say(path)
-
-
-def detect(
-    files: list[Path],
-    out: screen.Output = None,
-    json_: bool = False,
-    all_: bool = False,
-    patch: screen.Amount = None,
-    threshold: Annotated[float, screen.option(min=0.5, max=1.0)] = 0.9,
-    estimator: str | None = None,
-    frames: FramesNamed = None,
-) -> None:
-    """Detect contacts: since when, where, how large, and whether one sucks.
-
-    The output is one sentence per recording, then events. Writes detections.h5, visits.csv with one
-    row for each visit, visits.png and a timeline of each recording; of results with pressures also
-    pressed.csv with every frame.
-
-    Parameters
-    ----------
-    files
-        Recordings, results files, or folders of recordings.
-    out
-        Output folder. Default: results/<recording>, of several results/visits, or beside the
-        results.
-    json_
-        Print the answers as JSON, and write no files.
-    all_
-        Also print notes and, for results, the frame of the largest force.
-    patch
-        Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.
-    threshold
-        Probability from which something is called a lamprey or a suction cup. Default: 0.9.
-    estimator
-        Estimator whose force and area are printed, such as LSM. Default: the first.
-    """
-    from lampest.apps.recognition.detect.detection import (
-        detect_recording,
-        detect_results,
-        named_apart,
-        recordings_in,
-    )
-    from lampest.apps.recognition.detect.pressed import pressed
-    from lampest.files.hdf5 import format_of
-    from lampest.runs.results import read_results
-
-    sources = recordings_in(files)
-    answers: list[Detected] = []
-    loads: list[PressedCells] = []
-    is_results = [format_of(source).startswith("results/") for source in sources]
-    if estimator is not None and not all(is_results):
-        which = sources[is_results.index(False)]
-        raise InputError(f"{which}: --estimator: a recording has none; name a results file")
-    for source, of_results in zip(sources, is_results, strict=True):
-        with screen.progress("recordings" if of_results else "frames") as on_case:
-            if of_results:
-                results = read_results(source, frames=_frames(frames))
-                answers += detect_results(results, patch, threshold, on_case)
-                loads += pressed(
-                    results.named("estimator", (estimator or results.estimators()[0],))
-                )
-            else:
-                answers.append(detect_recording(source, patch, _frames(frames), threshold, on_case))
-    answers = named_apart(answers)
-    if json_:
-        content = [answer.content() for answer in answers]
-        screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
-    else:
-        if out is None:
-            out = _folder_of_answers(sources, is_results=is_results[0])
-        _tell(answers, loads, out, everything=all_)
-
-
-def _folder_of_answers(sources: "Sequence[Path]", *, is_results: bool) -> Path:
-    """Return the default folder of the answers of some files.
-
-    `is_results` states whether the first file is one of results.
-    """
-    if len(sources) > 1:
-        return Path("results") / "visits"
-    return sources[0].parent if is_results else Path("results") / sources[0].stem
-
-
-def _tell(
-    answers: "Sequence[Detected]",
-    loads: "Sequence[PressedCells]",
-    folder: Path,
-    *,
-    everything: bool,
-) -> None:
-    """Write the files of the answers, and print their sentences and tables."""
-    from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.answer import (
-        FILE,
-        event_table,
-        headline,
-        load_table,
-        write_detections,
-    )
-    from lampest.apps.recognition.detect.pressed import FILE as PRESSED
-    from lampest.apps.recognition.detect.pressed import pressed_table, write_pressed
-    from lampest.files.whole import refuse_inputs
-
-    season = visits.visits_of(answers)
-    files = [folder / FILE, folder / visits.FILE]
-    if loads:
-        files.append(folder / PRESSED)
-    refuse_inputs(files)
-    write_detections(folder / FILE, answers)
-    visits.write_visits(folder / visits.FILE, season)
-    if loads:
-        write_pressed(folder / PRESSED, loads)
-    drawing = find_spec("matplotlib") is not None
-    if drawing:
-        files += _draw(answers, season, folder)
-    several = len(answers) > 1
-    if several:
-        screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
-    for answer in answers:
-        screen.say(f"{answer.recording}: {answer.sentence}" if several else answer.sentence)
-    for answer in answers:
-        screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
-    screen.print_table(event_table(answers))
-    if len(season) > 1:
-        screen.print_table(visits.count_table(answers, season))
-    if everything:
-        screen.print_table(load_table(answers))
-        screen.print_table(pressed_table(loads))
-        for answer in answers:
-            screen.print_notes(f"{answer.recording}: {note}" for note in answer.notes)
-    for path in files:
-        screen.say(path)
-    if not drawing:
-        screen.print_notes(
-            ["no pictures: matplotlib is not installed; pip install 'lampest[plots]' brings it"]
-        )
-
-
-def _draw(answers: "Sequence[Detected]", season: "Sequence[Visit]", folder: Path) -> list[Path]:
-    """Draw the timelines of the answers, and the visits, and return the files."""
-    from lampest.apps.recognition.detect import visits
-    from lampest.apps.recognition.detect.season import plot_season
-    from lampest.apps.recognition.detect.timeline import plot_timelines, timeline_files
-    from lampest.files.whole import refuse_inputs
-
-    files = list(timeline_files(answers, folder))
-    if season:
-        files.append(folder / visits.PICTURE)
-    refuse_inputs(files)
-    with screen.progress("pictures") as on_picture:
-        files = list(plot_timelines(answers, folder, on_picture))
-    if season:
-        files.append(plot_season(folder / visits.PICTURE, season))
-    return files
 
 
 def terms() -> None:
@@ -408,26 +211,16 @@ def check(
     """
     from lampest.report.info import checked_sentence
 
+    if repair:
+        checked_sentence = applications().required("board", "repair", "--repair")
     damaged = 0
     with screen.progress("files") as on_file:
         for number, file in enumerate(files, 1):
             try:
-                screen.say(_repaired(file) if repair else checked_sentence(file))
+                screen.say(checked_sentence(file))
             except InputError as error:
                 screen.warn(error)
                 damaged += 1
             on_file(number, len(files))
     if damaged:
         raise typer.Exit(screen.WRONG_INPUT)
-
-
-def _repaired(file: Path) -> str:
-    from lampest.apps.board.journal import repair
-
-    frames, dropped = repair(file)
-    single = dropped == 1
-    damage = (
-        f"; {dropped} damaged frame{' is' if single else 's are'} dropped and "
-        f"count{'s' if single else ''} as lost"
-    )
-    return f"{frames} frames: {file}{damage if dropped else ''}"

@@ -70,6 +70,19 @@ OVERRIDE_SCENE = "Override an entry of --scene: readout.adc_bits=12. Repeatable.
 AssignToScene = Annotated[list[str] | None, option(OVERRIDE_SCENE, "--set", metavar="PATH=VALUE")]
 
 
+FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
+
+
+def frames_of(text: str | None) -> range | None:
+    """Return the frames that an option names, or None for all.
+
+    Raises InputError unless it names some.
+    """
+    from lampest.recording.tare import frames_named
+
+    return None if text is None else frames_named(text)
+
+
 def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
     """Return the help of a command, and its signature with the help of its options.
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.film.memory import FilmKnown
-from lampest.apps.film.pressure import Pressure, pressure_of
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check import ModelCheck
@@ -16,6 +14,7 @@ from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.warnings import unsolved
+from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
@@ -455,8 +454,8 @@ class Estimates:
         )
 
     @cached_property
-    def film(self) -> FilmKnown | None:
-        """Strengths of the film's memory.
+    def film(self) -> Any:
+        """Strengths of the film's memory, a `FilmKnown` of the application 'film'.
 
         None where the scene names no film, or nothing has error bars. Strengths that the scene
         leaves open are estimated from the frames after a load was taken off.
@@ -465,7 +464,8 @@ class Estimates:
         change_and_deviation = log_change(self)
         if film is None or change_and_deviation is None:
             return None
-        return FilmKnown.specified(film).estimated(*change_and_deviation, self.time)
+        known = applications().required("film", "memory of a film", "film")
+        return known(film).estimated(*change_and_deviation, self.time)
 
     @property
     def misfit(self) -> dict[str, Array]:
@@ -506,12 +506,14 @@ class Estimates:
         return {"pressure": load.pressure} | errors | verdicts
 
     @cached_property
-    def _load(self) -> Pressure | None:
-        """Pressures with errors.
+    def _load(self) -> Any:
+        """Pressures with errors, a `Pressure` of the application 'film'.
 
-        None without error bars, because the uncertainty of r/r0 is then unknown.
+        None without error bars, because the uncertainty of r/r0 is then unknown, and without the
+        application.
         """
-        if self._bars is None:
+        pressure_of = applications().provided("film", "pressures")
+        if self._bars is None or pressure_of is None:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
         ratio = self.cell_resistance / self.baseline_resistance

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from lampest.apps.film.tare import Tare
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
 from lampest.estimate.objective import Bounds as Bounds
-from lampest.estimate.objective import Objective, checked_terms
+from lampest.estimate.objective import Objective, Tare, checked_terms
 from lampest.estimate.witness import Verify
+from lampest.files.applications import applications
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
@@ -67,6 +67,8 @@ class Estimator(Objective):
                 )
         if not isinstance(self.tare, Tare | None):
             raise InputError(f"tare must be Tare(...) or None, not {in_words(self.tare)}")
+        if self.tare is not None:
+            applications().require("film", "tare")
         if self.error_bars not in ("auto", True, False):
             raise InputError(
                 f"error_bars must be 'auto', True or False, not {in_words(self.error_bars)}"

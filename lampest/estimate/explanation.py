@@ -15,7 +15,7 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from lampest.estimate.cells_fit import CellsFit, fitted
+from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.fitted_pair import FittedPair
@@ -23,6 +23,7 @@ from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, Better
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import SIGNIFICANCE
+from lampest.panel.panel import Array
 from lampest.panel.readouts.branches import branch
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
@@ -37,12 +38,17 @@ MAX_CELL_SD = 0.5
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 # Fractions of the channel before that a converter may keep.
 MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
+USUAL_MEMORY = MEMORIES[2]
 # Fractions nearer to the ends of the searched range, half the smallest and twice the largest of
 # MEMORIES, are no finding.
 MIN_MEMORY = MEMORIES[0] / 2 * 1.1
 MAX_MEMORY = MEMORIES[-1] * 1.9
 MEMORY_ACCURACY = 0.03  # of the search about the best one, as a share of it
 SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
+SAME_SCORE = 1e-3  # scores that differ by less are rounding's
+# Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.
+SAME_COST = SMALL_CHI_SQUARE
+FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +77,7 @@ class Explanation:
         near: "Explanation | None" = None,
         *,
         patient: bool = False,
+        specified: "Explanation | None" = None,
     ) -> "Explanation | None":
         """Return a circuit's explanation of the frames; None where no fit is found.
 
@@ -79,46 +86,85 @@ class Explanation:
         rival : Rival
         frames : ComparedFrames
         near : Explanation or None
-            Explanation by a similar circuit, at whose cells the fits begin.
+            Explanation by a similar circuit: the fits begin at its cells, and `like` applies.
         patient : bool
             Whether the fit is searched for from every start and accepted with any misfit. Otherwise
-            the circuit is given up at the first frame that it does not explain.
+            the fit of the loaded frame begins at the cells of the unloaded panel, and the circuit
+            is given up at the first frame that it does not explain.
+        specified : Explanation or None
+            Explanation by the scene's circuit, for a rival of it. A rival whose score is larger by
+            FAR with the channels and moved cells of that explanation keeps them.
         """
-        fits: list[CellsFit] = []
         with suppress(InputError, *BROKEN):
-            for number, readings in enumerate(frames.readings(rival)):
-                start = None if near is None else near.fits[number].cells
-                fit = fitted(rival.scene, readings, start, patient=patient)
-                # of two panels that read alike the one that continues the unloaded panel is meant
-                if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
-                    fit = fitted(rival.scene, readings, fits[0].cells, patient=patient)
-                if fit is None or (not patient and fit.tail < SIGNIFICANCE):
-                    return None
-                fits.append(fit)
-            pair = FittedPair.of(*fits) if len(fits) == 2 and fits[0].jacobian.size else None
-            explanation = cls(rival, tuple(fits), pair)
+            fits = _fits(rival, frames, near, patient=patient)
+            if not fits:
+                return None
+            pair = None
+            if len(fits) == 2 and fits[0].jacobian.size:
+                pair = FittedPair(fits)
+            explanation = cls(rival, fits, pair)
+            if near is not None:
+                explanation = explanation.like(near)
+            elif specified is not None and rival.order is None:
+                rough = explanation.like(specified)
+                explanation = rough if rough.score > specified.score + FAR else explanation
             return explanation if np.isfinite(explanation.score) else None
         return None
 
-    @cached_property
-    def _costs(self) -> float:
-        """Misfit χ² of each frame, and PARAMETER_COST of each bound.
+    def like(self, near: "Explanation") -> "Explanation":
+        """Return the explanation with the channels and about the moved cells of a similar one.
 
-        Thus no circuit gains by bounds.
+        Its score costs less; see `final`.
         """
-        return sum(
-            fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in self.fits
-        )
+        if self.pair is None or near.pair is None:
+            return self
+        pair = replace(self.pair, known_channels=near.pair.channels, start=near.pair.evidence.moved)
+        return replace(self, pair=pair)
+
+    @cached_property
+    def final(self) -> "Explanation":
+        """The explanation with nothing taken over from a similar one."""
+        if self.pair is None or self.pair.known_channels is None:
+            return self
+        return replace(self, pair=FittedPair(self.pair.frames))
 
     @cached_property
     def score(self) -> float:
         """−2 ln density of the loaded frame, and the costs of parameters."""
-        return 0.0 if self.pair is None else self.pair.density + self._costs
+        return 0.0 if self.pair is None else self.pair.density + _costs(self.fits)
 
     @cached_property
     def beyond_noise(self) -> float:
         """−2 ln evidence of the changes beyond that of noise alone, and the costs of parameters."""
-        return 0.0 if self.pair is None else self.pair.beyond_noise + self._costs
+        return 0.0 if self.pair is None else self.pair.beyond_noise + _costs(self.fits)
+
+
+def _costs(fits: Sequence[CellsFit]) -> float:
+    """Return the misfit χ² of each frame, and PARAMETER_COST of each bound.
+
+    Thus no circuit gains by bounds.
+    """
+    return sum(fit.chi_square + PARAMETER_COST * int(fit.readings.bounds.sum()) for fit in fits)
+
+
+def _fits(
+    rival: Rival, frames: ComparedFrames, near: Explanation | None, *, patient: bool
+) -> tuple[CellsFit, ...]:
+    """Return the fits of the frames, see `Explanation.of`; () where one is not explained."""
+    readings = frames.readings(rival)
+    fits: list[CellsFit] = []
+    for number, frame in enumerate(readings):
+        start = None if near is None else near.fits[number].cells
+        if start is None and fits and not patient:
+            start = fits[0].cells
+        fit = fitted(rival.scene, frame, start, patient=patient)
+        # of two panels that read alike the one that continues the unloaded panel is meant
+        if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
+            fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
+        if fit is None or (not patient and fit.tail < SIGNIFICANCE):
+            return ()
+        fits.append(fit)
+    return tuple(fits)
 
 
 def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
@@ -157,22 +203,34 @@ def _needs_rivals(specified: Explanation) -> bool:
 
 
 def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> list[Explanation]:
-    """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's."""
+    """Return the MAX_CANDIDATES best explanations by rivals, better ones than the scene's.
+
+    Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
+    these inequalities narrower, so that they are asked without one.
+    """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings(), frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
-    explanations = [
-        Explanation.of(rival, frames) or some_in_series(rival, frames)
+    # circuits that only exchange the names of lines have the scene's score within rounding
+    limit = np.inf if specified is None else specified.score - SAME_SCORE
+    rivals = [
+        rival
         for rival in rivals_of(frames.specified, reversed_too=mostly_increases)
+        if not broken_law(_without_series(rival), frames)
     ]
+    explanations = []
+    for rival in rivals:
+        lawful = rival.ohm == 0 or not broken_law(rival, frames)
+        explanation = Explanation.of(rival, frames, specified=specified) if lawful else None
+        explanations.append(explanation or some_in_series(rival, frames, specified=specified))
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
-    threshold = np.inf if specified is None else specified.score
     better = [
         explanation
         for explanation in explanations
-        if explanation is not None and explanation.score < threshold
+        if explanation is not None and explanation.score < limit
     ]
-    return sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
+    best = sorted(better, key=attrgetter("score"))[:MAX_CANDIDATES]
+    return [explanation.final for explanation in best]
 
 
 def _best_candidate(
@@ -196,7 +254,10 @@ def _best_candidate(
         has_memory = candidate.rival.scene.converter_memory != specified_memory
         return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory)
 
-    return min(valid, key=cost, default=None)
+    # of circuits that differ in the names of lines alone, the one that keeps the file's order
+    least = min(map(cost, valid), default=0.0)
+    tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
+    return min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
 
 
 def _compared(
@@ -220,16 +281,31 @@ def _compared(
     return BetterExplanation(best.rival.name, frames.loaded, moved, moved_as_specified)
 
 
-def some_in_series(rival: Rival, frames: ComparedFrames) -> Explanation | None:
-    """Return a circuit's explanation with the best one of SERIES_POINTS resistances in series.
+def some_in_series(
+    rival: Rival,
+    frames: ComparedFrames,
+    near: Explanation | None = None,
+    specified: Explanation | None = None,
+) -> Explanation | None:
+    """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
 
-    None without any.
+    Each fit begins at the cells of the one before. None without any.
     """
     most = most_in_series(rival, frames)
-    points = np.linspace(0.0, most, SERIES_POINTS) if most else ()
-    tried = (replace(rival.with_series(ohm), at_limit=ohm in (0.0, most)) for ohm in points)
-    explanations = (Explanation.of(candidate, frames) for candidate in tried)
-    return min(filter(None, explanations), key=attrgetter("score"), default=None)
+    best = None
+    for ohm in np.linspace(0.0, most, SERIES_POINTS) if most else ():
+        if ohm == rival.ohm:
+            continue
+        tried = replace(rival.with_series(ohm), at_limit=ohm in (0.0, most))
+        if broken_law(tried, frames):  # and with every larger one
+            break
+        explanation = Explanation.of(tried, frames, near, specified=specified)
+        if explanation is None:
+            continue
+        near = explanation
+        if best is None or explanation.score < best.score:
+            best = explanation
+    return best
 
 
 @dataclass(eq=False)
@@ -265,33 +341,43 @@ class _ParameterSearch:
 
 
 def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
-    """Return a circuit's explanation with the most probable or the given resistance in series."""
+    """Return a circuit's explanation with the most probable or the given resistance in series.
+
+    It is searched for about the best of SERIES_POINTS, and about the given one only where a change
+    of it may gain by linear theory.
+    """
     rival = explanation.rival
-    coarse = explanation if rival.in_series is not None else some_in_series(rival, frames)
-    best = min(filter(None, (explanation, coarse)), key=attrgetter("score"))
-    spacing = most_in_series(rival, frames) / (SERIES_POINTS - 1)
-    if not spacing:
-        return best
+    most = most_in_series(rival, frames)
+    if not most:
+        return explanation
+    spacing = most / (SERIES_POINTS - 1)
+    best = explanation
+    if rival.in_series is None:
+        coarse = some_in_series(rival, frames, near=explanation)
+        best = min(filter(None, (explanation, coarse)), key=attrgetter("score"))
+        if best is explanation and not _may_gain(best, _response_to_series(best, spacing)):
+            return explanation
     search = _ParameterSearch(
         lambda ohm: replace(rival.with_series(ohm), at_limit=False), frames, best
     )
     accuracy = SERIES_ACCURACY * spacing
     search.between(max(best.rival.ohm - spacing, 0.0), best.rival.ohm + spacing, accuracy)
-    best = search.best
-    most = (SERIES_POINTS - 1) * spacing
-    at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
+    best = search.best.final
     if best.rival.in_series is None:
         return best
+    at_limit = not 2 * accuracy < best.rival.ohm < most - 2 * accuracy
     return replace(best, rival=replace(best.rival, at_limit=at_limit))
 
 
 def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given converter memory.
 
-    A scene that states a memory keeps it.
+    A scene that states a memory keeps it. It is searched for where it may gain by linear theory.
     """
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
+        return explanation
+    if not _may_gain(explanation, _response_to_memory(explanation, frames)):
         return explanation
     search = _ParameterSearch(rival.with_memory, frames, explanation)
     coarse = min(MEMORIES, key=search.score)
@@ -299,7 +385,50 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
         return explanation
     search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
     fraction = search.best.rival.scene.known_memory or 0.0
-    return search.best if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+    return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+
+
+def _may_gain(explanation: Explanation, response: Array | None) -> bool:
+    """Return whether a parameter may gain what it costs, by linear theory; True where unknown.
+
+    Parameters
+    ----------
+    explanation : Explanation
+    response : array, shape (cells,), or None
+        Change of d by one standard deviation of the parameter.
+    """
+    if explanation.pair is None or response is None:
+        return True
+    pair = explanation.pair
+    return pair.explained(response[:, None]).score < pair.evidence.score - PARAMETER_COST
+
+
+def _response_to_series(explanation: Explanation, ohm: float) -> Array | None:
+    """Return the change of d by a resistance in series, (cells,); None without a pair."""
+    if explanation.pair is None:
+        return None
+    # in series with every driven line, or with either side of lines that are alike
+    rows = explanation.pair.shape[0]
+    driven = getattr(explanation.rival.scene.circuit, "driven", "rows")
+    lines = slice(0, rows) if driven == "rows" else slice(rows, None)
+    return np.asarray(ohm * explanation.pair.channels[:, lines].sum(axis=1))
+
+
+def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Array | None:
+    """Return the change of d by a usual memory of the converter, (cells,); None without a pair."""
+    if explanation.pair is None:
+        return None
+    remembering = frames.readings(explanation.rival.with_memory(USUAL_MEMORY))
+    resting, loaded = (
+        fit.response((readings.value - fit.measured.value)[None])[:, 0]
+        for fit, readings in zip(explanation.fits, remembering, strict=True)
+    )
+    return np.asarray(loaded - resting)
+
+
+def _without_series(rival: Rival) -> Rival:
+    """Return the rival without resistance in series; the same where it has none."""
+    return rival.with_series(0.0) if rival.scene.circuit.series_name else rival
 
 
 def most_in_series(rival: Rival, frames: ComparedFrames) -> float:

@@ -78,25 +78,31 @@ class FittedPair:
     ----------
     frames : tuple of two CellsFit
         The unloaded panel, then the frame.
-    channels : array, shape (cells, lines)
-        Change a of the log cells by one ohm more in each line's channel.
+    known_channels : array, shape (cells, lines), or None
+        `channels` of a similar pair, to be used for this one; None: they are computed.
+    start : boolean array, shape (cells,), or None
+        Moved cells of a similar pair, at which the selection of moved cells begins; None: it begins
+        at the usual starts.
     """
 
     frames: tuple[CellsFit, CellsFit]
-    channels: Array
+    known_channels: Array | None = None
+    start: NDArray[np.bool_] | None = None
 
-    @classmethod
-    def of(cls, resting: CellsFit, frame: CellsFit) -> "FittedPair":
-        """Return the pair of both fits."""
+    @cached_property
+    def channels(self) -> Array:
+        """Change a of the log cells by one ohm more in each line's channel, (cells, lines)."""
+        if self.known_channels is not None:
+            return self.known_channels
         responses = [
             fit.response(
                 fit.scene.circuit.shared_errors(fit.cells, fit.readings.value, fit.scene, 0.0, 1.0)[
                     1:
                 ]
             )
-            for fit in (resting, frame)
+            for fit in self.frames
         ]
-        return cls((resting, frame), responses[1] - responses[0])
+        return np.asarray(responses[1] - responses[0])
 
     @property
     def scale_error(self) -> float | None:
@@ -203,7 +209,8 @@ class FittedPair:
         See `with_columns`.
         """
         changes = self.with_columns(columns)
-        score, moved = changes.selected(usual_starts(self.change))
+        starts = usual_starts(self.change) if self.start is None else [self.start]
+        score, moved = changes.selected(starts)
         mean = np.full(1 + columns.shape[1], np.nan)
         sd = mean
         if not moved.all():
@@ -309,7 +316,11 @@ class FittedPair:
                 return None
             resting = refitted
         loaded_fit = loaded.refitted(loaded.measured, tuple(stepped))
-        return None if loaded_fit is None else replace(self, frames=(resting, loaded_fit))
+        return (
+            None
+            if loaded_fit is None
+            else replace(self, frames=(resting, loaded_fit), known_channels=self.channels)
+        )
 
     def _halved_until_fitted(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
         """Return the pair after the longest of MAX_HALVINGS steps that cells explain; else None."""
@@ -368,10 +379,11 @@ class FittedPair:
         begun = near.refitted(readings, near.effects)
         if begun is None:
             return None
-        settled = replace(self, frames=(self.frames[0], begun)).settled(
+        pair = replace(self, known_channels=self.channels)
+        settled = replace(pair, frames=(self.frames[0], begun)).settled(
             near.effects, constant=False
         )
-        without = replace(self, frames=(self.frames[0], fit))
+        without = replace(pair, frames=(self.frames[0], fit))
         if settled is None or without.evidence.score <= settled.evidence.score:
             return fit
         return settled.frames[1]

@@ -12,13 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.observation import patch_of
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
 from lampest.estimate.explanation import Explanation, better_rival
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import BetterExplanation, CircuitEffects, find_effects
+from lampest.files.applications import applications
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
@@ -245,10 +244,12 @@ class Question(ComparedFrames):
         if last[0] not in self.standing:
             question = replace(self, standing=last)
             latest = frame.refitted(question.readings(self.specified)[1], ())
-            pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
-        search = Detector(patch_of(scene.panel)).search(scene.panel)
+            pairs += [] if latest is None else [(question.loaded, FittedPair((resting, latest)))]
+        lies_on = applications().provided("recognition", "a load on unloaded cells")
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
-        loaded = resting.tail >= SIGNIFICANCE and search.lies_on(intact)
+        loaded = (
+            lies_on is not None and resting.tail >= SIGNIFICANCE and lies_on(scene.panel, intact)
+        )
         return replace(find_effects(pairs, kinds), loaded_at_rest=loaded)
 
 

@@ -11,14 +11,13 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.film.tare import Tare
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term, term_kind
 from lampest.estimate.witness import Verify
 from lampest.files.errors import InputError, in_words
-from lampest.files.typed import Configuration
+from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
@@ -161,6 +160,29 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
             f"{named} needs the term misfit: without it nothing reads what was measured"
         )
     return tuple(terms)
+
+
+@dataclass(frozen=True)
+class Tare(Configuration):
+    """Take zero anew where nothing has touched the panel for a number of successive frames.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames, at least five: fewer do not distinguish noise from a load.
+    drift_per_minute : float
+        Standard deviation of ln r of a cell at rest for each minute since the last zero.
+
+    >>> lampest.Tare().frames
+    20
+    """
+
+    frames: int = 20
+    drift_per_minute: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_range("drift_per_minute", self.drift_per_minute, 0, 1)
+        check_range("frames", self.frames, 5, 100_000)
 
 
 @dataclass(frozen=True)

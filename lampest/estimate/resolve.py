@@ -200,7 +200,7 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
     last = fitted(scene, readings[int(measured[-1])], patient=True)
     if base is None or last is None:
         return noise.undetermined("creep", "no cells explain the unloaded panel and the last frame")
-    evidence = FittedPair.of(base, last).evidence
+    evidence = FittedPair((base, last)).evidence
     if not mostly_still(evidence.moved) or not np.isfinite(evidence.size[0]):
         return noise.undetermined(
             "creep", "the load touches most cells: record a frame with less load at the end"
@@ -341,7 +341,7 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
     if specified(scene, PASSES) == ESTIMATED:
         passes = None
         if PASSES in estimated:
-            passes = passed_range(estimated[PASSES], readout.full_scale_volt)
+            passes = passed_range(estimated[PASSES], readout.range_volt)
         readout = replace(readout, passes_volt=passes)
     own: dict[str, Any] = {key: numbers.get(key) for key in requested if "." not in key}
     return replace(scene, readout=readout, systematic=systematic, estimated=estimated, **own)

@@ -22,7 +22,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, DrivenReadout, Readout
-from lampest.panel.readouts.lines import Side, opposite
+from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
@@ -185,6 +185,8 @@ def _listed_by_columns(specified: Rival, readout: Readout) -> Iterator[Rival]:
     rows, columns = scene.panel.shape
     if not scene.whole or scene.panel.modules is not None or min(rows, columns) == 1:
         return
+    if rows == columns and _sides_alike(scene):
+        return
     order = np.arange(rows * columns).reshape(columns, rows).T.ravel()
     reordered = replace(specified, order=order)
     sigma = None if specified.sigma is None else reordered.ordered(specified.sigma)
@@ -200,6 +202,15 @@ def _listed_by_columns(specified: Rival, readout: Readout) -> Iterator[Rival]:
         yield replace(
             reordered, scene=replace(scene, readout=exchanged, systematic=None), kind=kind
         )
+
+
+def _sides_alike(scene: Scene) -> bool:
+    """Return whether rows and columns may be exchanged: the other order is a relabelling then."""
+    lists = isinstance(scene.series_resistance_ohm, SeriesPerLine)
+    grouped = getattr(scene.readout, "groups", None) is not None
+    return getattr(scene.readout, "driven", None) is None and not (
+        lists or grouped or scene.wiring is not None
+    )
 
 
 def _changed(circuit: Any, **settings: Any) -> Any:
@@ -258,7 +269,8 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
             # mean where one is needed
             shared[name] = float(np.mean(resistor)) if types[name] is float else resistor
     for chosen in product(*words.values()):
-        yield kind(**shared, **dict(zip(words, chosen, strict=True)))
+        with suppress(ValueError):  # potentials of the specified circuit that the kind cannot have
+            yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
 def _resistor_of(specified: Any) -> Any:
@@ -282,6 +294,7 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
         "noise_lsb",
         "floor_code",
         "passes_volt",
+        "converter",
         "drive_ohm",
         "sense_ohm",
     )
@@ -314,7 +327,19 @@ def _kind(circuit: Readout, specified: Readout) -> str:
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
         return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"
+    if type(circuit) is not type(specified):
+        words |= _own_resistor(circuit)
     return ", ".join(f"readout.{name}: {word}" for name, word in words.items())
+
+
+def _own_resistor(circuit: Readout) -> dict[str, object]:
+    """Return the key and the number of a circuit's resistor where it is not the kind's default."""
+    defaults = {field.name: field.default for field in fields(circuit)}
+    for name in RESISTORS:
+        ohm = getattr(circuit, name, None)
+        if isinstance(ohm, float) and ohm != defaults[name]:
+            return {name: f"{ohm:g}"}
+    return {}
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:

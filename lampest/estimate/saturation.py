@@ -136,20 +136,23 @@ def with_saturated_stage(recording: Recording) -> Recording:
     stage = saturated(recording)
     passes = None
     if stage is not None:
-        bounds = (0.0, stage.volt) if stage.highest else (stage.volt, readout.full_scale_volt)
-        passes = passed_range(bounds, readout.full_scale_volt)
+        least, most = readout.range_volt
+        bounds = (least, stage.volt) if stage.highest else (stage.volt, most)
+        passes = passed_range(bounds, readout.range_volt)
     return replace(
         recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes))
     )
 
 
-def passed_range(bounds: tuple[float, float], full_scale: float) -> tuple[float, float] | None:
+def passed_range(
+    bounds: tuple[float, float], converted: tuple[float, float]
+) -> tuple[float, float] | None:
     """Return the part of a range of voltages that is within a converter's, V; None if it is empty.
 
     A stage is found from readings with noise, so that its limit may lie beyond the converter's.
     """
-    low = max(bounds[0], 0.0)
-    high = min(bounds[1], full_scale)
+    low = max(bounds[0], converted[0])
+    high = min(bounds[1], converted[1])
     return (low, high) if low < high else None
 
 

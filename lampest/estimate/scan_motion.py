@@ -207,7 +207,7 @@ def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Ar
         That of the frame, (rows, columns).
     """
     frame = fits[1]
-    changes = FittedPair.of(*fits).with_columns(np.zeros((displaced.value.size, 0)))
+    changes = FittedPair(fits).with_columns(np.zeros((displaced.value.size, 0)))
     moved = frame.response(displaced.value[None])[:, 0]
     weight = displaced.weight.ravel()
     noise = frame.readings.known_sigma.ravel()

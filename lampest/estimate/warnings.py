@@ -1,24 +1,16 @@
 """Warnings about a recording, one plain line each: frames and units, noise, the circuit."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.recognition.observation import ModelErrors
-from lampest.apps.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
-from lampest.apps.recognition.watch_parts import WatchSetup
-from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.module_noise import named_modules
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.rivals import changes_beyond_noise, choices
-from lampest.estimate.variance_components import NO_RIPPLE
+from lampest.files.applications import applications
 from lampest.files.errors import first_and_more
-from lampest.files.process import ONE_BLAS_THREAD
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
+from lampest.recording.recording import TOUCHED, UNEVENLY, UNLOADED, UNREFERENCED, Recording
 
 MIN_CHANNELS = 5  # channels with less load than unloaded; fewer may be single outliers
 # Steps of the converter: a reading closer to a rail is known to 6 % at best.
@@ -27,9 +19,6 @@ MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says "
     "what a module has of its own"
 )
-# Relative standard deviation of a frame's gain that is no sign of a load
-# (tests/oracles/test_noise.py).
-MAX_GAIN = 0.1
 # Above or below the specified noise: more is a wrong unit, not a badly specified converter.
 MAX_NOISE_FACTOR = 10.0
 
@@ -56,33 +45,10 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     # The noise's warnings have the corrections, too.
     of_noise = tuple(line for line in noise.warnings if line != corrections)
     loaded = UNEVENLY if check.loaded_at_rest and not lesser_load else ""
-    if touched(recording):
+    touched = applications().provided("recognition", "a load while unloaded frames were taken")
+    if touched is not None and touched(recording):
         loaded = f"{TOUCHED}, and changes are against their mean: name others with `lampest tare`"
     return tuple(filter(None, (*of_readings, loaded, circuit, corrections, *of_noise)))
-
-
-@ONE_BLAS_THREAD
-def touched(recording: Recording) -> bool:
-    """Return whether a load came or left in the unloaded frames.
-
-    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply.
-    """
-    if recording.scene.panel.modules is not None:
-        return any(touched(module) for module in recording.modules)
-    unloaded = recording.readings()[recording.role == UNLOADED]
-    scene = recording.scene
-    few = len(unloaded.value) < 2
-    large = scene.panel.crossings > MAX_CELLS
-    if scene.readout is None or few or large or noise_factor(unloaded) == 1:
-        return False
-    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
-    setup = replace(
-        WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
-        common=lambda measured: supply.columns(measured[None], baseline=False),
-    )
-    sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
-    values = unloaded.plain_values
-    return Watch.begin(setup, unloaded.mean().value, sigma, values, 0.0).touched(values)
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
@@ -134,7 +100,8 @@ def _unit(recording: Recording, readings: Readings) -> str:
         recorded = np.where(readings.plain, recorded, np.nan)
     # In a wrong unit all readings are near a rail; of an open film all but the loaded ones are.
     volt = circuit.volt_from_recorded(recorded)
-    steps = float(np.nanmax(np.minimum(volt, readout.full_scale_volt - volt))) / readout.lsb_volt
+    least, most = readout.range_volt
+    steps = float(np.nanmax(np.minimum(volt - least, most - volt))) / readout.lsb_volt
     if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.applications import GROUPS, applications
 from lampest.files.document import conformed, schema_of
 from lampest.files.errors import InputError, in_words
 
@@ -224,9 +225,9 @@ def _plain(value: Any, label: str) -> Any:
 
 @cache
 def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
-    """Return the objects of a class that installed packages register, ordered by name.
+    """Return the objects of a class that applications and installed packages add to lampest.
 
-    They are registered in a group of entry points.
+    Packages register them in a group of entry points, and are ordered by name.
 
     Raises InputError if an object cannot be loaded, or is of another class.
     """
@@ -242,7 +243,7 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
         if not isinstance(member, kind):
             raise InputError(f"{named} is no {kind.__name__}")
         objects.append(member)
-    return tuple(objects)
+    return (*(applications().members(group) if group in GROUPS else ()), *objects)
 
 
 def of_kind(kind: str, noun: str, members: Sequence[Kind]) -> Kind:

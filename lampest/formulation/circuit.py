@@ -65,6 +65,8 @@ class Circuit:
         Whether a line's terminal is held at ground.
     read : boolean array, shape (rows, columns)
         Readings that are taken with this state of the lines.
+    ends : array, shape (rows + columns,), or None
+        Potentials in which the lines end, volt; None: at the ground of the circuit.
     """
 
     shape: tuple[int, int]
@@ -75,6 +77,7 @@ class Circuit:
     wire_siemens: Array
     held: NDArray[np.bool_]
     read: NDArray[np.bool_]
+    ends: Array | None = None
 
     @classmethod
     def of_readout(
@@ -84,7 +87,7 @@ class Circuit:
         circuit = cls.of(shape, wiring)
         addresses = readout.addresses(np.ones(shape))
         return tuple(
-            replace(circuit, held=np.isinf(address.ties), read=address.read)
+            replace(circuit, held=np.isinf(address.ties), read=address.read, ends=address.ends)
             for address in addresses
         )
 
@@ -164,6 +167,20 @@ class Circuit:
         return into
 
     @cached_property
+    def held_potentials(self) -> Array:
+        """Given potentials while the lines are at their ends: those of held lines, (nodes, 1)."""
+        assert self.ends is not None
+        volt = np.zeros((self.count, 1))
+        volt[self.terminals[self.held], 0] = self.ends[self.held]
+        return volt
+
+    def end_currents(self, tie: casadi.SX) -> casadi.SX:
+        """Return the currents t·V into the nodes from the ends of lines, (nodes, 1)."""
+        assert self.ends is not None
+        volt = casadi.DM(np.where(self.held, 0.0, self.ends))
+        return casadi.SX(self.at_terminals @ (tie * volt))
+
+    @cached_property
     def incidence(self) -> casadi.DM:
         """B, (nodes, cells): +1 at a cell's node on the row, −1 at its node on the column."""
         return _symbolic(self._cell_incidence)
@@ -204,6 +221,7 @@ class Circuit:
         """Return the voltages of all nodes for each line's excitation, (nodes, lines).
 
         A line that is held at ground is excited by 1 V, any other line by 1 A into its terminal.
+        The voltages while all lines are at their ends follow, if they have potentials.
 
         Parameters
         ----------
@@ -226,7 +244,13 @@ class Circuit:
         )
         lines = np.arange(len(self.terminals))
         volt = self.potentials(lines)
-        into = self.currents(lines) - admittance @ volt
+        currents = self.currents(lines)
+        if self.ends is not None:
+            volt = np.hstack([volt, self.held_potentials])
+            by_ends = np.where(self.held, 0.0, tie * self.ends)
+            into_nodes = np.bincount(self.terminals, by_ends, self.count)
+            currents = np.hstack([currents, into_nodes[:, None]])
+        into = currents - admittance @ volt
         free = self.free
         if not len(free):
             return volt

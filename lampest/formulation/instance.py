@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.patterns import Excitation
+from lampest.formulation.patterns import END_VOLTAGE, Excitation
 from lampest.formulation.program import Program, unit_of
 from lampest.panel.panel import Array
 
@@ -330,4 +330,8 @@ class _FrameValues:
             for circuit, tie in zip(self.circuits, ties, strict=True):
                 response = circuit.voltages(frame, tie)
                 solved.append(self.excitation.voltages(circuit, readout, response))
-        return {name: np.concatenate([part[name] for part in solved]) / scale for name in solved[0]}
+        units = {name: 1.0 if name == END_VOLTAGE else scale for name in solved[0]}
+        return {
+            name: np.concatenate([part[name] for part in solved]) / unit
+            for name, unit in units.items()
+        }

@@ -26,6 +26,7 @@ from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.tied_network import reads_own
 
 Voltages = dict[str, Array]
+END_VOLTAGE = "end_voltage"  # in volt; all others are for unit currents, in V/A
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ class Excitation(ABC):
         """Return the values of `NetworkSymbols.voltages` in a solved network, V/A.
 
         `response`, (nodes, lines), are the voltages of all nodes for a unit current into each
-        terminal.
+        terminal; those by the ends of the lines follow, if they have potentials.
         """
 
 
@@ -146,19 +147,24 @@ class Nodal(Excitation):
             if number >= 0:
                 impedance[:, line] = entries[:, int(number)]
                 impedance[line, :] = impedance[:, line].T
-        return unknowns.network(balance, _reading(circuit, readout, impedance, symbols.scale))
+        at_ends, more = _at_ends(unknowns, circuit, symbols)
+        return unknowns.network(
+            casadi.vertcat(balance, more),
+            _reading(circuit, readout, impedance, symbols.scale, at_ends),
+        )
 
     def voltages(self, circuit: Circuit, readout: Readout, response: Array) -> Voltages:
         """Return the voltages of a solved network; see `Excitation.voltages`."""
         if not circuit.lines_only:
             lines, _ = _patterns(circuit, readout)
-            return {"node_voltage": response[np.ix_(circuit.free, lines)].T.ravel()}
+            voltages = {"node_voltage": response[np.ix_(circuit.free, lines)].T.ravel()}
+            return voltages | _end_voltages(circuit, response)
         driven, far = _sides(circuit.shape)
         half = response[np.ix_(driven, driven)][np.tril_indices(len(driven))]
         voltages = {"driven_voltage": half, "far_voltage": response[np.ix_(far, driven)].T.ravel()}
         if _reads_far(circuit, readout):
             voltages["own_voltage"] = np.diag(response)[far]
-        return voltages
+        return voltages | _end_voltages(circuit, response)
 
 
 def _network_of_lines(
@@ -192,8 +198,10 @@ def _network_of_lines(
     equations = [lower, casadi.vec(balance[far, driven])]
     if reads_far:
         equations.append(casadi.diag(balance)[far])
+    at_ends, more = _at_ends(unknowns, circuit, symbols)
     return unknowns.network(
-        casadi.vertcat(*equations), _reading(circuit, readout, impedance, symbols.scale)
+        casadi.vertcat(*equations, more),
+        _reading(circuit, readout, impedance, symbols.scale, at_ends),
     )
 
 
@@ -226,7 +234,7 @@ class PerPixel(Excitation):
         from_row, balance = _excited(unknowns, "from_row_voltage", circuit, row, symbols)
         own_row, mutual = (_chosen(from_row, line, numbers) for line in (row, column))
         own_column = mutual
-        if reads_own(readout, *circuit.shape)[1]:
+        if _reads_own(circuit, readout)[1]:
             entries, more = _excited(unknowns, "from_column_voltage", circuit, column, symbols)
             own_column = _chosen(entries, column, numbers)
             balance = casadi.vertcat(balance, more)
@@ -235,6 +243,10 @@ class PerPixel(Excitation):
             _unit(circuit, column, column, symbols.scale) * own_column,
             _unit(circuit, row, column, symbols.scale) * mutual,
         ]
+        at_ends, more = _at_ends(unknowns, circuit, symbols)
+        balance = casadi.vertcat(balance, more)
+        if at_ends is not None:
+            entries_of_cells += [at_ends[row.tolist()], at_ends[column.tolist()]]
         reading = readout.reading(*(_grid(circuit, entry) for entry in entries_of_cells))
         return unknowns.network(balance, casadi.vec(casadi.SX(reading).T))
 
@@ -244,9 +256,9 @@ class PerPixel(Excitation):
         if isinstance(readout, TwoPointReadout) and not circuit.held.any():
             return {"pixel_voltage": (response[:, row] - response[:, column]).T.ravel()}
         values = {"from_row_voltage": response[np.ix_(circuit.free, row)].T.ravel()}
-        if reads_own(readout, *circuit.shape)[1]:
+        if _reads_own(circuit, readout)[1]:
             values["from_column_voltage"] = response[np.ix_(circuit.free, column)].T.ravel()
-        return values
+        return values | _end_voltages(circuit, response)
 
 
 EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (Nodal(), PerPixel())}
@@ -270,7 +282,7 @@ def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
     both.
     """
     rows, columns = circuit.shape
-    reads = reads_own(readout, rows, columns)
+    reads = _reads_own(circuit, readout)
     if not any(reads):
         reads = (rows <= columns, rows > columns)
     driven = np.concatenate([np.full(rows, reads[0]), np.full(columns, reads[1])])
@@ -283,7 +295,40 @@ def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
 def _reads_far(circuit: Circuit, readout: Readout) -> bool:
     """Return whether the reading depends on the voltage of a far line under its own current."""
     rows, columns = circuit.shape
-    return reads_own(readout, rows, columns)[0 if rows >= columns else 1]
+    return _reads_own(circuit, readout)[0 if rows >= columns else 1]
+
+
+def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
+    """Return whether readings depend on Z_jj of the rows, and whether on Z_kk of the columns."""
+    return reads_own(readout, *circuit.shape, with_potentials=circuit.ends is not None)
+
+
+def _at_ends(
+    unknowns: _Unknowns, circuit: Circuit, symbols: ConductanceSymbols
+) -> tuple[casadi.SX | None, casadi.SX]:
+    """Return v of all lines, (lines, 1), and the current balance while they are at their ends.
+
+    v is the voltage of a line, or the current that a held line takes; see `DifferenceNetwork`. None
+    and no equation where lines have no potentials.
+    """
+    if circuit.ends is None:
+        return None, casadi.SX(0, 1)
+    # In volt, where all other voltages are for unit currents in the unit of resistances
+    voltage = casadi.SX(casadi.DM(circuit.held_potentials))
+    voltage[circuit.free.tolist(), :] = unknowns.new(END_VOLTAGE, len(circuit.free))
+    out = circuit.balance(symbols, voltage) - circuit.end_currents(symbols.tie)
+    entries = voltage[circuit.terminals.tolist(), :]
+    held = np.flatnonzero(circuit.held)
+    if len(held):
+        entries[held.tolist(), :] = -out[circuit.terminals[held].tolist(), :] / symbols.scale
+    return entries, casadi.vec(out[circuit.free.tolist(), :])
+
+
+def _end_voltages(circuit: Circuit, response: Array) -> Voltages:
+    """Return the values of the voltages by the ends of lines; none without potentials."""
+    if circuit.ends is None:
+        return {}
+    return {END_VOLTAGE: response[circuit.free, -1]}
 
 
 def _excited(
@@ -325,11 +370,16 @@ def _chosen(values: casadi.SX, rows: Numbers, columns: list[int]) -> casadi.SX:
 
 
 def _reading(
-    circuit: Circuit, readout: Readout, impedance: casadi.SX, scale: casadi.SX
+    circuit: Circuit,
+    readout: Readout,
+    impedance: casadi.SX,
+    scale: casadi.SX,
+    at_ends: casadi.SX | None,
 ) -> casadi.SX:
     """Return the readings (cells, 1) from K between the lines.
 
-    K has shape (lines, lines), in units of `scale`.
+    K has shape (lines, lines), in units of `scale`; `at_ends` is v of the lines, (lines, 1), or
+    None without potentials.
     """
     rows, columns = circuit.shape
     own = casadi.diag(impedance)
@@ -346,6 +396,9 @@ def _reading(
         _grid(circuit, _unit(circuit, first, second, scale)) * entry
         for (first, second), entry in zip(pairs, entries, strict=True)
     ]
+    if at_ends is not None:
+        scaled.append(casadi.repmat(at_ends[:rows], 1, columns))
+        scaled.append(casadi.repmat(at_ends[rows:].T, rows, 1))
     return casadi.vec(casadi.SX(readout.reading(*scaled)).T)
 
 

@@ -36,7 +36,11 @@ class AddressedNetwork(Network):
     def of(cls, networks: tuple[Network, ...], read_at: Array) -> "AddressedNetwork":
         """Return the network of all addresses."""
         impedance = np.stack([network._impedance for network in networks])
-        return cls(networks[0].cell_resistance, impedance, networks, read_at)
+        sources = None
+        each = [network.sources for network in networks if network.sources is not None]
+        if each:
+            sources = np.stack(each)
+        return cls(networks[0].cell_resistance, impedance, networks, read_at, sources=sources)
 
     def _selected(self, values: Sequence[Array]) -> Array:
         """Return the readings (rows, columns, …) of each address from those of all networks."""
@@ -55,12 +59,12 @@ class AddressedNetwork(Network):
 
     @property
     def slopes(self) -> Entries:
-        """First derivatives (h_p, h_q, h_t) of each reading at its address.
+        """First derivatives of h of each reading at its address.
 
         Shape (rows, columns) each.
         """
-        row, column, mutual = zip(*(network.slopes for network in self.networks), strict=True)
-        return self._selected(row), self._selected(column), self._selected(mutual)
+        slopes = zip(*(network.slopes for network in self.networks), strict=True)
+        return tuple(self._selected(of_entry) for of_entry in slopes)
 
     def forward(self, step: Array) -> Array:
         return self._selected([network.forward(step) for network in self.networks])

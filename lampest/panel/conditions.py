@@ -6,7 +6,12 @@ experiment.
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from lampest.files.typed import Configuration, check_positive_fields, check_range, check_ranges
+from lampest.panel.panel import Array, Panel
+
+GRAVITY = 9.81  # m/s²
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,17 @@ class Water(Configuration):
 
     def __post_init__(self) -> None:
         check_range("top_row_depth_mm", self.top_row_depth_mm, 0, 1.1e7)
+
+
+def water_pressure(panel: Panel, water: Water | None) -> Array:
+    """Return the water's pressure p_w = ρ g (depth + y) of cells at y, (rows, columns) kPa.
+
+    0 without water.
+    """
+    if water is None:
+        return np.zeros(panel.shape)
+    kpa_per_mm = 1e-6 * 1000 * GRAVITY
+    return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import bipartite, laplacian, line_sums
+from lampest.panel.kirchhoff import laplacian, line_sums
 from lampest.panel.network import Entries, Loading, Network, SecondOrder, loading_of
 from lampest.panel.panel import Array
 from lampest.panel.tied_network import ReadCircuit, TiedNetwork
@@ -81,7 +81,7 @@ class DifferenceNetwork(TiedNetwork):
     def drawn(self, loading: Loading) -> Array:
         """Return diag(Dᵀ W D), (rows, columns)."""
         differences = self.potential_differences
-        drawn = np.sum(differences * bipartite(*loading, differences), axis=0)
+        drawn = np.sum(differences * self.loaded(loading, differences), axis=0)
         return np.asarray(drawn.reshape(self.conductance.shape))
 
     def _own_differences(self) -> tuple[Array, Array]:
@@ -89,6 +89,12 @@ class DifferenceNetwork(TiedNetwork):
         row, column = np.indices((rows, columns))
         differences = self.potential_differences.reshape(-1, rows, columns)
         return differences[row, row, column], differences[rows + column, row, column]
+
+    @cached_property
+    def source_differences(self) -> Array:
+        """Difference across every cell by the sources, (rows, columns)."""
+        assert self.sources is not None
+        return np.asarray(self.sources @ self.potential_differences).reshape(self.conductance.shape)
 
     @cached_property
     def transfer(self) -> Array:
@@ -121,7 +127,7 @@ class DifferenceSecondOrder(SecondOrder):
         change = self.network.changes(step)
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
-        loaded = bipartite(*self.loading, differences)
+        loaded = network.loaded(self.loading, differences)
         by_potentials = 2 * np.sum(moved * loaded, axis=0).reshape(step.shape)
         by_slopes = network.drawn(loading_of(*self.change_of_slopes(change)))
         return network.read_change(change), network.conductance * (by_potentials + by_slopes)
@@ -130,7 +136,7 @@ class DifferenceSecondOrder(SecondOrder):
     def _between(self) -> Array:
         """Dᵀ W D, (cells, cells)."""
         differences = self.network.potential_differences
-        return np.asarray(differences.T @ bipartite(*self.loading, differences))
+        return np.asarray(differences.T @ self.network.loaded(self.loading, differences))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,13 +144,19 @@ class HeldNetwork(DifferenceNetwork):
     """Network of which some lines are held at ground; see `DifferenceNetwork`."""
 
     @classmethod
-    def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit) -> "HeldNetwork":
+    def solve(
+        cls,
+        cell_resistance: Array,
+        ties: Array,
+        readout: ReadCircuit,
+        sources: Array | None = None,
+    ) -> "HeldNetwork":
         """Return the solved network of cells (rows, columns) ohm.
 
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         entries, potentials = excitations(laplacian(1 / cell_resistance), ties)
-        return cls(cell_resistance, entries, readout, ties, potentials)
+        return cls(cell_resistance, entries, readout, ties, potentials, sources=sources)
 
     @cached_property
     def potential_differences(self) -> Array:

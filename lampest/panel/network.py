@@ -5,10 +5,15 @@ A readout defines the ties t of the lines to ground (siemens) and the readings y
 Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights w of the
 readings, d(Σ w y) = tr(W dZ) with
 W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
+
+Where idle lines end in potentials, x is the excitation of all lines by them, and a reading depends
+on v = Z·x, too: y = h(p, q, t, e, f) with e = v_j and f = v_k. As v is linear in Z, nothing new
+enters the derivatives: with w_v the weights of v, W becomes W + ½(x w_vᵀ + w_v xᵀ).
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,9 +23,28 @@ from lampest.panel.kirchhoff import bipartite, injected, line_sums
 from lampest.panel.line_blocks import LineBlocks
 from lampest.panel.panel import Array
 
+ENTRY_NAMES = "pqtef"
 Numbers = NDArray[np.intp]
-Entries = tuple[Array, Array, Array]  # values for (p, q, t), to be broadcast to (…, rows, columns)
-Loading = tuple[Array, Array]  # W's diagonal (…, lines) and its block between rows and columns
+# Values for (p, q, t), or (p, q, t, e, f), to be broadcast to (…, rows, columns)
+Entries = tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Loading:
+    """Matrix W of weights of the readings; see the module.
+
+    Attributes
+    ----------
+    diagonal : array, shape (…, lines)
+    between : array, shape (…, rows, columns)
+        Block between rows and columns.
+    of_potentials : array, shape (lines,), or None
+        w_v, where lines end in potentials.
+    """
+
+    diagonal: Array
+    between: Array
+    of_potentials: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +78,13 @@ class Network(ABC):
     ----------
     cell_resistance : array, shape (rows, columns)
         Cells r in ohm.
+    sources : array, shape (lines,), or None
+        Excitation x of the lines by the potentials in which idle lines end; None without any.
     """
 
     cell_resistance: Array
     _impedance: Array
+    sources: Array | None = field(default=None, kw_only=True)
 
     @cached_property
     def conductance(self) -> Array:
@@ -76,12 +103,12 @@ class Network(ABC):
 
     @abstractmethod
     def read(self, entries: Entries) -> Array:
-        """Return h(p, q, t), (rows, columns)."""
+        """Return h(p, q, t), or h(p, q, t, e, f), (rows, columns)."""
 
     @property
     @abstractmethod
     def slopes(self) -> Entries:
-        """First derivatives (h_p, h_q, h_t)."""
+        """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
 
     @property
     def curvatures(self) -> dict[str, Array]:
@@ -94,10 +121,10 @@ class Network(ABC):
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
-        row, column, mutual = (
+        row, column, *others = (
             slope * part for slope, part in zip(self.slopes, change, strict=True)
         )
-        return np.asarray(row + column + mutual)
+        return np.asarray(sum(others, row + column))
 
     def forward(self, step: Array) -> Array:
         """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns).
@@ -126,8 +153,27 @@ class Network(ABC):
     def drawn(self, loading: Loading) -> Array:
         """Return bᵀ(Z W Z)b of every cell, (rows, columns)."""
         return across(
-            self.entries_of_product(self._impedance, bipartite(*loading, self._impedance))
+            self.entries_of_product(
+                self._impedance, self.loaded(loading, self._impedance), with_sources=False
+            )
         )
+
+    def loaded(self, loading: Loading, values: Array) -> Array:
+        """Return W·V, (…, lines, patterns), for values V of the same shape."""
+        product = bipartite(loading.diagonal, loading.between, values)
+        if loading.of_potentials is not None:
+            # ½ (x w_vᵀ + w_v xᵀ)
+            assert self.sources is not None
+            product = product + 0.5 * np.outer(self.sources, loading.of_potentials @ values)
+            product = product + 0.5 * np.outer(loading.of_potentials, self.sources @ values)
+        return product
+
+    @cached_property
+    def source_differences(self) -> Array:
+        """Difference of v = Z·x across every cell, (rows, columns)."""
+        assert self.sources is not None
+        potentials = self._impedance @ self.sources
+        return np.asarray(potentials[: self.rows, None] - potentials[None, self.rows :])
 
     @cached_property
     def potential_differences(self) -> Array:
@@ -140,30 +186,46 @@ class Network(ABC):
     def entry_responses(self) -> Entries:
         """Return g_c·(D_jc², D_kc², D_jc·D_kc).
 
-        Their shapes are (rows, cells), (columns, cells), (rows, columns, cells).
+        Their shapes are (rows, cells), (columns, cells), (rows, columns, cells). With potentials
+        g_c·(D_jc·D_vc, D_kc·D_vc) follow, (rows, cells), (columns, cells), with D_v the
+        differences of v.
         """
         row, column = np.split(self.potential_differences, [self.rows])
         conductance = self.conductance.ravel()
-        return row**2 * conductance, column**2 * conductance, row[:, None] * (column * conductance)
+        responses = (
+            row**2 * conductance,
+            column**2 * conductance,
+            row[:, None] * (column * conductance),
+        )
+        if self.sources is None:
+            return responses
+        by_sources = self.source_differences.ravel() * conductance
+        return *responses, row * by_sources, column * by_sources
 
     def sensitivity(self) -> Array:
         """Return J, (readings, cells)."""
         # ∂y_jk/∂u_c = h_p·g_c D_jc² + h_q·g_c D_kc² + h_t·g_c D_jc D_kc
-        row, column, mutual = self.entry_responses()
-        of_row, of_column, of_mutual = (slope[:, :, None] for slope in self.slopes)
+        row, column, mutual, *by_sources = self.entry_responses()
+        of_row, of_column, of_mutual, *of_sources = (slope[:, :, None] for slope in self.slopes)
         response: Array = of_mutual * mutual
         response += of_row * row[:, None]
         response += of_column * column[None]
+        if by_sources:
+            response += of_sources[0] * by_sources[0][:, None]
+            response += of_sources[1] * by_sources[1][None]
         return response.reshape(-1, response.shape[-1])
 
     def own_response(self) -> Array:
         """Return the diagonal of J, (rows, columns): the response of each cell's own reading."""
         row, column = self._own_differences()
-        return np.asarray(self.conductance * self.read_change((row**2, column**2, row * column)))
+        change: Entries = (row**2, column**2, row * column)
+        if self.sources is not None:
+            change = (*change, row * self.source_differences, column * self.source_differences)
+        return np.asarray(self.conductance * self.read_change(change))
 
     def _own_differences(self) -> tuple[Array, Array]:
         """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
-        row, column, mutual = self.entries(self._impedance)
+        row, column, mutual, *_ = self.entries(self._impedance)
         return row - mutual, mutual - column
 
     def second_order(self, weights: Array) -> "SecondOrder":
@@ -214,12 +276,28 @@ class Network(ABC):
         return float(np.abs(line_sums(self.conductance) * driving_point).sum(axis=-1).max())
 
     def entries(self, matrix: Array) -> Entries:
-        """Return (K_jj, K_kk, K_jk) of K (…, lines, lines)."""
+        """Return (K_jj, K_kk, K_jk) of K (…, lines, lines), with sources also both parts of K·x."""
         diagonal = matrix.diagonal(axis1=-2, axis2=-1)
         rows = self.rows
-        return diagonal[..., :rows, None], diagonal[..., None, rows:], matrix[..., :rows, rows:]
+        entries = (
+            diagonal[..., :rows, None],
+            diagonal[..., None, rows:],
+            matrix[..., :rows, rows:],
+        )
+        return self._with_potentials(entries, lambda sources: matrix @ sources)
 
-    def entries_of_product(self, left: Array, right: Array, *, symmetric: bool = True) -> Entries:
+    def _with_potentials(
+        self, entries: Entries, product: Callable[[Array], Array], *, wanted: bool = True
+    ) -> Entries:
+        """Return entries followed by both parts of a product with the sources, if there are any."""
+        if self.sources is None or not wanted:
+            return entries
+        potentials = product(self.sources[..., None])[..., 0]
+        return *entries, potentials[..., : self.rows, None], potentials[..., None, self.rows :]
+
+    def entries_of_product(
+        self, left: Array, right: Array, *, symmetric: bool = True, with_sources: bool = True
+    ) -> Entries:
         """Return the entries of ½(P + Pᵀ), P = left·right, without its other products.
 
         They are fewer if P is symmetric.
@@ -229,7 +307,10 @@ class Network(ABC):
         mutual = left[..., :rows, :] @ right[..., rows:]
         if not symmetric:
             mutual = (mutual + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)) / 2
-        return diagonal[..., :rows, None], diagonal[..., None, rows:], mutual
+        entries = (diagonal[..., :rows, None], diagonal[..., None, rows:], mutual)
+        return self._with_potentials(
+            entries, lambda sources: left @ (right @ sources), wanted=with_sources
+        )
 
     @cached_property
     def transfer(self) -> Array:
@@ -269,7 +350,7 @@ class SecondOrder:
     def _twice(self) -> Array:
         """K = Z W Z (lines, lines)."""
         impedance = self.network._impedance
-        return impedance @ bipartite(*self.loading, impedance)
+        return impedance @ self.network.loaded(self.loading, impedance)
 
     def adjoint(self) -> Array:
         """Return Jᵀ·w = g·bᵀ K b, (rows, columns), from the K that H needs."""
@@ -284,15 +365,17 @@ class SecondOrder:
         network = self.network
         currents = injected(step / network.cell_resistance, network._impedance)
         change = network.entries_of_product(network._impedance, currents)
-        second = 2 * across(network.entries_of_product(self._twice, currents, symmetric=False))
+        second = 2 * across(
+            network.entries_of_product(self._twice, currents, symmetric=False, with_sources=False)
+        )
         if network.curvatures:
             second = second + network.drawn(loading_of(*self.change_of_slopes(change)))
         return network.read_change(change), second / network.cell_resistance
 
     def change_of_slopes(self, change: Entries) -> list[Array]:
-        """Return w·(h_pp dp + h_pq dq + h_pt dt), and the same of h_q and h_t.
+        """Return w·(h_pp dp + h_pq dq + …), and the same of h_q and all others.
 
-        They are those for changes (…) of (p, q, t).
+        They are those for changes (…) of the entries.
         """
         changes: list[Array] = [
             np.zeros(np.broadcast_shapes(*(part.shape for part in change))) for _ in change
@@ -300,7 +383,7 @@ class SecondOrder:
         for name, curvature in self.network.curvatures.items():
             weighted = self.weights * curvature
             weighted = weighted.reshape(*weighted.shape, *(1,) * (changes[0].ndim - 2))
-            pair = ["pqt".index(entry) for entry in name]
+            pair = [ENTRY_NAMES.index(entry) for entry in name]
             for of, by in {(pair[0], pair[1]), (pair[1], pair[0])}:
                 changes[of] += weighted * change[by]
         return changes
@@ -313,12 +396,15 @@ class SecondOrder:
         matrix *= conductance[..., None, :]
         if self.network.curvatures:
             # Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i
-            row, column, mutual = self.network.entry_responses()
-            by_row, by_column, by_mutual = self.change_of_slopes(
-                (row[:, None], column[None], mutual)
-            )
+            row, column, mutual, *of_sources = self.network.entry_responses()
+            changes: Entries = (row[:, None], column[None], mutual)
+            if of_sources:
+                changes = (*changes, of_sources[0][:, None], of_sources[1][None])
+            by_row, by_column, by_mutual, *by_sources = self.change_of_slopes(changes)
             matrix += row.T @ by_row.sum(axis=1) + column.T @ by_column.sum(axis=0)
             matrix += mutual.reshape(-1, len(matrix)).T @ by_mutual.reshape(-1, len(matrix))
+            for axis, (part, by_part) in enumerate(zip(of_sources, by_sources, strict=True)):
+                matrix += part.T @ by_part.sum(axis=1 - axis)
         return matrix
 
     @property
@@ -329,10 +415,18 @@ class SecondOrder:
 
 def across(entries: Entries) -> Array:
     """Return bᵀ K b = K_jj + K_kk − 2 K_jk of every cell, (…, rows, columns)."""
-    row, column, mutual = entries
+    row, column, mutual, *_ = entries
     return np.asarray(row + column - 2 * mutual)
 
 
-def loading_of(row: Array, column: Array, mutual: Array) -> Loading:
-    """Return W from weights of Z_jj, Z_kk and Z_jk, each (…, rows, columns)."""
-    return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1), mutual / 2
+def loading_of(row: Array, column: Array, mutual: Array, *of_sources: Array) -> Loading:
+    """Return W from weights of Z_jj, Z_kk and Z_jk, each (…, rows, columns).
+
+    With potentials those of v_j and v_k follow.
+    """
+    return Loading(_sums(row, column), mutual / 2, _sums(*of_sources) if of_sources else None)
+
+
+def _sums(row: Array, column: Array) -> Array:
+    """Return the sums of weights of rows, and of columns, over the readings of every line."""
+    return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1)

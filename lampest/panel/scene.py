@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.applications import applications
 from lampest.files.typed import Configuration
 from lampest.panel.conditions import Experiment, MeasuredSubject, Temperature, Water
 from lampest.panel.faults import Faults
@@ -146,6 +147,8 @@ class Scene(Configuration):
     estimated: dict[str, tuple[float, float]] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
+        if self.film is not None:
+            applications().require("film", "film")
         if self.faults is not None:
             self.faults.check(self.panel)
         if self.response is not None:

@@ -178,10 +178,11 @@ def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Arra
     circuit = scene.circuit
     volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
     height = size * circuit.lsb_volt * np.sqrt(2 / SINES)
+    least, most = circuit.range_volt
     # √(2/SINES)·size·LSB·sin(π k V/V_full), k = 1, …, SINES: the mean square of the sum over the
     # range is size²·LSB²
     waves = height * np.sin(
-        np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt)
+        np.pi * np.multiply.outer(np.arange(SINES) + 1, (volt - least) / (most - least))
     )
     above = circuit.from_recorded(circuit.recorded_from_volt(volt + 0.5 * waves), scene)
     below = circuit.from_recorded(circuit.recorded_from_volt(volt - 0.5 * waves), scene)

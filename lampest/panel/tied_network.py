@@ -6,25 +6,32 @@ CasADi differentiates h: once for each equation and panel size, for readings of 
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
+from itertools import combinations_with_replacement
 from typing import Any, Protocol
 
 import numpy as np
 
 from lampest.panel.compiled import Compiled, guarded
-from lampest.panel.network import Entries, Network
+from lampest.panel.network import ENTRY_NAMES, Entries, Network
 from lampest.panel.panel import Array
 
 
 class ReadCircuit(Hashable, Protocol):
     """Interface of a readout for a network; see `lampest.panel.readouts.readout.Readout`."""
 
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """Return h(Z_jj, Z_kk, Z_jk)."""
+    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
+        """Return h(Z_jj, Z_kk, Z_jk), or h(Z_jj, Z_kk, Z_jk, v_j, v_k) with potentials."""
 
 
-# First and second derivatives of h(p, q, t), p = Z_jj, q = Z_kk, t = Z_jk.
-SLOPES = ("p", "q", "t")
-CURVATURES = ("pp", "pq", "pt", "qq", "qt", "tt")
+def slope_names(*, with_potentials: bool) -> tuple[str, ...]:
+    """Return the names of the entries of which h is a function; see `ENTRY_NAMES`."""
+    return tuple(ENTRY_NAMES if with_potentials else ENTRY_NAMES[:3])
+
+
+def curvature_names(*, with_potentials: bool) -> tuple[str, ...]:
+    """Return the names of the second derivatives of h: 'pp', 'pq', and so on."""
+    names = slope_names(with_potentials=with_potentials)
+    return tuple(map("".join, combinations_with_replacement(names, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +53,17 @@ class TiedNetwork(Network):
         """Return derivatives of h, (names, rows, columns)."""
         shape = self.conductance.shape
         entries = (np.broadcast_to(part, shape).ravel() for part in self.entries(self._impedance))
-        return equation_derivatives(self.readout, *shape, names)(*entries).reshape(-1, *shape)
+        derivatives = equation_derivatives(self.readout, *shape, names)
+        return derivatives(*entries).reshape(-1, *shape)
 
     @cached_property
     def slopes(self) -> Entries:
-        row, column, mutual = self._derivatives(SLOPES)
-        return row, column, mutual
+        return tuple(self._derivatives(slope_names(with_potentials=self.sources is not None)))
 
     @cached_property
     def curvatures(self) -> dict[str, Array]:
-        values = zip(CURVATURES, self._derivatives(CURVATURES), strict=True)
+        names = curvature_names(with_potentials=self.sources is not None)
+        values = zip(names, self._derivatives(names), strict=True)
         return {name: derivative for name, derivative in values if derivative.any()}
 
 
@@ -64,14 +72,15 @@ class TiedNetwork(Network):
 def equation_derivatives(
     readout: ReadCircuit, rows: int, columns: int, names: tuple[str, ...]
 ) -> Compiled:
-    """Return the function of p, q and t with the named derivatives of h, flat.
+    """Return the function of the entries with the named derivatives of h, flat.
 
-    p, q and t are flat, (rows · columns) each.
+    The entries are flat, (rows · columns) each.
     """
     import casadi
 
     # Expressions of whole arrays: their number does not grow with the panel.
-    flat = {name: casadi.MX.sym(name, rows * columns) for name in SLOPES}
+    entries = slope_names(with_potentials=bool(set("".join(names)) & set(ENTRY_NAMES[3:])))
+    flat = {name: casadi.MX.sym(name, rows * columns) for name in entries}
     reading = readout.reading(*(casadi.reshape(entry, columns, rows).T for entry in flat.values()))
     every = casadi.DM.ones(rows * columns)
 
@@ -93,13 +102,16 @@ def equation_derivatives(
 
 @guarded
 @lru_cache(maxsize=64)
-def reads_own(readout: ReadCircuit, rows: int, columns: int) -> tuple[bool, bool]:
+def reads_own(
+    readout: ReadCircuit, rows: int, columns: int, *, with_potentials: bool = False
+) -> tuple[bool, bool]:
     """Return whether the reading depends on the rows' Z_jj, and whether on the columns' Z_kk.
 
     Z_jj and Z_kk are impedances.
     """
     import casadi
 
-    row, column, mutual = (casadi.MX.sym(name, rows, columns) for name in SLOPES)
-    reading = readout.reading(row, column, mutual)
+    names = slope_names(with_potentials=with_potentials)
+    row, column, *others = (casadi.MX.sym(name, rows, columns) for name in names)
+    reading = readout.reading(row, column, *others)
     return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))

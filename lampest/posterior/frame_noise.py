@@ -65,7 +65,8 @@ class FrameNoise:
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
         changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
         # Changes stay within half of the distance to the ends of the converter's range.
-        most = 0.5 * np.minimum(volt, circuit.full_scale_volt - volt)
+        lower, upper = circuit.range_volt
+        most = 0.5 * np.minimum(volt - lower, upper - volt)
         changes = np.clip(changes, -most, most)
         ends = [
             circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene)

@@ -25,7 +25,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 
-FORMAT = "recording/1"
+FORMAT = "recording/2"
 PATH = "/entry/acquisition"
 COUNTER = 2**32  # period of a board's counters and clocks, such as millis() and micros()
 # Fields of every frame: name, type, units, long name.

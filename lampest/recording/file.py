@@ -6,6 +6,7 @@ rows and columns. `lampest.recording.acquisition` names the datasets.
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache
 from math import prod
 from pathlib import Path
@@ -21,10 +22,12 @@ from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts.characteristic import Characteristic
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SERIES
 from lampest.recording.acquisition import Acquisition, group_of, stored_fields, undamaged_frames
 
+FIRST_FORMAT = "recording/1"  # of version 0.1 and 0.2
 # Key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1.
 FORMER_SERIES = "series_ohm"
 # Suffixes of `import_file`.
@@ -46,6 +49,8 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
         check_datasets(file)
         scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
+        if hdf5.read_attribute(file, "/", "lampest_format") == FIRST_FORMAT:
+            scene = _with_middle_of_codes(scene)
         group = f"/entry/{group_of(scene.circuit)}"
         signal = scene.circuit.signal
         if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
@@ -64,6 +69,19 @@ def _scene_of(text: str, where: str) -> Scene:
         document = document.with_value(("systematic",), renamed)
     scene: Scene = validated(document, Scene)
     return scene
+
+
+def _with_middle_of_codes(scene: Scene) -> Scene:
+    """Return the scene of a recording whose code c was read as c + ½ steps.
+
+    Such recordings have format recording/1. Their converter begins half a step above zero.
+    """
+    readout = scene.readout
+    if readout is None or readout.converter is not None:
+        return scene
+    half = readout.lsb_volt / 2
+    converter = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
+    return replace(scene, readout=replace(readout, converter=converter))
 
 
 def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:

@@ -9,14 +9,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.labelled import (
-    frames_of_table,
-    labelled_array,
-    named_units,
-    panel_of,
-)
-from lampest.apps.foreign.unit import check_unit, recorded_values, understood_unit
 from lampest.files import hdf5
+from lampest.files.applications import applications
 from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
@@ -26,12 +20,17 @@ from lampest.panel.scene_file import read_scene, scene_text
 from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
 from lampest.recording.readings import Readings, check_sigma
+from lampest.recording.unit import check_unit, recorded_values
 
 UNLOADED = 0
 MEASURED = 1
 ROLES = (UNLOADED, MEASURED)
 UNREFERENCED = (
     "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
+)
+TOUCHED = "something touched the panel while its unloaded frames were taken"
+UNEVENLY = (
+    "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 )
 # Least relative change of readings or cells by a load or a common error, far above drift.
 MIN_CHANGE = 0.01
@@ -292,12 +291,8 @@ class Recording(Validated):
         Recording(recording: 2 frames (0 unloaded) of 1 × 2 cells, 0 to 0.5 s)
         """
         known = read_scene(scene) if isinstance(scene, str | Path) else scene
-        panel = panel_of(rows, columns, known)
-        check_unit(unit, known, "table")
-        frames = frames_of_table(table, panel.shape)
-        values = np.where(panel.present, frames.values, np.nan)
-        named = unit or understood_unit(values, named_units(frames, "table"), known, "table")[0]
-        clock = None if frames.timing is None else frames.timing(None)
+        understood = applications().required("foreign", "a table", "from_dataframe")
+        values, named, panel, clock = understood(table, unit, known, rows, columns)
         made = cls.from_array(
             values, named, baseline, known or Scene(panel), None if clock is None else clock.seconds
         )
@@ -335,7 +330,8 @@ class Recording(Validated):
         >>> lampest.Recording.from_xarray(data, baseline=1)
         Recording(recording: 4 frames (1 unloaded) of 2 × 3 cells, 0 to 3 s)
         """
-        values, seconds, named = labelled_array(data)
+        understood = applications().required("foreign", "a labelled array", "from_xarray")
+        values, seconds, named = understood(data)
         return cls.from_array(values, unit or named or "ohm", baseline, scene, seconds)
 
     def plot(

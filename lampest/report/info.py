@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.board.own_estimate import board_sentence
 from lampest.files import hdf5
+from lampest.files.applications import applications
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.whole import own
 from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import FORMAT as RECORDING
 from lampest.recording.processed import processing_of
 from lampest.recording.recording import MEASURED, UNLOADED, UNREFERENCED, Recording
 from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
@@ -116,7 +115,7 @@ def _recording_lines(recording: Recording) -> list[str]:
         *_audit(recording),
         ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
         *(("", sentence) for sentence in _holes(recording)),
-        ("board", board_sentence(recording)),
+        *applications().advice(recording),
         (
             "besides",
             ", ".join(name for name, values in extras.items() if values is not None) or "nothing",
@@ -182,9 +181,13 @@ def apply_advice(path: str | Path) -> list[str]:
             f"{path}: --apply: too long for memory; write the lines into its scene before import"
         )
     scene, written, refused = with_lines(recording.scene, Audit(Prepared(recording)).advice)
+    lines = list[str]()
     if written:
+        before = path.with_suffix(f".before{path.suffix}")
+        shutil.copyfile(path, before)
         replace(recording, scene=scene).save(path)
-    lines = [f"written to the scene of {path}: {line}" for line in written]
+        lines = [f"written to the scene of {path}: {line}" for line in written]
+        lines.append(f"the file before: {before}")
     lines += [f"not written: {sentence}" for sentence in refused]
     return lines or [f"{path}: no advice has a line to write"]
 
@@ -198,7 +201,7 @@ def _processing(recording: Recording) -> str:
     panel = recording.scene.panel
     if readout is None or readout.floor_code is not None:
         return ""
-    codes = np.floor(readout.volt_from_recorded(recording.recorded) / readout.lsb_volt)
+    codes = np.rint(readout.steps_from_volt(readout.volt_from_recorded(recording.recorded)))
     return processing_of(codes, recording.role == UNLOADED, panel.present)
 
 
@@ -408,7 +411,7 @@ def checked_sentence(path: Path) -> str:
     if form == FORMAT:
         for _ in read_each(path, MAX_READINGS):
             pass
-    elif form == RECORDING or verified.without_checksum:
+    elif form.startswith("recording/") or verified.without_checksum:
         recording = opened(path)
         if isinstance(recording, StoredRecording):
             for part in recording.blocks:

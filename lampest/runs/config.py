@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from lampest.apps.film.tare import Tare
 from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, Term, term_types
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
+from lampest.estimate.objective import Tare
 from lampest.estimate.sequence import check_by_parts
 from lampest.estimate.witness import Verify
 from lampest.files import sweep

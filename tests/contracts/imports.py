@@ -28,7 +28,7 @@ LOADED = Scene(
     Panel(ROWS, COLUMNS),
     LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=3.3, adc_bits=12, readings=1),
 )
-VOLT_OF_CODES = (CODES + 0.5) * 3.3 / 4096  # the middle of what a converter calls by each code
+VOLT_OF_CODES = CODES * 3.3 / 4096  # code c stands for c steps
 
 
 def lines(values: Any, sign: str = ",", decimal: str = ".") -> list[str]:

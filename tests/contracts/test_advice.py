@@ -32,7 +32,7 @@ def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = 
     if dead_row is not None:
         cells[:, dead_row] = 1e10
     volts = np.stack([RIGHT.exact_reading(frame) for frame in cells])
-    codes = np.floor(volts / 5 * 1024 + rng.standard_normal(volts.shape))
+    codes = np.rint(volts / 5 * 1024 + rng.standard_normal(volts.shape))
     scene = lampest.Scene(lampest.Panel(*SHAPE), readout)
     lampest.Recording.from_array(
         np.clip(codes, 0, 1023).astype(int), unit="code", baseline=6, scene=scene
@@ -70,8 +70,10 @@ def test_apply_writes_the_lines_into_the_scene(
 ) -> None:
     path = written(tmp_path / "mine.h5", dead_row, readout)
     assert "advice" in lampest("info", path).out
+    original = path.read_bytes()
     applied = lampest("info", path, "--apply").out
     assert words in applied and applied.startswith("written to the scene")
+    assert path.with_suffix(".before.h5").read_bytes() == original
     completed = lampest("info", path)
     assert completed.code == 0, completed.err
     output = completed.out

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from lampest.files.applications import applications
+
 CONTRACTS = Path(__file__).parent
 HOUSE = CONTRACTS.parents[1] / "lampest"
 MAX_LINES = 750  # of a module, as the contributing page states
@@ -33,41 +35,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("report",),
     ("cli",),
 )
-# Applications stand above the core. Each may import the core and the applications named here.
-APPLICATIONS: dict[str, tuple[str, ...]] = {
-    "board": (),
-    "film": (),
-    "foreign": (),
-    "microcontroller": (),
-    "page": (),
-    "recognition": ("film",),
-    "calibration": ("film", "recognition"),
-    "live": ("board", "film", "recognition"),
-    "studies": ("page",),
-}
-# Modules of the core that still import an application.
-UNPARTED: set[tuple[str, str]] = {
-    ("lampest.cli.board", "apps.board"),
-    ("lampest.cli.board", "apps.calibration"),
-    ("lampest.cli.board", "apps.live"),
-    ("lampest.cli.estimation", "apps.foreign"),
-    ("lampest.cli.results", "apps.board"),
-    ("lampest.cli.results", "apps.microcontroller"),
-    ("lampest.cli.results", "apps.page"),
-    ("lampest.cli.results", "apps.recognition"),
-    ("lampest.cli.studies", "apps.studies"),
-    ("lampest.estimate.estimates", "apps.film"),
-    ("lampest.estimate.estimator", "apps.film"),
-    ("lampest.estimate.model_check", "apps.recognition"),
-    ("lampest.estimate.objective", "apps.film"),
-    ("lampest.estimate.warnings", "apps.recognition"),
-    ("lampest.recording.recording", "apps.foreign"),
-    ("lampest.recording.shapes.disc", "apps.film"),
-    ("lampest.recording.simulation.simulation", "apps.film"),
-    ("lampest.report.export", "apps.recognition"),
-    ("lampest.report.info", "apps.board"),
-    ("lampest.runs.config", "apps.film"),
-}
+# Applications stand above the core. Each may import the core and the applications that it needs.
+APPLICATIONS = applications().usable
 # numpy is everywhere; each other library has its doors: a room, or a module of one.
 DOORS: dict[str, tuple[str, ...]] = {
     "casadi": (
@@ -121,7 +90,8 @@ DOORS: dict[str, tuple[str, ...]] = {
         "apps.recognition.detect.timeline",
     ),
     "jinja2": ("apps.page",),
-    **dict.fromkeys(("rich", "typer"), ("cli",)),
+    "rich": ("cli",),
+    "typer": ("cli", "apps.board.commands", "apps.calibration.commands", "apps.studies.commands"),
     "lazy_loader": ("",),
 }
 ROOMS = {room for rooms in FLOORS for room in rooms} | {f"apps.{name}" for name in APPLICATIONS}
@@ -169,8 +139,9 @@ def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
 def imports(tree: ast.Module) -> Iterator[tuple[str, str]]:
     """(module, name or '') of every import anywhere in a module.
 
-    A module's name as a text counts, too.
+    A module's name as a text counts, too, and so does that of 'module:object'.
     """
+    yield from named_modules(tree)
     for node in nodes(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names)
@@ -178,12 +149,15 @@ def imports(tree: ast.Module) -> Iterator[tuple[str, str]]:
             yield from (
                 ("." * node.level + (node.module or ""), alias.name) for alias in node.names
             )
-        elif (
-            isinstance(node, ast.Constant)
-            and isinstance(node.value, str)
-            and node.value in MODULES.keys() - {"lampest"}
-        ):
-            yield node.value, ""
+
+
+def named_modules(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """(module, object or '') of every text that names a module, or 'module:object'."""
+    for node in nodes(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            named, _, member = node.value.partition(":")
+            if named in MODULES.keys() - {"lampest"}:
+                yield named, member
 
 
 def is_private(name: str) -> bool:
@@ -214,7 +188,6 @@ def floors(module: str, tree: ast.Module) -> Iterator[str]:
             and floor(room_of(name)) >= floor(room)
             and (module, name) not in PICTURES
             and not permitted(room, room_of(name))
-            and (module, room_of(name)) not in UNPARTED
         ):
             yield f"imports {name}"
 
@@ -222,7 +195,7 @@ def floors(module: str, tree: ast.Module) -> Iterator[str]:
 def permitted(room: str, imported: str) -> bool:
     """Whether an application says that it needs another one."""
     application, needed_one = room.removeprefix("apps."), imported.removeprefix("apps.")
-    return needed_one in APPLICATIONS.get(application, ())
+    return application in APPLICATIONS and needed_one in APPLICATIONS[application].needs
 
 
 def privates(module: str, tree: ast.Module) -> Iterator[str]:
@@ -303,7 +276,8 @@ def namesakes(modules: dict[str, ast.Module], names: Names) -> dict[str, list[st
     """
     homes: dict[str, list[str]] = {}
     for module, tree in modules.items():
-        for name in names(tree) if room_of(module) not in ("", "cli") else ():
+        commands = room_of(module) in ("", "cli") or module.endswith(".commands")
+        for name in () if commands else names(tree):
             homes.setdefault(name, []).append(module)
     return {name: several for name, several in homes.items() if len(several) > 1}
 
@@ -352,6 +326,7 @@ BROKEN = (
     (doors, COST, "from .losses import Huber"),
     (floors, COST, "import lampest.recording.shapes"),
     (floors, COST, "import lampest.apps.live.run"),
+    (floors, "lampest.cli.results", "loaded('lampest.apps.live.run:live')"),
     (floors, "lampest.apps.board.port", "import lampest.apps.live.run"),
     (floors, "lampest.recording.recording", "from lampest.solvers import multistart"),
     (floors, COST, "from lampest import Misfit"),
@@ -399,6 +374,7 @@ def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
     }
     reached = set()
     waiting = ["lampest", "lampest.cli", *public]
+    waiting += [f"lampest.apps.{name}" for name in APPLICATIONS]
     while waiting:
         module = waiting.pop()
         if module in MODULES and module not in reached:
@@ -426,8 +402,12 @@ def test_imports_form_no_cycle(room: str) -> None:
 
 
 def needed(module: str) -> Iterator[str]:
-    """What a module imports: a name of a package may be a module of it."""
-    for name, imported in imports(MODULES[module]):
+    """What a module imports: a name of a package may be a module of it.
+
+    Objects of an application are named by texts, and imported once they are asked for.
+    """
+    later = set(named_modules(MODULES[module])) if module.count(".") == 2 else set()
+    for name, imported in set(imports(MODULES[module])) - later:
         inner = f"{name}.{imported}"
         yield inner if inner in MODULES else name
 
@@ -439,6 +419,18 @@ def test_the_package_has_a_core_of_twelve_rooms_and_nine_applications() -> None:
     assert folders(HOUSE) - {"apps"} == {room for rooms in FLOORS for room in rooms}
     assert folders(HOUSE / "apps") == set(APPLICATIONS)
     assert {path.name for path in HOUSE.glob("*.py")} == {"__init__.py"}
+
+
+@pytest.mark.parametrize("name", sorted(APPLICATIONS))
+def test_an_application_imports_what_it_says_that_it_needs(name: str) -> None:
+    imported = {
+        room_of(target).removeprefix("apps.")
+        for module, tree in MODULES.items()
+        if room_of(module) == f"apps.{name}"
+        for target, _ in imports(tree)
+        if target.startswith("lampest.apps.")
+    }
+    assert imported - {name} == {*APPLICATIONS[name].needs}
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ class Fence(NamedTuple):
     @property
     def file(self) -> str:
         """The path in its first line, or nothing."""
-        named = re.match(r"# ([\w./]+\.(?:py|yaml))\n", self.text)
+        named = re.match(r"# ([\w./]+\.(?:py|yaml|toml))\n", self.text)
         return named[1] if named else ""
 
     def commands(self) -> Iterator[tuple[str, str]]:
@@ -140,6 +140,7 @@ def apply(folder: Path, fence: Fence) -> None:
     The removed text must stand there once.
     """
     if fence.file:
+        (folder / fence.file).parent.mkdir(parents=True, exist_ok=True)
         (folder / fence.file).write_text(fence.text.partition("\n")[2], encoding="utf-8")
     if fence.language != "diff":
         return
@@ -180,7 +181,7 @@ def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
             if fence.language == "diff"
             else []
         )
-    joining = set(EXAMPLES) - {"constraint"}  # parts of a notebook's own program stay there
+    joining = set(EXAMPLES) - {"constraint", "application"}  # these stay outside of the house
     assert len(new) == len(joining), "each page moves one file or one class into the house"
     run(
         copy,

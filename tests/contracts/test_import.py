@@ -135,7 +135,7 @@ refuse("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 
 
 MEANS = CODES + CODES % 20 / 20
 STEPS = "as such they lie on the converter's steps"
-accept("means of codes", lines(MEANS), STEPS, expected=1024e3 / (MEANS + 0.5) - 1000, scene=DIVIDER)
+accept("means of codes", lines(MEANS), STEPS, expected=1024e3 / MEANS - 1000, scene=DIVIDER)
 EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
 OF_EIGHT = CODES + CODES % 8 / 8 + 2000
 RAISED = (OF_EIGHT + 0.5) * 3.3 / 4096
@@ -147,7 +147,7 @@ for name, written in (
     ),
     ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
 ):
-    rounded = (np.array(written, dtype=float).reshape(CODES.shape) + 0.5) * 3.3 / 4096
+    rounded = np.array(written, dtype=float).reshape(CODES.shape) * 3.3 / 4096
     accept(
         f"means of eight codes by {name}",
         map(",".join, written),
@@ -727,7 +727,7 @@ for rows, columns in ((3, 4), (4, 3), (3, 5), (4, 4)):
             f"{before} from {first} before row and column of {rows} × {columns}",
             text,
             "row, column, value",
-            expected=(single + 0.5) * 3.3 / 4096,
+            expected=single * 3.3 / 4096,
             times=times,
             rows=rows,
             columns=columns,

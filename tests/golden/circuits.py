@@ -15,12 +15,12 @@ from lampest.apps.film.pressure import (
     response_sd,
     scatter_sd,
     total_force,
-    water_pressure,
 )
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import candidates
 from lampest.files.typed import members_of
 from lampest.panel import effects, systematic
+from lampest.panel.conditions import water_pressure
 from lampest.panel.network import NormalByLines
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import AnyReadout, readout, wiring

@@ -29,10 +29,10 @@ from support import invented_case
 from typer.main import get_command
 
 import lampest as lp
-from lampest import cli
 from lampest.apps.page import compared, page
 from lampest.apps.studies.weights import why_not
 from lampest.apps.studies.weights_figure import weights_figure
+from lampest.cli import program
 from lampest.cost import problem
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
@@ -586,7 +586,7 @@ def of_whole() -> Rows:
             "report": report_row,
             "columns": columns_row,
             "chunks": chunks_row,
-            "command line": lambda: command_line_row(get_command(cli.app)),
+            "command line": lambda: command_line_row(get_command(program.app)),
             "weights figure": weights_figure_row,
         }
     )

@@ -46,6 +46,15 @@ TEXTS = (
 )
 # a field → those that follow from it
 DECIDED = {"modules": ("rows", "columns", "pitch_mm", "cells")}
+# a field → those that have to be there for it
+NEEDED = {
+    "idle_volt": ("idle_ohm", "driven_groups"),
+    "idle_load_volt": ("idle_load_ohm",),
+    "driven_groups": ("idle_ohm", "idle_volt"),
+    "drive_volt": ("polarity",),
+    "converter_volt": ("polarity",),
+    "groups": ("measured_across",),
+}
 TRIES = 2000
 
 
@@ -155,8 +164,18 @@ def varied(first: Any, name: str, hint: Any, rng: np.random.Generator) -> Any:
         for field in dataclasses.fields(first)
         if field.name in DECIDED.get(name, ())
     }
+    needed = [field for field in NEEDED.get(name, ()) if field in hints(type(first))]
+
+    def drawn() -> dict[str, Any]:
+        """Return values of half of the needed fields, and defaults of the others."""
+        defaults = {field.name: field.default for field in dataclasses.fields(first)}
+        return {
+            field: value(hints(type(first))[field], rng) if rng.random() < 0.5 else defaults[field]
+            for field in needed
+        }
+
     return attempted(
-        lambda: dataclasses.replace(first, **decided, **{name: value(hint, rng)}),
+        lambda: dataclasses.replace(first, **decided, **drawn(), **{name: value(hint, rng)}),
         lambda candidate: getattr(candidate, name) != getattr(first, name),
     )
 

@@ -216,8 +216,13 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
     diagonal = np.diag(impedance)
     own_row = np.tile(diagonal[:rows, None], columns)
     own_column = np.tile(diagonal[None, rows:], (rows, 1))
-    entries = (own_row, own_column, impedance[:rows, rows:])
+    entries = [own_row, own_column, impedance[:rows, rows:]]
     symbols = [casadi.SX.sym(name, rows, columns) for name in ("row", "column", "mutual")]
+    ends = readout.addresses(cells)[0].ends
+    if ends is not None:
+        volt = impedance @ (readout.ties(cells) * ends)
+        entries += [np.tile(volt[:rows, None], columns), np.tile(volt[None, rows:], (rows, 1))]
+        symbols += [casadi.SX.sym(name, rows, columns) for name in ("at_row", "at_column")]
     equation = casadi.Function("equation", symbols, [readout.reading(*symbols)])
     expected = np.array(equation(*entries))
     assert_allclose(
@@ -260,10 +265,10 @@ def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> N
         rtol=ROUNDING,
         atol=near,
     )
-    increase = readout.from_recorded(recorded * (1 + 1e-6), scene) - reading
+    increase = readout.from_recorded(recorded + 1e-6 * size(recorded), scene) - reading
     assert np.all(np.sign(increase) == readout.direction)
     assert np.all(reading > 0) and np.all(readout.sigma(recorded) >= 0)
-    step = 1e-6 * recorded
+    step = 1e-6 * np.abs(recorded)
     ends = [readout.from_recorded(recorded + sign * step, scene) for sign in (1, -1)]
     slope = np.abs(ends[0] - ends[1]) / (2 * step)
     assert_allclose(

@@ -9,7 +9,8 @@ import pytest
 from laws.samples import examples
 
 from lampest import Film, Panel, PowerResponse, Scene, TableResponse, Water
-from lampest.apps.film.pressure import pressure_of, water_pressure
+from lampest.apps.film.pressure import pressure_of
+from lampest.panel.conditions import water_pressure
 from lampest.panel.response import (
     AnyResponse,
     Response,

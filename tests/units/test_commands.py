@@ -36,7 +36,8 @@ from lampest.apps.board.record import Progress, Recorded
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
 from lampest.apps.studies.study import Row, Study
-from lampest.cli import app, screen
+from lampest.cli import screen
+from lampest.cli.program import app
 from lampest.files.whole import sparing, write_whole
 from lampest.report.compare import compare
 from lampest.runs.batch import run_batch
@@ -134,7 +135,8 @@ def test_a_study_creates_its_folder(
 ) -> None:
     folders: list[object] = []
     monkeypatch.setattr(
-        "lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out)
+        "lampest.apps.studies.commands.run_study",
+        lambda study, config, out, assign: folders.append(out),
     )
     for name in (studies := [name for name in COMMANDS if name.startswith("study ")]):
         completed = lampest(*name.split(), "--out", str(tmp_path / "new"))
@@ -252,7 +254,7 @@ def test_exhausted_memory_gives_one_sentence(
         def failing(error: MemoryError = error) -> None:
             raise error
 
-        monkeypatch.setattr("lampest.cli._program", lambda failing=failing: failing)
+        monkeypatch.setattr("lampest.cli.program.program", lambda failing=failing: failing)
         completed = lampest("info")
         assert (completed.code, completed.out, completed.err) == (
             2,

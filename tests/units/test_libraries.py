@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 import lampest
+from lampest.apps.recognition.commands import _tell
 from lampest.apps.recognition.detect.answer import Detected
-from lampest.cli.results import _tell
 from lampest.files.errors import PACKAGES, InputError, extra
 
 HOUSE = Path(__file__).parents[2]
@@ -108,7 +108,7 @@ def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(
 def test_detect_writes_everything_but_pictures_without_matplotlib(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("lampest.cli.results.find_spec", lambda name: None)
+    monkeypatch.setattr("lampest.apps.recognition.commands.find_spec", lambda name: None)
     _tell(
         [Detected.unknown("mat", "one frame shows no change; three are needed")],
         [],

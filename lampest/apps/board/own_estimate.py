@@ -13,6 +13,11 @@ from lampest.runs.case import CaseResult
 MAX_COMPARED = 12  # frames, evenly over the recording: some seconds
 
 
+def board_rows(recording: Recording) -> tuple[tuple[str, str], ...]:
+    """Return the row of `lampest info` about a board's own estimate."""
+    return (("board", board_sentence(recording)),)
+
+
 def board_sentence(recording: Recording) -> str:
     """Return what the board estimated, and its difference from lampest's default estimate.
 

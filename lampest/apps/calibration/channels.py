@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lampest.apps.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
+from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
 from lampest.estimate.assumptions import ASSUMED

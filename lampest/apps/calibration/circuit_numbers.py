@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lampest.apps.calibration import DIGITS, FRACTION_DIGITS
+from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import LineNumber, SeriesPerLine, Side

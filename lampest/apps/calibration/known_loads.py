@@ -11,12 +11,12 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from lampest.apps.film.pressure import GRAVITY
 from lampest.apps.recognition.observation import patch_of
 from lampest.files.document import parse_document, read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.typed import check_not_negative, check_positive_fields
 from lampest.files.whole import note_read
+from lampest.panel.conditions import GRAVITY
 from lampest.panel.panel import Array, Panel
 from lampest.recording.shapes import Block, Rod
 

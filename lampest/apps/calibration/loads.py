@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.calibration import MIN_SAMPLE, Calibration, common_scene
+from lampest.apps.calibration.calibration import MIN_SAMPLE, Calibration, common_scene
 from lampest.apps.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.apps.calibration.response_fit import (
     FittedResponse,
@@ -21,13 +21,13 @@ from lampest.apps.calibration.response_fit import (
     fit_loads,
     response_of,
 )
-from lampest.apps.film.pressure import water_pressure
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT, UNUSUAL
+from lampest.panel.conditions import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response
 from lampest.recording.recording import Recording

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from lampest.apps.calibration import DIGITS, Calibration, common_scene
+from lampest.apps.calibration.calibration import DIGITS, Calibration, common_scene
 from lampest.apps.calibration.circuit_fit import (
     CircuitFit,
     Problem,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.calibration import MIN_SAMPLE
+from lampest.apps.calibration.calibration import MIN_SAMPLE
 from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import note_read

@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.film.memory import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
-from lampest.apps.film.tare import Tare, TareWatch
+from lampest.apps.film.tare import TareWatch
+from lampest.estimate.objective import Tare
 from lampest.files.levels import NOISE_REACH, TWO_SIDED
-from lampest.panel.conditions import Water
-from lampest.panel.panel import Array, Panel
+from lampest.panel.conditions import water_pressure
+from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import systematic_of
 
-GRAVITY = 9.81  # m/s²
 MIN_TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
 
 
@@ -405,17 +405,6 @@ def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
     assumed = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
     measured = None if scene.response is None else scene.response.gain_sd
     return np.array(assumed if measured is None else measured)
-
-
-def water_pressure(panel: Panel, water: Water | None) -> Array:
-    """Return the water's pressure p_w = ρ g (depth + y) of cells at y, (rows, columns) kPa.
-
-    0 without water.
-    """
-    if water is None:
-        return np.zeros(panel.shape)
-    kpa_per_mm = 1e-6 * 1000 * GRAVITY
-    return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))
 
 
 KPA_MM2 = 1e-3  # force of one kPa on a square millimetre, newton

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest.apps.film.memory import ERRORS
+from lampest.estimate.objective import Tare
 from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, OUTLIER_THRESHOLD, TWO_SIDED
-from lampest.files.typed import Configuration, check_range
 from lampest.panel.panel import Array
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3
@@ -19,29 +19,6 @@ from lampest.panel.panel import Array
 # films is independent in each cell.
 MAX_CHANGE = 0.15
 MAX_CHANGE_OF_FOUR = 0.06
-
-
-@dataclass(frozen=True)
-class Tare(Configuration):
-    """Take zero anew where nothing has touched the panel for a number of successive frames.
-
-    Attributes
-    ----------
-    frames : int
-        Number of frames, at least five: fewer do not distinguish noise from a load.
-    drift_per_minute : float
-        Standard deviation of ln r of a cell at rest for each minute since the last zero.
-
-    >>> lampest.Tare().frames
-    20
-    """
-
-    frames: int = 20
-    drift_per_minute: float = 0.02
-
-    def __post_init__(self) -> None:
-        check_range("drift_per_minute", self.drift_per_minute, 0, 1)
-        check_range("frames", self.frames, 5, 100_000)
 
 
 @dataclass(frozen=True, eq=False)

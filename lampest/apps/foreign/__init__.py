@@ -3,6 +3,20 @@
 These are text tables, sheets, arrays, and layouts of one's own.
 """
 
-from lampest.apps.foreign.arrays import Layout
+from lampest.files.applications import Application, Command
 
-LAYOUTS: tuple[Layout, ...] = ()
+APPLICATION = Application(
+    name="foreign",
+    about="recordings from other programs' files",
+    commands={
+        "import": Command(
+            part="Begin",
+            target="lampest.apps.foreign.commands:import_",
+            example="mine.csv --scene scene.yaml --baseline 3 --out mine.h5",
+        ),
+    },
+    answers={
+        "a table": "lampest.apps.foreign.labelled:understood_table",
+        "a labelled array": "lampest.apps.foreign.labelled:labelled_array",
+    },
+)

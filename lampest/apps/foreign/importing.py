@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.foreign import LAYOUTS
 from lampest.apps.foreign.arrays import (
     MAX_BYTES,
     READERS,
@@ -24,10 +23,11 @@ from lampest.apps.foreign.arrays import (
 from lampest.apps.foreign.labelled import named_units, panel_of
 from lampest.apps.foreign.layouts import frames_of
 from lampest.apps.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
+from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS
 from lampest.apps.foreign.records import records_of
 from lampest.apps.foreign.table import readings_table
-from lampest.apps.foreign.unit import RESISTANCES, check_unit, recorded_values, understood_unit
+from lampest.apps.foreign.unit import understood_unit
 from lampest.apps.foreign.words import Clock
 from lampest.files.errors import InputError, counted, meant, printable
 from lampest.files.typed import installed, typed
@@ -36,6 +36,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.processed import AS_CONVERTED, normalised, processing_of, restored
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.unit import RESISTANCES, check_unit, recorded_values
 
 NOT_READ = dict.fromkeys(
     (".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import"

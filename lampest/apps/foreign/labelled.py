@@ -9,10 +9,34 @@ from lampest.apps.foreign.layouts import frames_of
 from lampest.apps.foreign.lines import FieldLine, field_lines
 from lampest.apps.foreign.records import text_of_value
 from lampest.apps.foreign.table import readings_table
-from lampest.apps.foreign.words import role_of, units_of
+from lampest.apps.foreign.unit import understood_unit
+from lampest.apps.foreign.words import Clock, role_of, units_of
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
+from lampest.recording.unit import check_unit
+
+
+def understood_table(
+    table: Any, unit: str | None, scene: Scene | None, rows: int | None, columns: int | None
+) -> tuple[Array, str, Panel, Clock | None]:
+    """Return the content of a data frame: values, their unit, the panel and the times.
+
+    Raises InputError with line and column if it does not fit the panel, or no unit fits.
+
+    Returns
+    -------
+    values : array, shape (frames, rows, columns)
+    unit : str
+    panel : Panel
+    clock : Clock or None
+    """
+    panel = panel_of(rows, columns, scene)
+    check_unit(unit, scene, "table")
+    frames = frames_of_table(table, panel.shape)
+    values = np.where(panel.present, frames.values, np.nan)
+    named = unit or understood_unit(values, named_units(frames, "table"), scene, "table")[0]
+    return values, named, panel, None if frames.timing is None else frames.timing(None)
 
 
 def frames_of_table(table: Any, shape: Shape) -> Frames:

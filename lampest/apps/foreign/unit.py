@@ -3,43 +3,22 @@
 It is specified, named in the header, or the only one that values and scene permit.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.apps.foreign.words import UNITS_OF_WORD
-from lampest.files.errors import InputError, meant
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
+from lampest.recording.unit import FACTORS, RESISTANCES, check_unit
 
-FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
-Place = Callable[[int, int, int], str]  # frame, row and column of a value → its place in the source
-RESISTANCES = ("ohm", "kohm")
 # Least share of the converter's range that readings use; less indicates another unit.
 MIN_USED = 0.01
 # Share of zeros among resistances without a unit; more are pressures, or codes of open cells.
 MAX_SHORTED = 0.05
 MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
-
-
-def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
-    """Raise InputError if a unit is unknown, or the scene cannot convert it to recorded values."""
-    if unit is not None and unit not in FACTORS:
-        word = "volt" if unit.lower() == "v" else UNITS_OF_WORD.get(unit.lower(), "")
-        write = f"; write {word}" if word in FACTORS else meant(unit, FACTORS)
-        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}{write}")
-    if unit is not None and unit not in RESISTANCES and (scene is None or scene.readout is None):
-        raise InputError(
-            f"{source}: {unit} values need a scene with a readout, which says how they become ohm"
-        )
-    if unit in RESISTANCES and scene is not None and scene.circuit.unit != "ohm":
-        raise InputError(
-            f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code"
-        )
 
 
 def understood_unit(
@@ -205,11 +184,12 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     # once in 500 times.
     if len(values) < 12 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
+    least, most = readout.range_volt
     # Many programs take the latter.
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
-        scale = steps / readout.full_scale_volt * readout.readings
+        scale = steps / (most - least) * readout.readings
         for offset, (volt, slack) in product((0.0, 0.5), (nearest, cut)):
-            sums = volt * scale - offset * readout.readings
+            sums = (volt - least) * scale - offset * readout.readings
             if np.all(
                 np.abs(sums - np.round(sums)) <= slack * scale + 1e-6 * np.maximum(1, np.abs(sums))
             ):
@@ -226,7 +206,7 @@ def _in_volt(values: Array, slack: float, unit: str, readout: Readout) -> tuple[
     if unit in RESISTANCES:
         ends = [readout.volt_from_recorded(np.maximum(end, 0)) for end in ends]
     elif unit == "code":
-        ends = [readout.lsb_volt * end for end in ends]
+        ends = [readout.volt_from_code(end) for end in ends]
     low, volt, high = ends
     return volt, np.abs(high - low) / 2
 
@@ -238,59 +218,3 @@ def _rounding(values: Array) -> float:
         digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack)
     )
     return 0.5 * 10.0 ** -next(digits, 9)
-
-
-def recorded_values(values: Array, unit: str, scene: Scene, place: Place, source: object) -> Array:
-    """Return values converted from their unit to the readout's recorded quantity.
-
-    Shape (frames, rows, columns). NaN is kept. Codes and voltages at a rail, infinite resistances
-    and those of zero remain bounds. Raises InputError with the place (frame, row, column) of an
-    impossible value, or with the source if most readings are at the rail of a shorted cell: unit or
-    range are probably wrong.
-    """
-    scaled = values * FACTORS[unit]
-    readout = scene.readout
-
-    def refuse(bad: NDArray[np.bool_], why: str) -> None:
-        for frame, row, column in np.argwhere(bad).tolist():
-            raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
-
-    finite = np.where(np.isinf(values), np.nan, values)
-    if unit in RESISTANCES or readout is None:
-        refuse(values < 0, "must be a positive resistance in ohm")
-        recorded = scaled
-    elif unit == "code":
-        refuse(
-            (finite < 0) | (finite > 2**readout.adc_bits - 1),
-            f"is no code of a {readout.adc_bits}-bit converter",
-        )
-        floored = finite <= (readout.floor_code or -1)
-        recorded = readout.recorded_from_volt(
-            np.where(floored, 0.0, readout.volt_from_code(finite))
-        )
-    else:
-        largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-        outside = (finite < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
-        refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
-        recorded = readout.recorded_from_volt(np.where(np.isnan(finite), np.nan, scaled))
-    if readout is not None:
-        _check_shorted(scene, readout, recorded, unit, source)
-    return recorded
-
-
-def _check_shorted(
-    scene: Scene, readout: Readout, recorded: Array, unit: str, source: object
-) -> None:
-    """Raise InputError if most readings are at the rail that a shorted cell reaches."""
-    rail = AT_MOST if readout.unit == "ohm" else AT_LEAST
-    count = int((Readings.of(scene, recorded).side == rail).sum())
-    total = int(np.isfinite(recorded).sum())
-    if 2 * count <= total:
-        return
-    key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
-    wrong = (
-        f"{count} of {total} readings stand at the rail of the converter that a shorted cell "
-        "reaches"
-    )
-    scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
-    raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording.acquisition import COUNTER
+from lampest.recording.unit import UNITS_OF_WORD
 
 
 def _by_word(**words: str) -> dict[str, str]:
@@ -42,15 +43,6 @@ PART_OF_CLOCK = _by_word(
 )
 # Names that permit two units.
 QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}
-UNITS_OF_WORD = _by_word(
-    ohm="ohm ohms ω",
-    kohm="kohm kohms kω kiloohm kiloohms k",
-    volt="volt volts",
-    mV="mv millivolt millivolts",
-    code="code codes adc count counts raw lsb digits digit dn",
-    resistance="resistance resistances widerstand r",
-    voltage="voltage voltages spannung",
-)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 TIME_UNIT_OF_WORD = _by_word(
     s="s sec secs second seconds sekunde sekunden",

@@ -16,7 +16,6 @@ from lampest.apps.board.record import Progress, Recorded, record
 from lampest.apps.board.recorder import Recorder
 from lampest.apps.board.several import samples_of
 from lampest.apps.board.stream import Sample
-from lampest.apps.film.tare import Tare
 from lampest.apps.live.engine import Engine, FrameSource
 from lampest.apps.live.message import acknowledged
 from lampest.apps.live.publish import publish_at, publishing
@@ -31,6 +30,7 @@ from lampest.cost.terms import (
     Term,
 )
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.objective import Tare
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, meant

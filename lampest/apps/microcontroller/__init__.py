@@ -2,3 +2,11 @@
 
 Constants of the C library `lampest_estimate`, and what its budget buys.
 """
+
+from lampest.files.applications import Application
+
+APPLICATION = Application(
+    name="microcontroller",
+    about="estimate on a microcontroller",
+    answers={"sketch": "lampest.apps.microcontroller.commands:export_to_c"},
+)

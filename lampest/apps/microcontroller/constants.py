@@ -321,8 +321,8 @@ class Constants:
     def valid_sums(self) -> tuple[int, int]:
         """Smallest and largest sum that is no bound: those between the rails."""
         readout = self.scene.circuit
-        ends = np.sort(readout.volt_from_recorded(np.array(readout.rails())))
-        low, high = (ends / readout.lsb_volt - 0.5) * readout.readings
+        ends = readout.steps_from_volt(readout.volt_from_recorded(np.array(readout.rails())))
+        low, high = np.sort(ends) * readout.readings
         return int(np.clip(np.ceil(low - 1e-6), 0, self.top_sum)), int(
             np.clip(np.floor(high + 1e-6), 0, self.top_sum)
         )
@@ -353,8 +353,10 @@ class Constants:
         """Whether a reading of the network grows with its sum."""
         readout = self.scene.circuit
         if isinstance(readout, TwoPointReadout):
-            return readout.measured_across == "sensor"
-        return readout.direction > 0
+            rises = readout.measured_across == "sensor"
+        else:
+            rises = readout.direction > 0
+        return rises == (readout.code_sign > 0)
 
     def sums_of(self, case: CaseResult) -> NDArray[np.uint16]:
         """Return the sums of codes of the frames, (frames, rows, columns).
@@ -372,9 +374,8 @@ class Constants:
         """Return sums of codes of recorded values, not rounded to more than a sum."""
         readout = self.scene.circuit
         with np.errstate(invalid="ignore"):
-            sums = (
-                readout.volt_from_recorded(recorded) / readout.lsb_volt - 0.5
-            ) * readout.readings
+            steps = readout.steps_from_volt(readout.volt_from_recorded(recorded))
+            sums = steps * readout.readings
         return np.asarray(np.clip(np.nan_to_num(np.round(sums)), 0, self.top_sum))
 
 
@@ -398,6 +399,12 @@ def check_scene(scene: Scene) -> None:
         if is_lacking:
             raise InputError(f"the C library {sentence}")
     readout = scene.circuit
+    if readout.characteristic.curve is not None or readout.code_sign < 0:
+        raise InputError("the C library has converters with a straight, rising line only")
+    keys = ("idle_volt", "load_volt", "idle_load_volt", "driven_groups")
+    named = [key for key in keys if getattr(readout, key, None) is not None]
+    if named:
+        raise InputError(f"the C library has no {named[0]}")
     if not isinstance(readout, TwoPointReadout | DrivenCircuit):
         raise InputError(f"the C library has no such circuit: {readout.description()}")
     if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:

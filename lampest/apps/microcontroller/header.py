@@ -214,7 +214,7 @@ def _converter(constants: Constants) -> Entries:
         "low_sum": str(low),
         "high_sum": str(high),
         "volt_per_sum": number(readout.lsb_volt / readout.readings),
-        "volt_at_zero": number(0.5 * readout.lsb_volt),
+        "volt_at_zero": number(readout.zero_volt),
         "supply_volt": number(readout.supply_volt),
         "sigma_volt": CArray.of_floats(constants.sigma_volt.ravel()[: 1 if alike else None]),
         "sigma_count": str(1 if alike else constants.sigma_volt.size),

@@ -32,6 +32,7 @@ from lampest.apps.recognition.watch_parts import (
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.panel.panel import Array
+from lampest.recording.recording import UNEVENLY
 
 SETTLES_S = 60.0  # duration of drift that is expected within the unloaded frames
 # Of the present load's score: a larger change is another load, or the load has left.
@@ -40,10 +41,6 @@ MIN_CHANGE = 0.5
 MAX_CELLS = 1024
 # Score of a single unloaded frame, which scatters more, over the threshold of a median of three.
 SINGLE_FRAME = 2.0
-TOUCHED = "something touched the panel while its unloaded frames were taken"
-UNEVENLY = (
-    "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
-)
 LEFT = "something stood on the panel in its unloaded frames, and left at {:.1f} s"
 RELIEVED = (
     "the panel changed, and no contact is clear: no cells conduct more by five standard deviations"

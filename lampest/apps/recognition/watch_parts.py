@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.apps.film.pressure import water_pressure
 from lampest.apps.recognition.breathing import WINDOW_S
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.panel.conditions import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 

@@ -14,6 +14,7 @@ from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
+from lampest.panel.readouts.characteristic import KNOWN, MAX_VOLT, Characteristic
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
@@ -23,16 +24,15 @@ ENDLESS = 65535
 # b² is 1/12.
 HARMONICS = 2000
 NOISE_ACCURACY = 1e-6  # LSB
-# V: that of a thermocouple; the limit of low voltage in IEC 60038
-MIN_VOLT = 1e-3
-MAX_VOLT = 1e3
+MIN_VOLT = 1e-3  # V: that of a thermocouple
 
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Configuration):
-    """Converter with codes from 0 to 2^bits − 1 for voltages from 0 to full scale.
+    """Converter with codes from 0 to 2^bits − 1.
 
-    Full scale is by default the supply.
+    Code c stands for c steps of 2^−bits of the range, which by default reaches from 0 to the
+    supply.
 
     Attributes
     ----------
@@ -54,6 +54,8 @@ class Converter(Configuration):
     passes_volt : tuple[float, float] or {'estimated'}, or None
         Smallest and largest voltage that a stage before the converter passes; a reading within its
         noise of either is a bound. 'estimated': from the frames. None: all.
+    converter : Characteristic or {'esp32', 'avr'}, or None
+        Voltages that the codes stand for. None: from 0 to full scale.
     """
 
     usual_noise_lsb: ClassVar[float] = 0.7
@@ -63,6 +65,7 @@ class Converter(Configuration):
     noise_lsb: PerLine | Literal["estimated"] | None = None
     floor_code: int | None = None
     passes_volt: tuple[float, float] | Literal["estimated"] | None = None
+    converter: Characteristic | Literal["esp32", "avr"] | None = None
 
     def __post_init__(self) -> None:
         check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
@@ -74,19 +77,60 @@ class Converter(Configuration):
                 f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB"
             )
         check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
-        passes = (0.0, self.full_scale_volt)
-        if not isinstance(self.passes_volt, str | None):
-            passes = self.passes_volt
-        if not 0 <= passes[0] < passes[1] <= self.full_scale_volt:
-            most = f"{self.full_scale_volt:g}"
+        curve = self.characteristic.curve
+        if curve is not None and not all(0 <= code <= 2**self.adc_bits for _, code in curve):
+            raise ValueError(f"converter.curve: codes lie between 0 and {2**self.adc_bits}")
+        if self._ends[0] == self._ends[1]:
+            raise ValueError(f"converter: code 0 stands at the end of the range, {self._ends[0]} V")
+        if isinstance(self.passes_volt, str | None):
+            return
+        least, most = self.range_volt
+        lower, upper = self.passes_volt
+        if not least <= lower < upper <= most:
             raise ValueError(
-                f"passes_volt must be two voltages from 0 to {most}, the lower one first"
+                f"passes_volt must be two voltages from {least:g} to {most:g}, the lower one first"
             )
 
     @property
     def full_scale_volt(self) -> float:
-        """Voltage at the end of the converter's range."""
+        """Voltage at the end of the converter's range, where `converter` does not name another."""
         return self.supply_volt
+
+    @property
+    def characteristic(self) -> Characteristic:
+        """Voltages that the codes stand for."""
+        if isinstance(self.converter, Characteristic):
+            return self.converter
+        return KNOWN["avr" if self.converter is None else self.converter]
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """Voltages of code 0 and of code 2^bits; those to be estimated as without `converter`."""
+        characteristic = self.characteristic
+        if characteristic.curve is not None:
+            volt, _ = characteristic.points
+            return float(volt[0]), float(volt[-1])
+        zero = characteristic.zero_volt
+        full = characteristic.full_volt
+        return (
+            0.0 if isinstance(zero, str) else zero,
+            self.full_scale_volt if isinstance(full, str | None) else full,
+        )
+
+    @property
+    def zero_volt(self) -> float:
+        """Voltage of code 0."""
+        return self._ends[0]
+
+    @property
+    def range_volt(self) -> tuple[float, float]:
+        """Least and largest voltage of the converter's range."""
+        return min(self._ends), max(self._ends)
+
+    @property
+    def code_sign(self) -> float:
+        """1 if codes rise with the voltage, −1 if they fall."""
+        return 1.0 if self._ends[0] < self._ends[1] else -1.0
 
     @property
     def noise_specified(self) -> bool:
@@ -116,7 +160,14 @@ class Converter(Configuration):
             else "as the unloaded frames show it"
         )
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
-        return f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}"
+        ends = ""
+        if isinstance(self.converter, str):
+            ends = f", converter {self.converter}"
+        elif self.converter is not None:
+            ends = f", {self.converter.description()}"
+        return (
+            f"{self.adc_bits} bits, {counted(self.readings, 'reading')}, noise {noise}{floor}{ends}"
+        )
 
     def recorded_from_volt(self, volt: Array) -> Array:
         """Return recorded readings of voltages at the converter, any shape."""
@@ -128,26 +179,48 @@ class Converter(Configuration):
 
     @property
     def lsb_volt(self) -> float:
-        """One least significant bit in volt: full scale / 2^bits."""
-        return self.full_scale_volt / 2.0**self.adc_bits
+        """One least significant bit in volt: range / 2^bits; of a curve, its mean step."""
+        curve = self.characteristic.curve
+        if curve is None:
+            return abs(self._ends[1] - self._ends[0]) / 2.0**self.adc_bits
+        volt, code = self.characteristic.points
+        return float(abs(volt[-1] - volt[0]) / (code[-1] - code[0]))
+
+    def steps_from_volt(self, volt: Array) -> Array:
+        """Return voltages as codes that are neither rounded nor clipped; any shape."""
+        if self.characteristic.curve is None:
+            return np.asarray((np.asarray(volt) - self.zero_volt) * self.code_sign / self.lsb_volt)
+        points, codes = self.characteristic.points
+        order = np.argsort(points)
+        return np.asarray(np.interp(volt, points[order], codes[order]))
 
     def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
-        """Return code = ⌊V/full scale · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
-        code = np.clip(np.floor(np.asarray(volt) / self.lsb_volt), 0, 2**self.adc_bits - 1)
+        """Return the nearest code, clipped to 0 and 2^bits − 1; any shape."""
+        code = np.clip(np.rint(self.steps_from_volt(volt)), 0, 2**self.adc_bits - 1)
         return np.asarray(code, dtype=np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
-        """Return V = (code + ½)·(full scale)/2^bits, the middle of a code's interval.
+        """Return the voltage that a code stands for, the middle of its interval.
 
         Also of mean codes.
         """
-        return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
+        code = np.asarray(mean_code, dtype=float)
+        if self.characteristic.curve is None:
+            return np.asarray(self.zero_volt + self.code_sign * self.lsb_volt * code)
+        volt, codes = self.characteristic.points
+        return np.asarray(np.interp(code, codes, volt))
+
+    def relative_step(self, volt: Array) -> Array:
+        """Return the converter's step at voltages, in units of `lsb_volt`; any shape."""
+        if self.characteristic.curve is None:
+            return np.ones(np.shape(volt))
+        points, codes = self.characteristic.points
+        steps = np.abs(np.diff(points)) / np.diff(codes) / self.lsb_volt
+        piece = np.searchsorted(codes, self.steps_from_volt(volt), side="right") - 1
+        return np.asarray(steps[np.clip(piece, 0, len(steps) - 1)])
 
     def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
-        """Return recorded values of sums of `readings` codes.
-
-        A code at a rail gives the middle of its interval.
-        """
+        """Return recorded values of sums of `readings` codes."""
         return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
     def noise_volt(self, codes: Array | None = None) -> Array:
@@ -200,7 +273,8 @@ class Converter(Configuration):
 
     def sigma(self, recorded: Array) -> Array:
         """Return σ of recorded readings, the same shape and unit."""
-        return np.broadcast_to(self.sigma_volt(), np.shape(recorded)).copy()
+        volt = self.volt_from_recorded(recorded)
+        return np.asarray(np.broadcast_to(self.sigma_volt(), volt.shape) * self.relative_step(volt))
 
     def sigma_volt(self) -> Array:
         """Return σ of the mean of `readings` codes in volt, to be broadcast to (rows, columns)."""
@@ -215,7 +289,7 @@ class Converter(Configuration):
         top = 2.0**self.adc_bits - 1
         # Lower edge of the first valid code, and of the last code; stages before the converter may
         # narrow the range.
-        edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
+        edges = np.sort(self.volt_from_code(np.array([(self.floor_code or 0) + 0.5, top - 0.5])))
         if not isinstance(self.passes_volt, str | None):
             within = np.add(
                 self.passes_volt,

@@ -120,4 +120,5 @@ class Divider(Readout):
         R includes the series resistance.
         """
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
-        return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))
+        sigma = self.sigma_volt() * self.relative_step(self.volt_from_recorded(recorded))
+        return np.asarray(total**2 * (sigma / (self.reference_ohm * self.supply_volt)))

@@ -15,12 +15,18 @@ zero:
 
 A side whose idle lines are held at ground by 0 ohm has A = 1, A' = −Rd, or B = 1/Rs, B' = −1, with
 the entries of `DifferenceNetwork` instead of Z. Where several sensed lines are read at one address,
-their Rs is a part of Z, and b = 0: Z has one version an address.
+their Rs is a part of Z, and b = 0: Z has one version an address. So it has where the driven lines
+are behind several multiplexers, which hold a line each.
+
+Readings and voltages are counted from the potential of the line ends that are furthest from the
+source. Where line ends have several potentials, `lampest.panel.readouts.potentials` has the
+equation.
 """
 
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property, lru_cache
 from math import inf
 from typing import Any, ClassVar, Literal, Self
 
@@ -31,11 +37,14 @@ from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import check_ranges
 from lampest.panel.addressed import AddressedNetwork
 from lampest.panel.difference_network import HeldNetwork
+from lampest.panel.impedance import inverse_of
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.alternation import Alternation
-from lampest.panel.readouts.branches import MAX_MISFIT, misfit, panels_alike, uniform_panels
-from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
+from lampest.panel.readouts.branches import LEVELS, MAX_MISFIT, misfit, panels_alike, uniform_panels
+from lampest.panel.readouts.channels import errors_of_channels
+from lampest.panel.readouts.characteristic import MAX_VOLT
+from lampest.panel.readouts.converter import MIN_VOLT
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.equation import Equation, LineStates, equation_of
 from lampest.panel.readouts.floating import convex_start, uniform_factor
@@ -54,6 +63,7 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
+from lampest.panel.readouts.potentials import FOLLOWS, LineEnds
 from lampest.panel.readouts.readout import (
     MIN_LOAD_SHARE,
     SHORT_SHARE,
@@ -62,8 +72,10 @@ from lampest.panel.readouts.readout import (
     Readout,
     Surroundings,
 )
-from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.readouts.wiring import WiredNetwork, Wiring
+from lampest.panel.tied_network import TiedNetwork
 
+UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
 
@@ -89,6 +101,15 @@ class DrivenCircuit(Readout):
     groups : tuple of tuple of int, or None
         Sensed lines behind one multiplexer each, in the order of its addresses. The groups are read
         in parallel.
+    driven_groups : tuple of tuple of int, or None
+        Driven lines behind one multiplexer each. While a line is driven, the lines at its place in
+        the other groups end in Rd at idle_volt, and all others float.
+    idle_volt : float or {'follows'}, or None
+        Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
+        with voltage feedback. None: ground, or the supply with polarity: down.
+    load_volt, idle_load_volt : float, or None
+        Potential in which the load of a sensed line ends, and an idle sensed line, in volt. None:
+        ground, or the supply with polarity: down, and load_volt.
     of_sensed : tuple of str
         Keys of resistances of sensed lines; the first one is the reference resistor of a reading.
     may_be_zero : tuple of str
@@ -109,11 +130,43 @@ class DrivenCircuit(Readout):
     diode: Diode | None = None
     input_ohm: float | None = None
     groups: Groups | None = None
+    driven_groups: Groups | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+    idle_load_volt: float | None = None
+
+    @property
+    def source_volt(self) -> float:
+        """Voltage of the source of a driven line, before Rd, in volt."""
+        return 0.0 if self.polarity == "down" else self.supply_volt
+
+    @property
+    def idle_connected(self) -> bool:
+        """Whether idle driven lines end anywhere."""
+        return True
+
+    @property
+    def loads_connected(self) -> tuple[bool, bool]:
+        """Whether sensed lines end anywhere while read, and elsewhere than that while idle."""
+        return True, True
+
+    @cached_property
+    def line_ends(self) -> LineEnds:
+        """Potentials in which lines end."""
+        ground = self.supply_volt if self.polarity == "down" else 0.0
+        load = ground if self.load_volt is None else self.load_volt
+        return LineEnds(
+            source=self.source_volt,
+            idle=ground if self.idle_volt is None else self.idle_volt,
+            load=load,
+            idle_load=load if self.idle_load_volt is None else self.idle_load_volt,
+            connected=(self.idle_connected, *self.loads_connected),
+        )
 
     @property
     def driving_volt(self) -> float:
-        """Voltage of the source of a driven line, before Rd, in volt."""
-        return self.supply_volt
+        """Voltage of the source against the reference of the line ends, in volt."""
+        return self.line_ends.relative(self.line_ends.source)
 
     @abstractmethod
     def states(self, driven: int, sensed: int) -> LineStates:
@@ -132,6 +185,36 @@ class DrivenCircuit(Readout):
             check_resistors("input_ohm", self.input_ohm, most=inf)
         if self.groups is not None:
             check_apart(self.groups)
+        if self.driven_groups is not None:
+            check_apart(self.driven_groups, "driven_groups")
+        self._check_potentials()
+
+    def _check_potentials(self) -> None:
+        """Raise ValueError if potentials contradict the circuit."""
+        volts = {name: getattr(self, name) for name in ("idle_volt", "load_volt", "idle_load_volt")}
+        for name, volt in volts.items():
+            if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
+                raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
+        loads, idle_loads = self.loads_connected
+        for name, connected, lines in (
+            ("idle_volt", self.idle_connected, "idle driven lines"),
+            ("load_volt", loads, "sensed lines"),
+            ("idle_load_volt", idle_loads, "idle sensed lines keep their load or"),
+        ):
+            if volts[name] is not None and not connected:
+                raise ValueError(f"{name} has no place where {lines} float: name their resistor")
+        if self.idle_volt == FOLLOWS:
+            if self.groups is not None and len(self.groups) > 1:
+                raise ValueError(
+                    "idle_volt: follows needs one sensed line at a time, not groups in parallel"
+                )
+            if self.driven_groups is not None:
+                raise ValueError("idle_volt: follows has no place with driven_groups")
+        ends = self.line_ends
+        if self.idle_volt != FOLLOWS and ends.source == ends.reference:
+            raise ValueError(
+                f"all lines end at {ends.source:g} V, as the driven one does: no current flows"
+            )
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError as `Readout.check`, or if lists do not fit the panel's lines.
@@ -144,7 +227,10 @@ class DrivenCircuit(Readout):
             value = getattr(self, name)
             if value is not None:
                 per_line(name, value, driven if name in self.of_driven else sensed)
+        if self.diode is not None and equation_of(self, *scene.panel.shape).potentials is not None:
+            raise ValueError("diode: circuits with several potentials have no diode in this model")
         check_groups(self.groups, opposite(self.driven), sensed)
+        check_groups(self.driven_groups, self.driven, driven, "driven_groups")
         equation = equation_of(self, *scene.panel.shape)
         if scene.wiring is not None and scene.wiring.joined and np.isinf(equation.ties).any():
             raise ValueError(
@@ -157,6 +243,17 @@ class DrivenCircuit(Readout):
         text = ""
         if self.groups is not None:
             text += f", {len(self.groups)} {opposite(self.driven)} read in parallel"
+        if self.driven_groups is not None:
+            text += f", {len(self.driven_groups)} multiplexers of {self.driven}"
+        if self.idle_volt is not None:
+            volt = "those of the sensed line"
+            if self.idle_volt != FOLLOWS:
+                volt = f"{self.idle_volt:g} V"
+            text += f", idle {self.driven} at {volt}"
+        if self.load_volt is not None:
+            text += f", loads end at {self.load_volt:g} V"
+        if self.idle_load_volt is not None:
+            text += f", idle {opposite(self.driven)} at {self.idle_load_volt:g} V"
         if self.input_ohm is not None:
             text += f", converter input {self.input_ohm:g} ohm"
         return f"{text}, {self.converter_description()}"
@@ -167,7 +264,22 @@ class DrivenCircuit(Readout):
 
     @property
     def mirrored(self) -> bool:
-        return self.polarity == "down"
+        return self.line_ends.sign < 0
+
+    @property
+    def recorded_reference_volt(self) -> float:
+        """Recorded value of a network's reading of 0."""
+        return self.line_ends.reference
+
+    def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
+        if not (self.mirrored or self.recorded_reference_volt):
+            return recorded
+        return np.asarray(self.line_ends.sign * (recorded - self.recorded_reference_volt))
+
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
+        if not (self.mirrored or self.recorded_reference_volt):
+            return reading
+        return np.asarray(self.recorded_reference_volt + self.line_ends.sign * reading)
 
     @property
     def by_columns(self) -> bool:
@@ -183,8 +295,16 @@ class DrivenCircuit(Readout):
         return equation_of(self, *shape[-2:])
 
     def addresses(self, measured: Array) -> tuple[Address, ...]:
-        pairs = zip(self._ties(measured, None), self._equation(measured.shape).read_at, strict=True)
-        return tuple(Address(ties, read > 0) for ties, read in pairs)
+        equation = self._equation(measured.shape)
+        ties = self._ties(measured, None)
+        terms = equation.potentials
+        ends: Sequence[Array | None] = [None] * len(ties)
+        if terms is not None and terms.sourced:
+            ends = list(terms.ends)
+        return tuple(
+            Address(of_address, read > 0, volts)
+            for of_address, read, volts in zip(ties, equation.read_at, ends, strict=True)
+        )
 
     def ties(self, measured: Array) -> Array:
         """Return the ties, (lines,) siemens.
@@ -224,14 +344,33 @@ class DrivenCircuit(Readout):
 
         The ties are (addresses, lines) of a circuit with several addresses.
         """
-        if ties.ndim > 1:
-            networks = tuple(
-                self.network(cell_resistance, of_address, wiring) for of_address in ties
-            )
-            return AddressedNetwork.of(networks, self._equation(cell_resistance.shape).read_at)
-        if wiring is None and np.isinf(ties).any():
-            return HeldNetwork.solve(cell_resistance, ties, self)
-        return super().network(cell_resistance, ties, wiring)
+        equation = self._equation(cell_resistance.shape)
+        terms = equation.potentials
+        each = np.atleast_2d(ties)
+        ends: Sequence[Array | None] = [None] * len(each)
+        if terms is not None and terms.sourced:
+            ends = list(terms.ends)
+        networks = tuple(
+            self._network(cell_resistance, of_address, volts, wiring)
+            for of_address, volts in zip(each, ends, strict=True)
+        )
+        if ties.ndim == 1:
+            return networks[0]
+        return AddressedNetwork.of(networks, equation.read_at)
+
+    def _network(
+        self, cell_resistance: Array, ties: Array, ends: Array | None, wiring: Wiring | None
+    ) -> Network:
+        """Return the network of one address, whose idle lines end in potentials `ends`."""
+        held = np.isinf(ties)
+        # Potentials of held lines, currents into the others
+        sources = None if ends is None else np.where(held, ends, np.where(held, 0.0, ties) * ends)
+        if wiring is not None:
+            return WiredNetwork.solve(cell_resistance, ties, self, wiring, sources)
+        if held.any():
+            return HeldNetwork.solve(cell_resistance, ties, self, sources)
+        impedance = inverse_of(1 / cell_resistance, ties)
+        return TiedNetwork(cell_resistance, impedance, self, sources=sources)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """Return the readings of cells of any contrast.
@@ -245,10 +384,21 @@ class DrivenCircuit(Readout):
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, ties, wiring).reading()
 
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+    def reading(self, row: Any, column: Any, mutual: Any, *potentials: Any) -> Any:
         """Return c·V_ij, see the module; NumPy and CasADi."""
         equation = self._equation(mutual.shape)
         own_driven, own_sensed = of_side(self.driven, row, column)
+        terms = equation.potentials
+        if terms is not None:
+            at_lines = (0.0, 0.0)
+            if potentials:
+                at_lines = of_side(self.driven, *potentials)
+            volt = terms.line_volt(
+                (equation.drive_terms, equation.load_terms),
+                (own_driven, own_sensed, mutual),
+                at_lines,
+            )
+            return self._end_volt(terms.load_volt) + equation.gain * (volt - terms.load_volt)
         if equation.floating:
             # Nothing but the read lines conducts to ground: one loop of Rd, R and Rs
             loop = (own_driven + own_sensed - 2 * mutual) + (equation.drive + equation.load)
@@ -267,6 +417,10 @@ class DrivenCircuit(Readout):
         potential = own_driven * of_load - mutual * mutual * by_load
         current = of_load * by_excitation + potential * by_potential
         return mutual * equation.gain * self._supply(determinant / current) / determinant
+
+    def _end_volt(self, load_volt: Array) -> Array:
+        """Return the reading of a load without current, whose end has a potential."""
+        return load_volt
 
     def _supply(self, resistance: Any) -> Any:
         """Return U for a resistance of the driven path, volt; NumPy and CasADi."""
@@ -309,6 +463,8 @@ class DrivenCircuit(Readout):
         It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
         """
         equation = self._equation(measured.shape)
+        if not equation.plain:
+            return self._of_uniform_panels(measured)
         load = self._reference(equation)
         drive = equation.drive
         volt = np.maximum(measured / equation.gain, OPEN_SHARE * self.driving_volt)
@@ -324,6 +480,8 @@ class DrivenCircuit(Readout):
         resistance.
         """
         equation = self._equation(measured.shape)
+        if not equation.plain:
+            return self._of_uniform_panels(measured)
         if equation.floating:
             return np.asarray(
                 self.apparent_resistance(measured) / uniform_factor(*measured.shape[-2:])
@@ -346,6 +504,14 @@ class DrivenCircuit(Readout):
             / share
         )
 
+    def _of_uniform_panels(self, measured: Array) -> Array:
+        """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
+        rows, columns = measured.shape[-2:]
+        levels, readings = uniform_readings(self, rows, columns)
+        flat = measured.reshape(-1, rows, columns)
+        distance = np.abs(readings[None] - flat[:, None])
+        return np.asarray(levels[np.argmin(distance, axis=1)]).reshape(measured.shape)
+
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce the readings, (rows, columns) ohm.
 
@@ -359,7 +525,7 @@ class DrivenCircuit(Readout):
             return convex_start(self.apparent_resistance(measured), upper, near)
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
         firsts = [near] if near is not None else uniform_panels(self.exact_reading, positive)
-        if len(firsts) == 1 and np.isfinite(equation.states.load).all():
+        if len(firsts) == 1 and equation.plain and np.isfinite(equation.states.load).all():
             alternation = Alternation(
                 equation,
                 self._ties(measured, None),
@@ -402,7 +568,7 @@ class DrivenCircuit(Readout):
         equation = self._equation(measured.shape)
         least = super().least_cells(measured, sigma)
         states = equation.states
-        quiet = equation.together is None or np.isinf(states.idle_load).all()
+        quiet = equation.plain and (equation.together is None or np.isinf(states.idle_load).all())
         if not (quiet and np.isinf(states.idle).all() and np.isfinite(states.load).all()):
             return least
         noise = np.zeros_like(measured)
@@ -441,6 +607,8 @@ class DrivenCircuit(Readout):
         were at the supply, no sensed line would be above it (superposition, Z·t ≤ 1).
         """
         equation = self._equation(measured.shape)
+        if equation.potentials is not None:
+            return self._tests_of_potentials(measured, sigma)
         load = equation.load
         volt, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0) / equation.gain
         # Vcc ≥ v_ij + Rd_i Σ_k v_ik/Rs_k + V_d, with the propagated noise of both terms
@@ -463,12 +631,28 @@ class DrivenCircuit(Readout):
             results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
         return tuple(results)
 
+    def _tests_of_potentials(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
+        """Return the test that no line is beyond the potentials in which lines end."""
+        terms = self._equation(measured.shape).potentials
+        assert terms is not None
+        most = max(self.driving_volt, float(terms.ends.max()), float(terms.load_volt.max()))
+        gain = self._equation(measured.shape).gain
+        end = self._end_volt(terms.load_volt)
+        volt = terms.load_volt + (measured - end) / gain
+        known = np.isfinite(sigma) & (sigma > 0)
+        spread = np.where(known, sigma, 1.0) / gain
+        excess = np.where(known, np.maximum(volt - most, -volt) / spread, -np.inf)
+        law = "no sensed line stands beyond the potentials in which lines end"
+        return (FreeTest(law, excess.reshape(len(excess), -1).max(axis=1), excess[0].size),)
+
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Return the upper bound of Rd, min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j, ohm.
 
         The sum is over simultaneous loads; with one load at a time each reading is taken alone.
         """
         equation = self._equation(measured.shape)
+        if not equation.plain:
+            return 0.0
         volt = np.where(np.isfinite(sigma), measured, 0.0) / equation.gain
         current = self._sum_together(volt / equation.load)
         if equation.together is None:
@@ -488,6 +672,9 @@ class DrivenCircuit(Readout):
         """
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
+
+    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
+        return errors_of_channels(self, cells, scene.wiring, channel)
 
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
         """Return the circuit with additional channel resistances, (rows,) and (columns,) ohm."""
@@ -521,6 +708,17 @@ class DrivenCircuit(Readout):
         return drive, *resistors, *diode
 
 
+@lru_cache(maxsize=32)
+def uniform_readings(circuit: DrivenCircuit, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return resistances of uniform panels, (levels,) ohm, and their readings.
+
+    The readings have shape (levels, rows, columns).
+    """
+    levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
+    panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
+    return levels, circuit.exact_reading(panels)
+
+
 class SourcedCircuit(DrivenCircuit):
     """Base of circuits whose source and converter may have voltages of their own.
 
@@ -540,8 +738,8 @@ class SourcedCircuit(DrivenCircuit):
         super().__post_init__()
 
     @property
-    def driving_volt(self) -> float:
-        return self.supply_volt if self.drive_volt is None else self.drive_volt
+    def source_volt(self) -> float:
+        return super().source_volt if self.drive_volt is None else self.drive_volt
 
     @property
     def full_scale_volt(self) -> float:

@@ -15,6 +15,7 @@ from lampest.panel.readouts.lines import (
     Side,
     as_tuple,
     lines_text,
+    load_share,
     opposite,
     parallel,
     per_line,
@@ -52,6 +53,15 @@ class DrivenReadout(SourcedCircuit):
     groups : tuple of tuple of int, or None
         Sensed lines behind one multiplexer each, in the order of its addresses. At every address
         one line of each group is read. None: at every address one line is read.
+    driven_groups : tuple of tuple of int, or None
+        Driven lines behind one multiplexer each. While line k of a group is driven, line k of every
+        other group ends in drive_ohm at idle_volt; all other driven lines float.
+    idle_volt : float or {'follows'}, or None
+        Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
+        with voltage feedback. None: ground, or the supply with polarity: down.
+    load_volt, idle_load_volt : float, or None
+        Potential in which a load ends, and an idle sensed line, in volt. None: ground, or the
+        supply with polarity: down, and load_volt.
     diode : Diode, or None
         Diode in series with Rd.
     drive_volt, converter_volt : float, or None
@@ -81,6 +91,10 @@ class DrivenReadout(SourcedCircuit):
     sense_ohm: PerLine = 0.0
     idle_load_ohm: PerLine | None = None
     groups: Groups | None = None
+    driven_groups: Groups | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+    idle_load_volt: float | None = None
     diode: Diode | None = None
     drive_volt: float | None = None
     converter_volt: float | None = None
@@ -95,8 +109,12 @@ class DrivenReadout(SourcedCircuit):
                 "drive_volt and converter_volt have no place with polarity: down, where the driven "
                 "line is at ground"
             )
+        if self.driven_groups is not None and min(as_tuple(self.idle_ohm)) < inf:
+            raise ValueError(
+                "idle_ohm has no place with driven_groups, whose other lines float: leave it out"
+            )
         to_ground = [
-            *as_tuple(self.idle_ohm),
+            *(as_tuple(self.idle_ohm) if self.driven_groups is None else as_tuple(self.drive_ohm)),
             *as_tuple(self.load_ohm),
             inf if self.input_ohm is None else self.input_ohm,
         ]
@@ -135,6 +153,17 @@ class DrivenReadout(SourcedCircuit):
             f"{self.supply_volt:g} V{diode}{self._end_text}"
         )
 
+    @property
+    def idle_connected(self) -> bool:
+        return self.driven_groups is not None or min(as_tuple(self.idle_ohm)) < inf
+
+    @property
+    def loads_connected(self) -> tuple[bool, bool]:
+        loads = min(as_tuple(self.load_ohm)) < inf or self.input_ohm is not None
+        if self.idle_load_ohm is None:
+            return loads, False
+        return loads, min(as_tuple(self.idle_load_ohm)) < inf
+
     def states(self, driven: int, sensed: int) -> LineStates:
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         total = load + per_line("sense_ohm", self.sense_ohm, sensed)
@@ -145,7 +174,8 @@ class DrivenReadout(SourcedCircuit):
         with np.errstate(invalid="ignore"):
             gain = np.where(np.isinf(load), 1.0, load / total)
         drive, idle = (per_line(name, getattr(self, name), driven) for name in self.of_driven)
-        return LineStates(drive, idle, total, idle_load, gain)
+        share = load_share(self.load_ohm, load, self.load_volt)
+        return LineStates(drive, idle, total, idle_load, gain, share)
 
 
 def _state(ohm: PerLine) -> str:

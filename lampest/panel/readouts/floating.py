@@ -94,7 +94,7 @@ class FloatingNetwork(Network):
 
     def loading(self, weights: Array) -> Loading:
         """Return W = L_w, the Laplacian with the weights as conductances."""
-        return line_sums(weights), -weights
+        return Loading(line_sums(weights), -weights)
 
     def sensitivity(self) -> Array:
         """Return J = (D∘D)·diag(g), (…, readings, cells)."""

@@ -126,19 +126,30 @@ def parallel(ohm: Array, shunt: float | None) -> Array:
     return ohm if shunt is None else np.asarray(1 / (1 / ohm + 1 / shunt))
 
 
-def check_apart(groups: Groups) -> None:
+def load_share(load_ohm: PerLine, with_input: Array, load_volt: float | None) -> Array | None:
+    """Return the share of a load's potential that the converter's input leaves, (sensed,).
+
+    None where the potential is ground.
+    """
+    if load_volt is None:
+        return None
+    load = per_line("load_ohm", load_ohm, len(with_input))
+    return np.where(np.isinf(load), 0.0, with_input / load)
+
+
+def check_apart(groups: Groups, key: str = "groups") -> None:
     """Raise ValueError unless groups are not empty and name every line once."""
     if not groups or not all(groups):
-        raise ValueError("groups: every multiplexer has at least one line")
+        raise ValueError(f"{key}: every multiplexer has at least one line")
     lines = list(chain.from_iterable(groups))
     twice = next((line for line in lines if lines.count(line) > 1), None)
     if twice is not None:
         raise ValueError(
-            f"groups overlap: line {twice} is listed twice, but it is behind one multiplexer"
+            f"{key} overlap: line {twice} is listed twice, but it is behind one multiplexer"
         )
 
 
-def check_groups(groups: Groups | None, side: Side, count: int) -> None:
+def check_groups(groups: Groups | None, side: Side, count: int, key: str = "groups") -> None:
     """Raise ValueError unless groups, if any, name every one of `count` lines of a side."""
     if groups is None:
         return
@@ -147,13 +158,13 @@ def check_groups(groups: Groups | None, side: Side, count: int) -> None:
     beyond = sorted(lines - set(range(count)))
     if beyond:
         raise ValueError(
-            f"readout.groups: there is no {name} {beyond[0]}; {side} are numbered from 0 to "
+            f"readout.{key}: there is no {name} {beyond[0]}; {side} are numbered from 0 to "
             f"{count - 1}"
         )
     missing = sorted(set(range(count)) - lines)
     if missing:
         raise ValueError(
-            f"readout.groups: {name} {missing[0]} is left out; every one is behind a multiplexer"
+            f"readout.{key}: {name} {missing[0]} is left out; every one is behind a multiplexer"
         )
 
 

@@ -16,7 +16,8 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 
 MAX_DENSE = 400  # cells whose Jacobian is factored
-DAMPED = LevenbergMarquardt(evaluations=100, settled=1e-12, damping=0.1)
+# Where no cells give the readings, the misfit falls by ever less: below 1 % an iteration it ends.
+DAMPED = LevenbergMarquardt(evaluations=100, settled=1e-12, share=0.01, damping=0.1)
 MAX_ITERATIONS = 20
 MAX_PRODUCTS = 30
 CONVERGED = 1e-3  # change of log r

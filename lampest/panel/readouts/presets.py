@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lampest.panel.panel import Array
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.driven import DrivenCircuit, SourcedCircuit
 from lampest.panel.readouts.equation import LineStates
@@ -18,10 +19,12 @@ from lampest.panel.readouts.lines import (
     PerLine,
     Side,
     lines_text,
+    load_share,
     opposite,
     parallel,
     per_line,
 )
+from lampest.panel.readouts.potentials import FOLLOWS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +55,13 @@ class LoadedColumnsReadout(DrivenCircuit):
     groups : tuple of tuple of int, or None
         Sensed lines behind one multiplexer each, with their load behind it; one line of each group
         is read at every address, and idle ones float. None: the loads stay.
+    driven_groups : tuple of tuple of int, or None
+        Driven lines behind one multiplexer each. While line k of a group is driven, line k of every
+        other group ends in drive_ohm at idle_volt; all other driven lines float.
+    load_volt : float, or None
+        Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
+    idle_volt : float, or None
+        Potential of the lines of other groups that are held with driven_groups.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -72,6 +82,17 @@ class LoadedColumnsReadout(DrivenCircuit):
     diode: Diode | None = None
     input_ohm: float | None = None
     groups: Groups | None = None
+    driven_groups: Groups | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+
+    @property
+    def idle_connected(self) -> bool:
+        return self.driven_groups is not None
+
+    @property
+    def loads_connected(self) -> tuple[bool, bool]:
+        return True, False
 
     def description(self) -> str:
         diode = "" if self.diode is None else f", {self.diode.description()}"
@@ -91,7 +112,8 @@ class LoadedColumnsReadout(DrivenCircuit):
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         idle_load = load if self.groups is None else np.full(sensed, inf)
         drive = per_line("drive_ohm", self.drive_ohm, driven)
-        return LineStates(drive, np.full(driven, inf), load, idle_load, np.ones(sensed))
+        share = load_share(self.load_ohm, load, self.load_volt)
+        return LineStates(drive, np.full(driven, inf), load, idle_load, np.ones(sensed), share)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +149,11 @@ class GroundedReadout(DrivenCircuit):
     groups : tuple of tuple of int, or None
         Sensed lines behind one multiplexer each, with their load behind it; one line of each group
         is read at every address, and idle ones float, as with sense: one. None: as `sense` says.
+    idle_volt : float or {'follows'}, or None
+        Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
+        with voltage feedback. None: ground, or the supply with polarity: down.
+    load_volt : float, or None
+        Potential in which the loads end, in volt; None: ground, or the supply with polarity: down.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -148,6 +175,12 @@ class GroundedReadout(DrivenCircuit):
     sense_ohm: PerLine = 0.0
     input_ohm: float | None = None
     groups: Groups | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+
+    @property
+    def loads_connected(self) -> tuple[bool, bool]:
+        return True, False
 
     def description(self) -> str:
         sensed = opposite(self.driven)
@@ -176,7 +209,8 @@ class GroundedReadout(DrivenCircuit):
         load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
         total = load + per_line("sense_ohm", self.sense_ohm, sensed)
         idle_load = total if self.all_loaded else np.full(sensed, inf)
-        return LineStates(drive, drive, total, idle_load, load / total)
+        share = load_share(self.load_ohm, load, self.load_volt)
+        return LineStates(drive, drive, total, idle_load, load / total, share)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,6 +238,12 @@ class VirtualGroundReadout(SourcedCircuit):
         U in volt; None: supply_volt.
     converter_volt : float, or None
         End of the converter's range in volt; None: supply_volt.
+    idle_volt : float or {'follows'}, or None
+        Potential in which idle driven lines end, in volt; 'follows': that of the sensed line, as
+        with voltage feedback. None: ground, or the supply with polarity: down.
+    load_volt, idle_load_volt : float, or None
+        Reference of the amplifiers, and potential of idle sensed lines, in volt. None: ground, and
+        load_volt.
     supply_volt, adc_bits, readings, noise_lsb
         See `Converter`.
 
@@ -224,6 +264,27 @@ class VirtualGroundReadout(SourcedCircuit):
     feedback_ohm: PerLine = 1000.0
     drive_volt: float | None = None
     converter_volt: float | None = None
+    idle_volt: float | Literal["follows"] | None = None
+    load_volt: float | None = None
+    idle_load_volt: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ends = self.line_ends
+        others = [ends.idle_load] if ends.idle == FOLLOWS else [ends.idle, ends.idle_load]
+        if min(ends.sign * (float(volt) - ends.load) for volt in others) < 0:
+            raise ValueError(
+                "idle_volt and idle_load_volt must not lie on the other side of load_volt than the "
+                "source: amplifiers then have currents of both signs, which this model lacks"
+            )
+
+    @property
+    def recorded_reference_volt(self) -> float:
+        return 0.0
+
+    def _end_volt(self, load_volt: Array) -> Array:
+        """Return 0: an amplifier without current is at its reference."""
+        return 0.0 * load_volt
 
     def description(self) -> str:
         return (

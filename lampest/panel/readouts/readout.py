@@ -79,10 +79,13 @@ class Address:
         `lampest.panel.difference_network.DifferenceNetwork` for its entries.
     read : boolean array, shape (rows, columns)
         Which readings are taken.
+    ends : array, shape (lines,), or None
+        Potentials in which the lines end; None: at the ground of the circuit.
     """
 
     ties: Array
     read: NDArray[np.bool_]
+    ends: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +125,7 @@ class Readout(Converter, ABC):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the voltage at the converter is Vcc minus the network's reading."""
+        """Whether the voltage at the converter falls where the network's reading rises."""
         return False
 
     @property
@@ -312,11 +315,11 @@ class Readout(Converter, ABC):
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's readings of recorded values, (…, rows, columns)."""
-        return self.supply_volt - recorded if self.mirrored else recorded
+        return recorded
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
         """Return the recorded values of the network's readings, (…, rows, columns)."""
-        return self.supply_volt - reading if self.mirrored else reading
+        return reading
 
     @property
     def direction(self) -> float:
@@ -393,16 +396,28 @@ class Readout(Converter, ABC):
         array, shape (1 + rows + columns, rows, columns), or (1, rows, columns) without `channel`
             Effect of the reference, then of the channel of each line, rows first.
         """
-        rows, columns = cells.shape
-        lines = rows + columns if channel else 0
         unchanged = self.exact_reading(cells, scene.wiring)
-        errors = np.zeros((1 + lines, rows, columns))
+        errors = np.zeros((1, *cells.shape))
         if reference:
             errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
-        for line, extra in enumerate(channel * np.eye(lines)):
-            recorded = self.simulated(cells, scene, extra[:rows], extra[rows:])
-            errors[1 + line] = self.from_recorded(recorded, scene) - unchanged
-        return errors
+        if not channel:
+            return errors
+        return np.concatenate([errors, self.channel_errors(cells, scene, channel)])
+
+    def channel_errors(self, cells: Array, scene: Surroundings, channel: float) -> Array:
+        """Return the effect of each line's channel on the readings, rows first.
+
+        Shape (rows + columns, rows, columns). See `shared_errors`.
+        """
+        unchanged = self.exact_reading(cells, scene.wiring)
+        rows, columns = cells.shape
+        return np.stack(
+            [
+                self.from_recorded(self.simulated(cells, scene, extra[:rows], extra[rows:]), scene)
+                - unchanged
+                for extra in channel * np.eye(rows + columns)
+            ]
+        )
 
 
 def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
@@ -447,6 +462,7 @@ def without_memory(
     recorded, sigma : array, shape (…, rows, columns)
         Recorded values V and their standard deviations, in the readout's unit.
     """
+    least, most = readout.range_volt
 
     def of_previous_channel(values: Array) -> Array:
         """Return for every channel the value of the previous one in scan order."""
@@ -459,7 +475,7 @@ def without_memory(
         They are taken at least half an LSB away from the ends of the range.
         """
         step = STEP_LSB * readout.lsb_volt
-        inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
+        inside = np.clip(volt, least + readout.lsb_volt / 2, most - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
 
@@ -470,8 +486,8 @@ def without_memory(
     previous_noise = of_previous_channel(noise)
     unknown = ~np.isfinite(previous)
     previous = np.where(unknown, volt, previous)
-    previous_noise = np.where(unknown, readout.full_scale_volt / np.sqrt(12), previous_noise)
-    true = np.clip((volt - fraction * previous) / (1 - fraction), 0.0, readout.full_scale_volt)
+    previous_noise = np.where(unknown, (most - least) / np.sqrt(12), previous_noise)
+    true = np.clip((volt - fraction * previous) / (1 - fraction), least, most)
     true_noise = np.hypot(noise, fraction * previous_noise) / (1 - fraction)
     return readout.recorded_from_volt(true), true_noise * slope(true)
 

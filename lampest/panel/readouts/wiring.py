@@ -293,7 +293,12 @@ class WiredNetwork(DifferenceNetwork):
 
     @classmethod
     def solve(
-        cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring
+        cls,
+        cell_resistance: Array,
+        ties: Array,
+        readout: ReadCircuit,
+        wiring: Wiring,
+        sources: Array | None = None,
     ) -> "WiredNetwork":
         """Return the solved network of cells (rows, columns) ohm.
 
@@ -311,7 +316,17 @@ class WiredNetwork(DifferenceNetwork):
         entries, potentials = (
             nodes @ part @ nodes.T for part in excitations(nodes.T @ admittance @ nodes, node_ties)
         )
-        return cls(cell_resistance, entries, readout, ties, potentials, wiring, ladder, currents)
+        return cls(
+            cell_resistance,
+            entries,
+            readout,
+            ties,
+            potentials,
+            wiring,
+            ladder,
+            currents,
+            sources=sources,
+        )
 
     @cached_property
     def potential_differences(self) -> Array:

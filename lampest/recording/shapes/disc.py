@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lampest.apps.film.pressure import GRAVITY
+from lampest.panel.conditions import GRAVITY
 from lampest.panel.panel import Array
 
 # Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft

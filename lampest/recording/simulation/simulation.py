@@ -16,8 +16,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from lampest.apps.film.memory import FilmMemory
-from lampest.apps.film.pressure import water_pressure
+from lampest.files.applications import applications
 from lampest.files.document import Document, read_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
@@ -30,7 +29,7 @@ from lampest.files.typed import (
     typed,
 )
 from lampest.files.whole import check_room
-from lampest.panel.conditions import Water
+from lampest.panel.conditions import Water, water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene
@@ -415,7 +414,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     hysteresis = strength("hysteresis", film.hysteresis, film.most["hysteresis"])
     creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
-    memory = FilmMemory.at_rest(hysteresis, creep, gain, water, response)
+    at_rest = applications().required("film", "a film at rest", "film")
+    memory = at_rest(hysteresis, creep, gain, water, response)
     ratios = list[Array]()
     # The film's memory advances in MOMENTS steps per frame; the last step of each frame gives its
     # ratio.

@@ -11,8 +11,8 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from lampest.apps.recognition.detect.export import export_visits
 from lampest.files import hdf5
+from lampest.files.applications import applications
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
@@ -83,7 +83,8 @@ def export_results(
     'results.mat'
     """
     if hdf5.format_of(Path(results)).startswith("detections/"):
-        return (export_visits(Path(results), to, out),)
+        exported = applications().required("recognition", "visits", str(results))
+        return (exported(Path(results), to, out),)
     known: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
     export = of_kind(to, "format", known) if isinstance(to, str) else to
     source = Path(results)

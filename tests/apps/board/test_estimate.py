@@ -19,7 +19,7 @@ from lampest.apps.microcontroller.header import header
 from lampest.apps.microcontroller.host import HOST, compiled, library_folder, sources
 from lampest.apps.microcontroller.sketch import export_sketch
 from lampest.apps.microcontroller.trade import chosen_budget, instructions, trades
-from lampest.cli import app
+from lampest.cli.program import app
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 NOISY = lampest.Misfit(weighting="noise")

@@ -117,7 +117,7 @@ def test_the_code_of_the_page_locates_the_pressed_cells(
         ),
         1,
     )
-    divider = 1000 * (256 / np.maximum(raw[PRESSED] + 0.5, 1) - 1)
+    divider = 1000 * (256 / np.maximum(raw[PRESSED], 1) - 1)
     assert np.median(np.abs(divider / PRESSED_OHM - 1)) > 1.0
 
 

@@ -10,8 +10,8 @@ import pytest
 from lampest import Cells, Course, Estimator, Recording, TwoPointReadout
 from lampest.apps.film.memory import Creep, FilmKnown, FilmMemory, Plays
 from lampest.apps.film.pressure import Pressure, pressure_of
-from lampest.apps.film.tare import Tare
 from lampest.cost.terms import Misfit
+from lampest.estimate.objective import Tare
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.panel.panel import Array, Panel

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from lampest import Array, Cells, Panel, Scene, Simulation, SuctionCup, Temperature, Water
-from lampest.apps.film.pressure import pressure_of, water_pressure
+from lampest.apps.film.pressure import pressure_of
+from lampest.panel.conditions import water_pressure
 from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.recording.simulation.simulation import simulate
 

@@ -10,18 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.apps.film.tare import sigma_of_frames
+from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.breath import too_slow
 from lampest.apps.recognition.detect.answer import MIN_PROBABILITY, Detected
 from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.observation import ModelErrors
-from lampest.apps.recognition.watch import MAX_CELLS, TOUCHED, UNEVENLY, Watch
+from lampest.apps.recognition.watch import MAX_CELLS, Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.estimate.deciding import baseline_readings
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import CircuitEffects, without_effects_of
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import with_saturated_stage
-from lampest.estimate.warnings import touched, warnings_of
+from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
@@ -30,7 +31,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from lampest.apps.studies.study import Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]")]
-# Word → module of the study, and its help text. To add a study, write a module with its STUDY and
-# add it here.
+# Word → module of the study, and its help text. To add a study, write a module with its STUDY, add
+# it here, and name its command in the application.
 STUDIES = {
     "bench": (
         "lampest.apps.studies.bench",
@@ -64,6 +64,9 @@ def study_command(word: str) -> Callable[..., None]:
     command.__name__ = word
     command.__doc__ = f"{about}{PARAMETERS}"
     return command
+
+
+bench, tradeoff, extremes, weights = map(study_command, STUDIES)
 
 
 def run_study(

@@ -1,0 +1,73 @@
+"""The command `live`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from lampest.apps.board.commands import Frames, Period, Port, SceneFile, report_recorded
+from lampest.cli import screen
+from lampest.files.errors import InputError
+
+
+def live(
+    port: Port = None,
+    recording: Path | None = None,
+    estimator: str | None = None,
+    config: Path | None = None,
+    assign: screen.Assign = None,
+    speed: Annotated[float, screen.option(callback=screen.positive)] = 1.0,
+    http: str = "127.0.0.1:8137",
+    token: Annotated[str | None, screen.option(envvar="LAMPEST_TOKEN")] = None,
+    count: Frames = None,
+    baseline: screen.Count = 3,
+    scene: SceneFile = None,
+    period: Period = None,
+    out: screen.Output = None,
+    publish: Annotated[list[str] | None, screen.option(metavar="WHERE")] = None,
+) -> None:
+    """Reconstruct frames as they arrive and show them in the browser.
+
+    Parameters
+    ----------
+    recording
+        A recording to replay instead.
+    estimator
+        Default: smooth, or the first of --config.
+    config
+        A run's YAML file with estimators.
+    speed
+        Speed of the replay relative to the recording, such as 10.
+    http
+        HOST:PORT of the page; 127.0.0.1 is visible on this computer only.
+    token
+        Access token of the page; by default one is generated.
+    baseline
+        Number of unloaded frames at the beginning, unless the recording marks them.
+    out
+        Record the board into this file as well.
+    publish
+        lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest.
+        Repeatable.
+    """
+    from lampest.apps.live.run import LiveBoard, Outlets, Replay, chosen
+    from lampest.apps.live.run import live as run_live
+    from lampest.files.process import ending_signals
+
+    if recording is not None and (port or scene or period or out):
+        raise InputError("--recording: --port, --scene, --period and --out are for a board")
+    if assign and config is None:
+        raise InputError("--set: overrides entries of a run's file; name one with --config")
+    source: LiveBoard | Replay = LiveBoard(
+        tuple(port or ()), screen.scene_of(scene, None), baseline, period, out
+    )
+    if recording is not None:
+        source = Replay(recording, speed, baseline)
+
+    def on_address(url: str) -> None:
+        screen.say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url)
+
+    with ending_signals():  # every end of the command sends the board its command to stop
+        estimators = chosen(estimator, config, tuple(assign or ()))
+        outlets = Outlets(http, token, publish or ())
+        done = run_live(source, estimators, outlets, count, on_address, screen.warn)
+    if done is not None:
+        report_recorded(done)

@@ -1,0 +1,49 @@
+"""Loads on a panel at rest: in its unloaded frames, or before any frame."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.observation import ModelErrors, patch_of
+from lampest.apps.recognition.watch import MAX_CELLS, Watch
+from lampest.apps.recognition.watch_parts import WatchSetup
+from lampest.estimate.compared_frames import noise_factor
+from lampest.estimate.variance_components import NO_RIPPLE
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.panel import Array, Panel
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.recording.recording import UNLOADED, Recording
+
+# Relative standard deviation of a frame's gain that is no sign of a load
+# (tests/oracles/test_noise.py).
+MAX_GAIN = 0.1
+
+
+def lies_on(panel: Panel, logarithm: Array) -> bool:
+    """Return whether unloaded cells, ln r (rows, columns), are uneven in the shape of a load."""
+    return Detector(patch_of(panel)).search(panel).lies_on(logarithm)
+
+
+@ONE_BLAS_THREAD
+def touched(recording: Recording) -> bool:
+    """Return whether a load came or left in the unloaded frames.
+
+    False where they scatter as specified. Their gain may vary by MAX_GAIN, as with the supply.
+    """
+    if recording.scene.panel.modules is not None:
+        return any(touched(module) for module in recording.modules)
+    unloaded = recording.readings()[recording.role == UNLOADED]
+    scene = recording.scene
+    few = len(unloaded.value) < 2
+    large = scene.panel.crossings > MAX_CELLS
+    if scene.readout is None or few or large or noise_factor(unloaded) == 1:
+        return False
+    supply = FrameNoise(scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE)
+    setup = replace(
+        WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)),
+        common=lambda measured: supply.columns(measured[None], baseline=False),
+    )
+    sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
+    values = unloaded.plain_values
+    return Watch.begin(setup, unloaded.mean().value, sigma, values, 0.0).touched(values)

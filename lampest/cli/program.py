@@ -1,0 +1,203 @@
+"""The program: commands of the core and of applications, with their help and their checks."""
+
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lampest.cli import estimation
+from lampest.cli.screen import (
+    documented,
+    is_written,
+    say,
+    warn,
+)
+from lampest.files.applications import Command, applications, loaded
+from lampest.files.errors import InputError
+from lampest.files.process import (
+    check_address_space,
+)
+from lampest.files.whole import refuse_inputs, sparing
+
+app = typer.Typer(
+    help="Estimate the cell resistances of resistive matrix sensors from readings with crosstalk.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    epilog="More: lampest show --help (cost terms, schema), lampest study --help (measurements of "
+    "lampest itself)",
+)
+
+
+def _print_version(requested: bool) -> None:
+    """Print the version and end, if requested."""
+    if requested:
+        from importlib.metadata import version
+
+        say(f"lampest {version('lampest')}")
+        raise typer.Exit
+
+
+@app.callback(help=app.info.help)
+def _about(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and end."
+        ),
+    ] = False,
+) -> None:
+    """Accept the options that precede a command."""
+
+
+def _guarded(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command with checks that its input files exist and that it overwrites none.
+
+    Whether they exist is checked before libraries load.
+    """
+    about, signature = documented(command)
+    outputs = {name for name, parameter in signature.parameters.items() if is_written(parameter)}
+
+    def called(**options: Any) -> None:
+        check_address_space()
+        values = [value for name, value in options.items() if name not in outputs]
+        for value in tuple(values):
+            if isinstance(value, list):
+                values += value
+        inputs = [path for path in values if isinstance(path, Path)]
+        if command is not estimation.init:  # which creates its folder
+            for path in inputs:
+                if not path.exists():
+                    raise InputError(f"{path}: no such file")
+        replaced = options.get("repair") or options.get("apply")  # these rewrite their inputs
+        with sparing(() if replaced else inputs):
+            refuse_inputs(
+                [options[name] for name in outputs if isinstance(options.get(name), Path)]
+            )
+            command(**options)
+
+    called.__doc__ = about
+    called.__signature__ = signature  # type: ignore[attr-defined]
+    return called
+
+
+def _renamed(old: str, new: str, flag: str, command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command under its name of the previous release, with a flag of the new one or ''.
+
+    It prints the new name and sets the flag in it.
+    """
+
+    @wraps(command)
+    def called(**options: Any) -> None:
+        full = f"{new} --{flag}" if flag else new
+        warn(f"{old} is now: lampest {full}; the old name works for one more release")
+        names = {name.strip("_"): name for name in options}
+        command(**options | ({names[flag]: True} if flag else {}))
+
+    return called
+
+
+# The core's commands. Those of applications follow.
+CORE: dict[str, Command] = {
+    name: Command(part=part, target=target, example=example, renamed=renamed)
+    for name, part, target, example, renamed in (
+        ("init", "Begin", "lampest.cli.estimation:init", "mine", ()),
+        (
+            "simulate",
+            "Begin",
+            "lampest.cli.estimation:simulate",
+            "simulation.yaml --set seed=2 --out second.h5",
+            (),
+        ),
+        (
+            "tare",
+            "Begin",
+            "lampest.cli.estimation:tare",
+            "mine.h5 --frames 40:50 --out tared.h5",
+            (),
+        ),
+        (
+            "run",
+            "Reconstruct",
+            "lampest.cli.estimation:run",
+            "run.yaml --set formulation=reduced --jobs 2",
+            (),
+        ),
+        ("info", "Look", "lampest.cli.results:info", "mine.h5 --picture mine.png", ()),
+        (
+            "compare",
+            "Look",
+            "lampest.cli.results:compare",
+            "results/run/results.h5 --report page.html",
+            (),
+        ),
+        (
+            "plot",
+            "Look",
+            "lampest.cli.results:plot",
+            "results/run/results.h5 --frame 12 --estimator LSM --out one.svg",
+            (),
+        ),
+        ("export", "Look", "lampest.cli.results:export", "results/run/results.h5 --to csv", ()),
+        (
+            "check",
+            "Look",
+            "lampest.cli.results:check",
+            "mine.h5 results/run/results.h5",
+            ("repair --repair",),
+        ),
+        ("show terms", "Look", "lampest.cli.results:terms", "", ("terms",)),
+        ("show schema", "Look", "lampest.cli.results:schema", "> lampest.schema.json", ("schema",)),
+    )
+}
+GROUPS = {"show": "List what a run file may contain: cost terms, or its JSON schema."}
+PARTS = ("Begin", "Reconstruct", "Look", "Board", "Study")  # in this order, then those of others
+
+
+def _build() -> None:
+    """Add the commands of the core and of applications, in the parts of the help.
+
+    Hidden words of the previous release follow.
+    """
+    others = applications().usable.values()
+    commands = CORE | {name: each for other in others for name, each in other.commands.items()}
+    abouts = GROUPS | {name: about for other in others for name, about in other.groups.items()}
+    parts = list(dict.fromkeys((*PARTS, *(command.part for command in commands.values()))))
+    groups: dict[str, typer.Typer] = {"": app}
+    renamed = []
+    for name, command in sorted(commands.items(), key=lambda item: parts.index(item[1].part)):
+        group, _, word = name.rpartition(" ")
+        epilog = f"Example: lampest {name} {command.example}".rstrip()
+        if group not in groups:
+            groups[group] = typer.Typer(no_args_is_help=True, help=abouts[group])
+            app.add_typer(
+                groups[group], name=group, epilog=epilog, rich_help_panel=command.part, hidden=True
+            )
+        called = _guarded(loaded(command.target))
+        panel = None if group else command.part
+        groups[group].command(word, epilog=epilog, rich_help_panel=panel)(called)
+        for former in command.renamed:
+            old, _, flag = former.partition(" --")
+            hidden = _renamed(old, name, flag, called)
+            now = f"{name} --{flag}" if flag else name
+            renamed.append((old, f"Example: lampest {now}", hidden))
+    for old, epilog, hidden in renamed:
+        app.command(old, epilog=epilog, hidden=True)(hidden)
+
+
+def program() -> Any:
+    """Return what runs the commands; its help names no type for options without a value."""
+    program = typer.main.get_command(app)
+    waiting = [program]
+    while waiting:
+        command = waiting.pop()
+        waiting += getattr(command, "commands", {}).values()
+        for parameter in command.get_params(command.context_class(command)):
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+    return program
+
+
+_build()

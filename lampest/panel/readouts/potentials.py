@@ -1,0 +1,169 @@
+"""Potentials in which the lines of a driven circuit end, and the equation of its readings.
+
+While idle, driven line i ends in Rp and Vp, sensed line j in Rq and Vq; while used, in Rd and the
+source U, and in Rs and Vs. With Z of all lines idle, x the excitation of the lines by their idle
+potentials (V/R, or V where a line is held) and v = Z·x,
+
+    (A + A' Z_ii) d + A' Z_ij s = E − A' v_i
+    B' Z_ij d + (B + B' Z_jj) s = F − B' v_j
+
+for the excitations d and s of the driven and the sensed line, and V_j = v_j + Z_ij d + Z_jj s, or
+Vq + s of a sensed line that is held while idle. A, A', B, B' are those of
+`lampest.panel.readouts.driven`; E = U − Vp Rd/Rp, or U − Vp of a driven line that is held;
+F = Vs/Rs − Vq/Rq, (Vs − Vq)/Rs of a sensed line that is held, or 0 where its load is a part of Z.
+
+All potentials are taken from that of the line ends that are furthest from the source. Where all
+ends but the source have it, d and s are those of the equation without potentials.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.panel.panel import Array
+
+FOLLOWS = "follows"
+
+
+@dataclass(frozen=True)
+class LineEnds:
+    """Potentials in which lines end, in volt.
+
+    Attributes
+    ----------
+    source : float
+        U, of a driven line.
+    idle : float or {'follows'}
+        Vp, of an idle driven line; 'follows': that of the sensed line.
+    load, idle_load : float
+        Vs and Vq, of a sensed line while it is read and while it is idle.
+    connected : tuple of bool
+        Whether any line ends in Vp, in Vs and in Vq; all others float.
+    """
+
+    source: float
+    idle: float | Literal["follows"]
+    load: float
+    idle_load: float
+    connected: tuple[bool, bool, bool]
+
+    @property
+    def reference(self) -> float:
+        """Potential from which all others are taken.
+
+        It is the one that is furthest from the source among those in which lines end, so that the
+        potential of every line lies on one side of it. Where idle lines follow the sensed one, it
+        is that of idle sensed lines, because v is then linear in Vp.
+        """
+        idle, loads, idle_loads = self.connected
+        if self.idle == FOLLOWS:
+            return self.idle_load if idle_loads else self.load
+        ends = [
+            float(end)
+            for end, connects in (
+                (self.load, loads),
+                (self.idle_load, idle_loads),
+                (self.idle, idle),
+            )
+            if connects
+        ]
+        if not ends:
+            return 0.0
+        if self.source - min(ends) >= max(ends) - self.source:
+            return min(ends)
+        return max(ends)
+
+    @property
+    def sign(self) -> float:
+        """1 if the source is above the reference, −1 if it is below it."""
+        return 1.0 if self.source >= self.reference else -1.0
+
+    def relative(self, volt: float) -> float:
+        """Return a potential taken from the reference, positive towards the source."""
+        return self.sign * (volt - self.reference)
+
+
+@dataclass(frozen=True, eq=False)
+class PotentialTerms:
+    """Numbers of the equation with potentials on a panel; see the module.
+
+    Attributes
+    ----------
+    of_drive, of_load : array, shape (rows, columns)
+        E and F.
+    held : boolean array, shape (rows, columns)
+        Whether the sensed line is held while it is idle.
+    held_volt : array, shape (rows, columns)
+        Vq.
+    load_volt : array, shape (rows, columns)
+        Vs.
+    ends : array, shape (addresses, lines)
+        Potentials in which the lines end in Z, those of an address's loads included.
+    follows : array, shape (rows, columns), or None
+        A' of E = U − Vp·(Rd/Rp) by Vp, where idle driven lines follow the sensed one.
+    """
+
+    of_drive: Array
+    of_load: Array
+    held: NDArray[np.bool_]
+    held_volt: Array
+    load_volt: Array
+    ends: Array
+    follows: Array | None
+
+    @property
+    def sourced(self) -> bool:
+        """Whether Z is excited by idle potentials, so that readings depend on v."""
+        return self.follows is not None or bool(self.ends.any())
+
+    def line_volt(
+        self,
+        terms: tuple[tuple[Array, Array], tuple[Array, Array]],
+        entries: tuple[Any, Any, Any],
+        potentials: tuple[Any, Any],
+    ) -> Any:
+        """Return V_j, (rows, columns); NumPy and CasADi.
+
+        Parameters
+        ----------
+        terms : pair of pairs of arrays
+            (A, A') and (B, B').
+        entries : tuple
+            Z_ii, Z_jj and Z_ij.
+        potentials : tuple
+            v_i and v_j.
+        """
+        if self.follows is None:
+            return self._line_volt(terms, entries, potentials, self.of_drive, self.of_load)
+        # V_j = V_0 + V_1 Vp with Vp = V_j, where V_1 is excited by idle driven lines alone
+        alone = (0.0 * potentials[0], 0.0 * potentials[1])
+        without = self._line_volt(terms, entries, alone, self.of_drive, self.of_load)
+        share = self._line_volt(terms, entries, potentials, self.follows, 0.0 * self.of_load)
+        return without / (1 - share)
+
+    def _line_volt(
+        self,
+        terms: tuple[tuple[Array, Array], tuple[Array, Array]],
+        entries: tuple[Any, Any, Any],
+        potentials: tuple[Any, Any],
+        of_drive: Array,
+        of_load: Array,
+    ) -> Any:
+        (drive, by_drive), (load, by_load) = terms
+        own_driven, own_sensed, mutual = entries
+        driven_volt, sensed_volt = potentials
+        driving = drive + own_driven * by_drive
+        determinant = driving * (load + own_sensed * by_load) - mutual * mutual * (
+            by_drive * by_load
+        )
+        # Of a sensed line that is tied while idle B = 1, and 1/Rs of one that is held
+        held = self.held.astype(float)
+        through = (1 - held) * own_sensed + held
+        rises = (
+            mutual * (of_drive - driven_volt * by_drive)
+            + driving * (sensed_volt + through * of_load)
+            - (1 - held) * (of_load * by_drive) * (mutual * mutual)
+        )
+        return rises / determinant + held * self.held_volt

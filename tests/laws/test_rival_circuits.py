@@ -1,0 +1,77 @@
+"""Laws of the search for rival circuits: what it may leave out without another verdict."""
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
+from lampest.estimate import explanation
+from lampest.estimate.compared_frames import broken_law
+from lampest.estimate.explanation import Explanation
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.rivals import Rival
+from lampest.panel.readouts.readout import Readout
+
+CIRCUITS = (
+    lampest.TwoPointReadout(),
+    LoadedColumnsReadout(load_ohm=3300.0, drive_ohm=100.0),
+    LoadedColumnsReadout(load_ohm=3300.0, drive_ohm=100.0, polarity="down", driven="columns"),
+    GroundedReadout(load_ohm=1000.0, drive_ohm=70.0),
+    GroundedReadout(load_ohm=1000.0, drive_ohm=70.0, sense_ohm=70.0, sense="one"),
+    lampest.VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=150.0),
+    DrivenReadout(load_ohm=1000.0, drive_ohm=50.0, idle_ohm=50.0, idle_load_ohm=0.0),
+    DrivenReadout(load_ohm=1000.0, drive_ohm=50.0, groups=((0, 1), (2, 3, 4)), sense_ohm=20.0),
+)
+
+
+def panel_cells(rows: int, columns: int) -> np.ndarray:
+    """Cells of a film that scatters, in ohm."""
+    return 3000 * np.exp(0.3 * np.random.default_rng(5).standard_normal((rows, columns)))
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: str(circuit.kind))
+def test_a_resistance_in_series_only_narrows_the_laws_of_a_circuit(circuit: Readout) -> None:
+    scene = Scene(Panel(4, 5), circuit).with_series(0.0)
+    recorded = circuit.to_recorded(circuit.exact_reading(panel_cells(4, 5)), scene)[None]
+    rival = Rival(scene, recorded, None)
+    previous: list[np.ndarray] = []
+    for ohm in (0.0, 5.0, 20.0, 60.0):
+        tried = rival.with_series(ohm)
+        readings = tried.readings()
+        tests = tried.scene.circuit.free_tests(readings.value, readings.known_sigma)
+        # the law of idle lines at ground comes first, and only with resistances that are large
+        # enough
+        excess = [test.excess for test in reversed(tests)]
+        assert len(excess) >= max(len(previous), 1)
+        assert all(np.all(now >= then) for now, then in zip(excess, previous, strict=False))
+        previous = excess
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS, ids=lambda circuit: str(circuit.kind))
+def test_the_effect_of_channels_is_that_of_one_simulation_for_each(circuit: Readout) -> None:
+    scene = Scene(Panel(4, 5), circuit)
+    cells = panel_cells(4, 5)
+    one_by_one = Readout.channel_errors(circuit, cells, scene, 1.0)
+    several = circuit.channel_errors(cells, scene, 1.0)
+    np.testing.assert_allclose(several, one_by_one, atol=1e-9 * np.abs(one_by_one).max())
+
+
+def test_rivals_whose_laws_the_readings_break_are_not_fitted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = Scene(Panel(5, 5, 10.0), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    load = lampest.Rod(centre_mm=(20.0, 20.0), diameter_mm=25, mass_g=900)
+    recording = lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
+    question = Prepared(recording).question
+    tried: list[Rival] = []
+    of = Explanation.of.__func__  # type: ignore[attr-defined]
+
+    def counted(cls: type[Explanation], rival: Rival, *further: object, **named: object) -> object:
+        tried.append(rival)
+        return of(cls, rival, *further, **named)
+
+    monkeypatch.setattr(Explanation, "of", classmethod(counted))
+    assert question.explanation is not None
+    explanation.better_rival(question, question.explanation)
+    assert len(tried) > 3
+    assert not any(broken_law(rival, question) for rival in tried if rival.kind)

@@ -1,0 +1,244 @@
+"""Driven circuits whose line ends have potentials, against netlists of resistors."""
+
+from dataclasses import replace
+from itertools import product
+from math import inf
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import lampest
+from lampest import (
+    Array,
+    DrivenReadout,
+    GroundedReadout,
+    InputError,
+    LoadedColumnsReadout,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    VirtualGroundReadout,
+)
+from tests.netlist import volts
+
+ROWS, COLUMNS = SHAPE = (4, 6)
+SOURCE = 5.0
+IDLE_OHM = (inf, 0.0, 330.0)
+IDLE_LOAD_OHM = (None, inf, 0.0, 2200.0)
+IDLE_VOLT = (None, 1.5, "follows")
+LOAD_VOLT = (None, 2.5)
+PAIRS = ((0, 2, 4), (5, 1, 3))
+ROW_PAIRS = ((0, 1), (3, 2))
+
+
+def cells_of(seed: int, shape: tuple[int, int] = SHAPE, contrast: float = 1.0) -> Array:
+    return 2000 * np.exp(contrast * np.random.default_rng(seed).uniform(-2, 2, shape))
+
+
+def recorded(readout: Any, cells: Array) -> Array:
+    scene = Scene(Panel(*cells.shape), readout)
+    return np.asarray(readout.to_recorded(readout.exact_reading(cells), scene))
+
+
+def combinations() -> dict[str, DrivenReadout]:
+    """Circuits of all combinations of idle states, potentials and sides that are one."""
+    circuits = {}
+    for idle, idle_load, volt, load_volt, driven in product(
+        IDLE_OHM, IDLE_LOAD_OHM, IDLE_VOLT, LOAD_VOLT, ("rows", "columns")
+    ):
+        keys: dict[str, Any] = {"idle_ohm": idle, "idle_load_ohm": idle_load, "driven": driven}
+        if idle < inf:
+            keys["idle_volt"] = volt
+        elif volt is not None:
+            # Floating lines have no potential: the idle sensed lines get one of their own
+            if idle_load in (None, inf):
+                continue
+            keys["idle_load_volt"] = 3.5 if volt == "follows" else 0.8
+        keys["load_volt"] = load_volt
+        circuits[str(keys)] = DrivenReadout(
+            drive_ohm=70.0, load_ohm=1000.0, sense_ohm=30.0, supply_volt=SOURCE, **keys
+        )
+    return circuits
+
+
+OTHERS: dict[str, Any] = {
+    "mid-supply loads": LoadedColumnsReadout(load_ohm=1e5, drive_ohm=70.0, load_volt=2.5),
+    "mid-supply loads, driven low": LoadedColumnsReadout(
+        load_ohm=1e4, drive_ohm=70.0, load_volt=2.5, polarity="down"
+    ),
+    "mid-supply loads, converter": LoadedColumnsReadout(
+        load_ohm=1e4, drive_ohm=70.0, load_volt=2.5, input_ohm=5e4
+    ),
+    "driven multiplexers": LoadedColumnsReadout(
+        load_ohm=1e3, drive_ohm=70.0, driven_groups=ROW_PAIRS
+    ),
+    "driven multiplexers at a potential": DrivenReadout(
+        load_ohm=1e3, drive_ohm=70.0, driven_groups=ROW_PAIRS, idle_volt=1.0
+    ),
+    "driven multiplexers without resistance": DrivenReadout(
+        load_ohm=1e3, drive_ohm=0.0, driven_groups=ROW_PAIRS, idle_volt=1.0, load_volt=2.0
+    ),
+    "multiplexers on both sides": DrivenReadout(
+        load_ohm=1e3, drive_ohm=70.0, driven_groups=ROW_PAIRS, groups=PAIRS, load_volt=1.2
+    ),
+    "multiplexers of columns, idle loads": DrivenReadout(
+        load_ohm=1e3,
+        drive_ohm=70.0,
+        groups=PAIRS,
+        load_volt=1.2,
+        idle_load_ohm=900.0,
+        idle_load_volt=3.0,
+        idle_ohm=500.0,
+        idle_volt=0.4,
+    ),
+    "inputs without a resistor": DrivenReadout(
+        load_ohm=inf, drive_ohm=45.0, idle_ohm=45.0, idle_volt=1.0
+    ),
+    "grounded, mid-supply": GroundedReadout(load_volt=2.5, sense="one"),
+    "grounded, feedback": GroundedReadout(idle_volt="follows"),
+    "amplifiers at mid-supply": VirtualGroundReadout(
+        sense_ohm=40.0, feedback_ohm=400.0, idle_volt=2.5, load_volt=2.5
+    ),
+    "amplifiers, idle columns higher": VirtualGroundReadout(
+        sense_ohm=40.0, feedback_ohm=400.0, idle_volt=2.0, load_volt=1.0, idle_load_volt=1.5
+    ),
+}
+
+
+def test_every_combination_of_potentials_agrees_with_its_netlist() -> None:
+    circuits = combinations()
+    assert len(circuits) >= 96
+    for number, (name, readout) in enumerate(circuits.items()):
+        cells = cells_of(number)
+        assert_allclose(
+            recorded(readout, cells), volts(cells, readout), rtol=1e-10, atol=1e-10, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_circuit_with_potentials_agrees_with_its_netlist(name: str) -> None:
+    readout = OTHERS[name]
+    cells = cells_of(7)
+    assert_allclose(recorded(readout, cells), volts(cells, readout), rtol=1e-10, atol=1e-10)
+
+
+def test_random_circuits_agree_with_their_netlists() -> None:
+    rng = np.random.default_rng(11)
+    for seed in range(100):
+        shape = (int(rng.integers(2, 7)), int(rng.integers(2, 7)))
+        ohm = np.exp(rng.uniform(np.log(10), np.log(1e5), 4))
+        volt = rng.uniform(-5, 5, 4)
+        readout = DrivenReadout(
+            driven=rng.choice(["rows", "columns"]),
+            drive_ohm=float(ohm[0]),
+            idle_ohm=float(ohm[1]),
+            load_ohm=float(ohm[2]),
+            idle_load_ohm=float(ohm[3]),
+            drive_volt=float(abs(volt[0]) + 0.1),
+            idle_volt="follows" if seed % 4 == 0 else float(volt[1]),
+            load_volt=float(volt[2]),
+            idle_load_volt=float(volt[3]),
+        )
+        cells = cells_of(seed, shape, contrast=2.0)
+        assert_allclose(
+            recorded(readout, cells), volts(cells, readout), rtol=1e-9, atol=1e-9, err_msg=str(seed)
+        )
+
+
+@pytest.mark.parametrize("name", [*OTHERS, *list(combinations())[::7]])
+def test_derivatives_are_those_of_the_readings(name: str) -> None:
+    readout = (OTHERS | combinations())[name]
+    cells = cells_of(3)
+    shape = cells.shape
+    network = readout.network(cells, readout.ties(cells))
+    jacobian = network.sensitivity()
+    step = np.random.default_rng(1).normal(size=shape)
+    weights = np.random.default_rng(2).normal(size=shape)
+    size = 1e-5
+
+    def at(position: float) -> Any:
+        moved = cells * np.exp(position * step)
+        return readout.network(moved, readout.ties(moved))
+
+    ahead, behind = at(size), at(-size)
+    change = (ahead.reading() - behind.reading()) / (2 * size)
+    largest = np.abs(change).max()
+    assert_allclose(network.forward(step), change, atol=1e-7 * largest)
+    assert_allclose(jacobian @ step.ravel(), change.ravel(), atol=1e-7 * largest)
+    assert_allclose(
+        network.adjoint(weights).ravel(), jacobian.T @ weights.ravel(), rtol=1e-8, atol=1e-12
+    )
+    assert_allclose(network.own_response().ravel(), np.diag(jacobian), rtol=1e-8, atol=1e-12)
+    # Σ w ∂²y/∂u² = H − diag(Jᵀw)
+    second = network.second_order(weights)
+    turned = (ahead.adjoint(weights) - behind.adjoint(weights)) / (2 * size)
+    product_of = second.products(step)[1] - network.adjoint(weights) * step
+    scale = np.abs(turned).max()
+    assert_allclose(product_of, turned, atol=1e-6 * scale)
+    by_matrix = second.matrix() @ step.ravel() - (network.adjoint(weights) * step).ravel()
+    assert_allclose(by_matrix, turned.ravel(), atol=1e-6 * scale)
+    assert_allclose(second.adjoint(), network.adjoint(weights), rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"idle_volt": 1.0}, "idle_volt has no place where idle driven lines float"),
+        ({"idle_ohm": 100.0, "idle_volt": "follows", "groups": PAIRS}, "one sensed line at a time"),
+        ({"load_volt": 5.0}, "no current flows"),
+        ({"driven_groups": ((0, 1), (1, 2))}, "driven_groups overlap: line 1"),
+        ({"driven_groups": ROW_PAIRS, "idle_ohm": 100.0}, "idle_ohm has no place"),
+        (
+            {"idle_load_ohm": inf, "idle_load_volt": 1.0},
+            "idle sensed lines keep their load or float",
+        ),
+        ({"load_volt": 5000.0}, "within 1000 V"),
+    ],
+)
+def test_contradictions_are_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        DrivenReadout(**keys)
+
+
+def test_amplifiers_with_currents_of_both_signs_are_refused() -> None:
+    with pytest.raises(InputError, match="currents of both signs"):
+        VirtualGroundReadout(load_volt=2.5)
+
+
+def test_driven_groups_name_every_line() -> None:
+    with pytest.raises(InputError, match=r"readout.driven_groups: row 3 is left out"):
+        Scene(Panel(4, 6), LoadedColumnsReadout(driven_groups=((0, 1), (2,))))
+
+
+SOLVED = {
+    name: OTHERS[name]
+    for name in (
+        "mid-supply loads",
+        "driven multiplexers",
+        "multiplexers on both sides",
+        "grounded, mid-supply",
+        "grounded, feedback",
+        "amplifiers at mid-supply",
+    )
+} | {
+    "pull-downs, mid-supply": DrivenReadout(
+        idle_ohm=0.0, idle_volt=1.0, load_volt=2.5, drive_ohm=30.0
+    )
+}
+
+
+@pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
+@pytest.mark.parametrize("name", SOLVED)
+def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
+    readout = SOLVED[name]
+    resting = cells_of(5, contrast=0.2)
+    loaded = resting.copy()
+    loaded[1:3, 2:4] *= 0.3
+    scene = Scene(Panel(*SHAPE), replace(readout, adc_bits=16, noise_lsb=0.1, readings=1))
+    frames = np.stack([volts(resting, readout), volts(loaded, readout)])
+    recording = Recording.from_array(frames, unit="volt", scene=scene, baseline=1)
+    found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation=formulation)
+    assert_allclose(found.cell_resistance[0], loaded, rtol=2e-3)

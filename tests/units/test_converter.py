@@ -1,0 +1,100 @@
+"""What a code of the converter stands for: steps, ends, curves, and versions of files."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import lampest
+from lampest import Characteristic, GroundedReadout, InputError, Panel, Recording, Scene
+
+BITS = 10
+STEP = 5 / 2**BITS
+DEAD_ZONE = Characteristic(zero_volt=0.14, full_volt=3.12)
+FALLING = Characteristic(zero_volt=2.5, full_volt=-2.5)
+CURVE = Characteristic(curve=((0.1, 0.0), (1.0, 300.0), (3.2, 1024.0)))
+
+
+def readout(**keys: object) -> GroundedReadout:
+    return GroundedReadout(
+        supply_volt=5.0, adc_bits=BITS, readings=1, noise_lsb=0.5, load_ohm=1000.0, **keys
+    )
+
+
+def test_transitions_are_those_of_the_data_sheet() -> None:
+    """The first one is half a step above zero, the last one 1.5 steps below full scale."""
+    converter = readout()
+    below_and_above = np.array([0.499, 0.501, 2**BITS - 1.501, 2**BITS - 1.499]) * STEP
+    assert converter.code_from_volt(below_and_above).tolist() == [0, 1, 2**BITS - 2, 2**BITS - 1]
+    assert converter.volt_from_code(np.array([0.0, 512.0])).tolist() == [0.0, 2.5]
+
+
+def test_codes_of_a_rounding_converter_leave_cells_unbiased() -> None:
+    rng = np.random.default_rng(3)
+    cells = 3000 * np.exp(0.3 * rng.standard_normal((1, 8, 8)))
+    circuit = readout()
+    scene = Scene(Panel(8, 8), circuit)
+    volt = circuit.exact_reading(cells)
+    codes = np.rint(volt / STEP + 0.5 * rng.standard_normal((400, 8, 8))).mean(0, keepdims=True)
+    recording = Recording.from_array(codes, unit="code", scene=scene, baseline=0)
+    found = lampest.reconstruct(recording, [lampest.Misfit()])
+    assert abs(np.median(found.cell_resistance / cells - 1)) < 1e-3  # half a step: 4e-3
+
+
+@pytest.mark.parametrize("characteristic", [DEAD_ZONE, FALLING, CURVE])
+def test_voltages_return_from_their_codes(characteristic: Characteristic) -> None:
+    converter = readout(converter=characteristic)
+    codes = np.arange(1, 2**BITS - 1)
+    assert np.array_equal(converter.code_from_volt(converter.volt_from_code(codes)), codes)
+    least, most = converter.rails()
+    inside = np.sort(converter.volt_from_code(np.array([1.0, 2**BITS - 2.0])))
+    assert least < inside[0] < inside[1] < most
+
+
+def test_codes_of_a_dead_zone_are_bounds() -> None:
+    scene = Scene(Panel(2, 2), readout(converter=DEAD_ZONE))
+    codes = np.array([[[0.0, 100.0], [300.0, 1023.0]]])
+    recording = Recording.from_array(codes, unit="code", scene=scene, baseline=0)
+    readings = lampest.recording.readings.Readings.of(scene, recording.recorded)
+    assert np.array_equal(readings.side != 0, [[[True, False], [False, True]]])
+
+
+def test_noise_follows_the_steps_of_a_curve() -> None:
+    converter = readout(converter=CURVE)
+    fine, coarse = converter.sigma(np.array([0.5, 2.0]))
+    assert coarse / fine == pytest.approx((2.2 / 724) / (0.9 / 300))
+
+
+def test_known_converters_have_names() -> None:
+    assert readout(converter="esp32").volt_from_code(np.array(0.0)) == pytest.approx(0.14)
+    assert readout(converter="avr").range_volt == (0.0, 5.0)
+
+
+def test_first_recordings_keep_the_middle_of_their_codes(tmp_path: Path) -> None:
+    """Files of format recording/1 hold code c as c + ½ steps, and rails at whole steps."""
+    codes = np.array([[[0.5, 100.5], [300.5, 1022.5]]])
+    path = tmp_path / "old.h5"
+    Recording.from_array(codes * STEP, unit="volt", scene=Scene(Panel(2, 2), readout())).save(path)
+    with h5py.File(path, "a") as file:
+        file.attrs["lampest_format"] = np.bytes_("recording/1")
+    circuit = Recording.load(path).scene.circuit
+    assert circuit.code_from_volt(codes * STEP).tolist() == [[[0, 100], [300, 1022]]]
+    assert circuit.rails() == pytest.approx((STEP, 1023 * STEP))
+    Recording.load(path).save(tmp_path / "new.h5")
+    assert Recording.load(tmp_path / "new.h5").scene.circuit == circuit
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"zero_volt": 1.0, "full_volt": 1.0}, "must differ"),
+        ({"zero_volt": 5000.0}, "within 1000 V"),
+        ({"curve": ((0.0, 0.0),)}, "two or more points"),
+        ({"curve": ((0.0, 0.0), (1.0, 5.0), (2.0, 4.0))}, "rise or fall throughout"),
+        ({"curve": ((0.0, 0.0), (1.0, 5.0)), "full_volt": 3.0}, "takes the place"),
+    ],
+)
+def test_contradictions_are_refused(keys: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Characteristic(**keys)
