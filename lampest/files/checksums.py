@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ DIGEST = "sha256"  # attribute with the digest of one text or, of a text in olde
 BLOCKS = f"blocks_{DIGEST}"
 # Attribute of the root: digest of the paths and the blocks of all datasets.
 DATASETS = f"datasets_{DIGEST}"
+# Chunks of a dataset: a day at 100 frames a second has half a million while it is recorded.
+MAX_CHUNKS = 10_000_000
 MAX_ATTRIBUTE_BYTES = 4_000  # HDF5 may store larger ones without a checksum
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file,
 # root, checksum.
@@ -141,11 +144,24 @@ def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
     return values[begin - start : max(end, begin) - start]
 
 
+def check_chunks(dataset: h5py.Dataset) -> None:
+    """Raise ValueError if a dataset declares more than MAX_CHUNKS chunks.
+
+    HDF5 would visit all of them.
+    """
+    if dataset.chunks:
+        sizes = zip(dataset.shape, dataset.chunks, strict=True)
+        count = prod(-(-size // part) for size, part in sizes)
+        if count > MAX_CHUNKS:
+            raise ValueError(f"it declares {count} chunks; more than {MAX_CHUNKS} are not read")
+
+
 def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
     """Yield all values of a dataset by blocks, with their place.
 
-    Raises ValueError if they differ from a digest.
+    Raises ValueError if they differ from a digest, or are in too many chunks.
     """
+    check_chunks(dataset)
     if dataset.shape and BLOCKS in dataset.attrs:
         for first, last in pairwise([*_entries(dataset), len(dataset)]):
             yield slice(first, last), read_verified(dataset, slice(first, last))

@@ -119,7 +119,7 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
             hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
         )
     if "raw_sums" in held:
-        held["raw_readings"] = int(hdf5.read_number(file, "/entry/raw", "readings", 0))
+        held["raw_readings"] = read_raw_readings(file)
     frames = len(held["recorded"])
     acquisition = Acquisition.read(file, chosen)
     if acquisition is not None and held["start_time"] is None and frames and "time" in held:
@@ -129,6 +129,21 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
     held.setdefault("time", number.astype(float))
     held["number"] = None if part == hdf5.ALL else number
     return held
+
+
+def read_raw_readings(file: h5py.File) -> int:
+    """Return the number of codes in each sum; 0 without it.
+
+    Raises InputError unless it is a whole number of 16 bits.
+    """
+    number = hdf5.read_number(file, "/entry/raw", "readings", 0)
+    most = np.iinfo(np.uint16).max
+    if not (0 <= number <= most and float(number).is_integer()):
+        raise InputError(
+            f"{file.filename}: /entry/raw@readings must be a whole number from 0 to {most}, not "
+            f"{number:g}"
+        )
+    return int(number)
 
 
 def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:

@@ -278,6 +278,42 @@ def test_the_documented_edit_of_values_leaves_a_file_that_check_accepts(tmp_path
     assert Recording.load(path).recorded[0, 0, 0] == 1234.5
 
 
+@pytest.mark.parametrize("growing", [{}, {"maxshape": (None,)}])
+def test_check_does_not_visit_a_billion_declared_chunks(
+    tmp_path: Path, growing: dict[str, Any]
+) -> None:
+    """HDF5 counted them for minutes, and Python for hours."""
+    path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file["entry"].create_dataset("mine", (10**9,), "f8", chunks=(1,), **growing)
+    completed = called("check", path)
+    assert completed.code == 2 and "/entry/mine is damaged (it declares 1000000000 chunks" in (
+        completed.err
+    )
+
+
+@pytest.mark.parametrize("readings", [-20, 1e9, 2.5])
+def test_an_impossible_number_of_readings_is_refused(tmp_path: Path, readings: float) -> None:
+    """A traceback where the recording was written again."""
+    sums = np.full((4, 3, 4), 9000, dtype=np.uint16)
+    recording = Recording(
+        Scene(Panel(3, 4), TwoPointReadout(readings=20), 140.0),
+        np.full((4, 3, 4), 700.0),
+        np.arange(4.0),
+        np.array([0, 1, 1, 1], dtype=np.uint8),
+        raw_sums=sums,
+        raw_readings=20,
+    )
+    path = tmp_path / "a.h5"
+    recording.save(path)
+    with h5py.File(path, "r+") as file:
+        file["entry/raw"].attrs["readings"] = readings
+    for words in (("info", path), ("tare", path, "--frames", "0:1", "--out", tmp_path / "b.h5")):
+        completed = called(*words)
+        assert completed.code == 2 and "/entry/raw@readings must be a whole number" in completed.err
+    assert not (tmp_path / "b.h5").exists()
+
+
 def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:
     """Files of older versions are read; `check` says what their checksums do not notice."""
     path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
