@@ -479,6 +479,23 @@ def children(file: h5py.File, path: str, kind: type[Any] = h5py.Dataset) -> list
     return [name for name in group if _node_or_none(file, f"{path}/{name}", kind) is not None]
 
 
+@_located
+def datasets(file: h5py.File, path: str) -> dict[str, h5py.Dataset]:
+    """Return all datasets below a group by their paths, without a leading slash.
+
+    Links, and datasets whose values are in other files, are left out. Raises InputError if a part
+    of the file is damaged.
+    """
+    found: dict[str, h5py.Dataset] = {}
+
+    def take(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and not (node.is_virtual or node.external):
+            found[name] = node
+
+    file[path].visititems(take)  # each object once, by hard links alone
+    return found
+
+
 def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
     node = _node_or_none(file, path, kind)
     if node is None:
