@@ -127,7 +127,7 @@ def _first_row(values: Array, rows: int) -> int | None:
 
 def _distances(values: Array, lag: int) -> Array:
     """Return the mean distance of each line from the one `lag` lines later; missing ones have 0."""
-    return np.nan_to_num(np.abs(values[lag:] - values[:-lag])).mean(axis=1)
+    return np.asarray(np.nan_to_num(np.abs(values[lag:] - values[:-lag])).mean(axis=1))
 
 
 def _sums(values: Array, length: int) -> Array:

@@ -480,13 +480,13 @@ def _blocks(
         row[lines] = np.arange(len(lines)) % rows
         begins.extend(lines[::rows])
 
-    for before, part in pairwise([Part(0, 0), *parts]) if len(groups) == 1 else ():
-        first, last = (table.source.called(int(table.lines[at])) for at in (before.end, part.begin))
-        if before.end:
+    for passed, part in pairwise([Part(0, 0), *parts]) if len(groups) == 1 else ():
+        first, last = (table.source.called(int(table.lines[at])) for at in (passed.end, part.begin))
+        if passed.end:
             notes.append(
                 f"lines are lost or doubled between {first} and {last}: a frame is missing"
             )
-            begins.append(before.end)
+            begins.append(passed.end)
         elif part.begin:
             notes.append(f"the lines before {last} are of a cut frame, and left out")
         take(range(part.begin, part.end))
