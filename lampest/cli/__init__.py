@@ -31,6 +31,7 @@ from lampest.files.process import (  # noqa: E402
 
 if _EARLY:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+del _EARLY
 
 NO_THREAD = "can't start new thread"  # the words of Python's RuntimeError
 KEPT = "interrupted; what was finished is kept"
