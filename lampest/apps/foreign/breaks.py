@@ -21,7 +21,7 @@ MAX_MISFIT = 0.98  # mean distance from the rows' medians, over that without bre
 MIN_STEP = 3.0  # times the second largest step between neighbouring lines: the end of a frame
 
 
-class Part(NamedTuple):
+class WholeFrames(NamedTuple):
     """Whole frames between breaks: lines from `begin` to `end`, without the latter."""
 
     begin: int
@@ -36,7 +36,7 @@ class Break(NamedTuple):
     shift: int
 
 
-def whole_parts(values: Array, rows: int) -> tuple[Part, ...] | None:
+def whole_parts(values: Array, rows: int) -> tuple[WholeFrames, ...] | None:
     """Return the parts of whole frames in lines without marks, (lines, columns).
 
     The last part may end with a cut frame. None if the lines are no whole number of frames, and the
@@ -52,28 +52,28 @@ def whole_parts(values: Array, rows: int) -> tuple[Part, ...] | None:
             breaks = alone
         else:
             begin = None if breaks else _first_row(values, rows)
-            return None if begin is None else (Part(begin, len(values)),)
+            return None if begin is None else (WholeFrames(begin, len(values)),)
     parts = _between(breaks, len(values), rows)
-    plain = (Part(0, len(values)),)
+    plain = (WholeFrames(0, len(values)),)
     if not breaks or _misfit(values, rows, parts) < MAX_MISFIT * _misfit(values, rows, plain):
         return parts
     return None if surplus else plain
 
 
-def _between(breaks: list[Break], lines: int, rows: int) -> tuple[Part, ...]:
+def _between(breaks: list[Break], lines: int, rows: int) -> tuple[WholeFrames, ...]:
     """Return the parts of whole frames between breaks."""
-    parts = list[Part]()
+    parts = list[WholeFrames]()
     begin = 0
     displacement = 0
     for first, last, shift in breaks:
         displacement += shift
-        parts.append(Part(begin, max(begin + (first - begin) // rows * rows, begin)))
+        parts.append(WholeFrames(begin, max(begin + (first - begin) // rows * rows, begin)))
         begin = last + max(shift, 0)
         begin += (displacement - begin) % rows
-    return (*parts, Part(begin, lines))
+    return (*parts, WholeFrames(begin, lines))
 
 
-def _misfit(values: Array, rows: int, parts: tuple[Part, ...]) -> float:
+def _misfit(values: Array, rows: int, parts: tuple[WholeFrames, ...]) -> float:
     """Return the mean distance of all lines of whole frames from the median of their row."""
     frames = np.concatenate(
         [

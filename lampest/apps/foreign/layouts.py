@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Frames, Index, Shape
 from lampest.apps.foreign.beside import described, with_one_clock
-from lampest.apps.foreign.breaks import Part, whole_parts
+from lampest.apps.foreign.breaks import WholeFrames, whole_parts
 from lampest.apps.foreign.table import ReadingsTable, kind_of
 from lampest.apps.foreign.words import COLUMN, ROW, cell_of, line_of, role_of
 from lampest.files.errors import InputError, counted
@@ -480,7 +480,7 @@ def _blocks(
         row[lines] = np.arange(len(lines)) % rows
         begins.extend(lines[::rows])
 
-    for passed, part in pairwise([Part(0, 0), *parts]) if len(groups) == 1 else ():
+    for passed, part in pairwise([WholeFrames(0, 0), *parts]) if len(groups) == 1 else ():
         first, last = (table.source.called(int(table.lines[at])) for at in (passed.end, part.begin))
         if passed.end:
             notes.append(
