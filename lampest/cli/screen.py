@@ -100,7 +100,7 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
         if get_origin(kind) is Annotated:
             kind = get_args(kind)[0]
         note = _note_of(parameter, kind)
-        note.help = note.help or help_of[name]
+        note.help = note.help or help_of.get(name)
         parameters.append(parameter.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
 
