@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-
-import lampest
-from lampest.apps.microcontroller.host import compiled
-from lampest.apps.microcontroller.library import library_folder
-from lampest.apps.microcontroller.wrong_circuits import (
+from apps.microcontroller.wrong_circuits import (
     BASELINES,
     BOARDS,
     BUDGET,
@@ -17,6 +13,10 @@ from lampest.apps.microcontroller.wrong_circuits import (
     errors_of,
     exported,
 )
+
+import lampest
+from lampest.apps.microcontroller.host import compiled
+from lampest.apps.microcontroller.library import library_folder
 from lampest.panel.scene import Scene
 
 FAST = ("channels of 40 to 110 Ω", "two_point")

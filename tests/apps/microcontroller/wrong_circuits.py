@@ -1,6 +1,6 @@
 """Ghosts and misses of the example `keyboard` where the board is not what its constants say.
 
-    python -m lampest.apps.microcontroller.wrong_circuits [CHORDS]
+    python -m tests.apps.microcontroller.wrong_circuits [CHORDS]
 
 prints a table: chords of three and four keys on 8 × 12 keys, with constants of the nominal circuit.
 """
