@@ -35,14 +35,14 @@ static inline uint16_t portable_identity() {
 }
 
 /* Sums of `readings` codes of each cell, row by row. */
-static inline void portable_scan(uint8_t rows, uint8_t columns, uint8_t readings, uint16_t settle_us, uint16_t *sums) {
+static inline void portable_scan(uint8_t rows, uint8_t columns, uint8_t readings, uint16_t settle_us, uint32_t *sums) {
     static const uint8_t row_channels[] = LAMPEST_ROW_CHANNELS, column_channels[] = LAMPEST_COLUMN_CHANNELS;
     for (uint8_t row = 0; row < rows; ++row) {
         portable_select(portable_row_pins, row_channels[row]);
         for (uint8_t column = 0; column < columns; ++column) {
             portable_select(portable_column_pins, column_channels[column]);
             delayMicroseconds(settle_us);
-            uint16_t sum = 0;
+            uint32_t sum = 0;
             for (uint8_t reading = 0; reading < readings; ++reading) sum += analogRead(LAMPEST_ADC_PIN);
             sums[row * columns + column] = sum;
         }

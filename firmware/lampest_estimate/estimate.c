@@ -10,6 +10,9 @@
 #define HALVINGS 3          /* of a step that does not lower the cost */
 #define TAIL 3              /* iterations whose decreases tell how much the next ones would gain */
 #define REACH 3.0f          /* standard deviations: a two-point reading that is so small is a bound */
+#define FAR 25.0f           /* misfit of a cell: readings that are five standard deviations off */
+#define RESOLVED 1e-3f      /* of the cost: single precision tells whether a step lowers it by that share */
+#define BISECTIONS 16       /* of the range of changes, on the way to their median */
 #define LARGEST_OHM 1e9f
 #define SMALLEST_OHM 1e-3f
 #define SMALLEST 1e-30f     /* what lines share where no reading tells */
@@ -95,8 +98,8 @@ static workspace arrange(const lampest_panel *panel) {
 
 /* Readings: codes of the converter as readings of the network. */
 
-static float volt_of(const lampest_constants *c, uint16_t sum) {
-    return c->volt_at_zero + c->volt_per_sum * sum;
+static float volt_of(const lampest_constants *c, uint32_t sum) {
+    return c->volt_at_zero + c->volt_per_sum * (float)sum;
 }
 
 /* The network's reading of a voltage at the converter, and |d reading/d volt|. */
@@ -120,7 +123,7 @@ static float reading_of(const lampest_constants *c, float volt, uint8_t row, uin
 }
 
 /* Read the sums of a frame; false if there are too few values. */
-static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status) {
+static bool read_sums(workspace *w, const uint32_t *sums, lampest_status *status) {
     const lampest_constants *c = w->constants;
     uint16_t values = 0, cells = 0;
     bool row_has[LAMPEST_MAX_LINES] = {false}, column_has[LAMPEST_MAX_LINES] = {false};
@@ -129,7 +132,7 @@ static bool read_sums(workspace *w, const uint16_t *sums, lampest_status *status
         for (uint8_t column = 0; column < c->columns; column++) {
             const uint16_t outside = row * c->columns + column;
             const uint16_t cell = cell_number(c, row, column);
-            uint16_t sum = sums[outside];
+            uint32_t sum = sums[outside];
             w->side[cell] = ABSENT;
             w->precision[cell] = 0;
             w->measured[cell] = 1;
@@ -371,13 +374,11 @@ static float conjugate_gradients(workspace *w, uint16_t most, float enough, floa
     float decreases[TAIL] = {0}, total = 0, before = 0;
     memset(w->x, 0, cells * sizeof(float));
     memset(w->p, 0, cells * sizeof(float));
-    *tail = 0;
+    *tail = FLT_MAX;
     for (uint16_t iteration = 0; iteration < most; iteration++) {
         const float slope = precondition(w, before);
-        if (!(slope > 0)) {
-            if (slope == 0) *tail = 0;
-            break; /* nothing is left, or the arithmetic is at its end */
-        }
+        if (slope == 0) *tail = 0; /* nothing is left */
+        if (!(slope > 0)) break;
         product(w);
         ++*products;
         const float curvature = dot(w->p, w->q, cells);
@@ -409,15 +410,49 @@ static bool set_cells(workspace *w, const float *u) {
     return true;
 }
 
-/* Gauss and Newton: linearise, solve, and move within the bounds, as long as the budget lasts. */
-static void minimise(workspace *w, lampest_status *status) {
+/* Sum of the squared residuals of the readings, in standard deviations. A robust loss hardly tells far from farther. */
+static float misfit_of(const workspace *w) {
+    float sum = 0;
+    for (uint16_t cell = 0; cell < w->cells; cell++) sum += deviation_of(w, cell) * deviation_of(w, cell);
+    return sum;
+}
+
+/* Start from cells; false if their network cannot be solved. */
+static bool start_from(workspace *w, lampest_status *status, const float *u, float *misfit) {
+    status->products++;
+    if (!set_cells(w, u)) return false;
+    *misfit = misfit_of(w);
+    return isfinite(*misfit);
+}
+
+/* Start from the estimate of the frame before, unless it is far from this frame's readings and the baseline is nearer. False
+ * if neither is a start; `at_baseline` is true at first where the frame before is none. */
+static bool choose_start(workspace *w, lampest_status *status, bool *at_baseline) {
+    float *const before = w->p;
+    float misfit, of_baseline;
+    if (*at_baseline) return start_from(w, status, w->baseline, &of_baseline);
+    network_readings(&w->net, w->reading);
+    misfit = misfit_of(w);
+    if (misfit <= FAR * w->cells) return true;
+    memcpy(before, w->u, w->cells * sizeof(float));
+    *at_baseline = start_from(w, status, w->baseline, &of_baseline) && !(misfit <= of_baseline);
+    return *at_baseline || start_from(w, status, before, &misfit);
+}
+
+/* Gauss and Newton: linearise, solve, and move within the bounds, as long as the budget lasts.
+ *
+ * After garbled readings or a metal object the estimate of the frame before is so far away that no step from it lowers the
+ * cost, although much is left to gain. The baseline then takes its place: in the next step, or in the next frame, for which
+ * the function returns true. Halvings of the steps make up for the work of such starts. */
+static bool minimise(workspace *w, lampest_status *status, bool at_baseline) {
     const lampest_constants *c = w->constants;
     const float enough = c->within * c->within * w->cells;
-    float cost;
-    network_readings(&w->net, w->reading);
-    cost = cost_of(w);
+    bool astray = false;
+    if (!choose_start(w, status, &at_baseline)) status->outcome = LAMPEST_FAILED;
+    float cost = cost_of(w), misfit;
     status->left = cost;
-    while (status->steps < c->steps && !status->settled) {
+    while (status->outcome == LAMPEST_FINE && status->steps < c->steps && !status->settled) {
+        const uint32_t most = (status->steps + 1ul) * (c->products + HALVINGS + 1ul);
         if (!linearise(w)) {
             status->outcome = LAMPEST_FAILED;
             break;
@@ -428,25 +463,36 @@ static void minimise(workspace *w, lampest_status *status) {
         memcpy(w->q, w->u, w->cells * sizeof(float));
         float scale = 1, next = cost;
         bool lower = false;
-        for (uint8_t half = 0; half <= HALVINGS && !lower; half++, scale *= 0.5f) {
+        for (uint8_t half = 0; half <= HALVINGS && !lower && status->products < most; half++, scale *= 0.5f) {
             move(w, w->q, scale);
             status->products++;
             lower = evaluate(w, &next) && next <= cost * (1 + 1e-6f);
         }
         status->steps++;
-        if (!lower) {
-            memset(w->x, 0, w->cells * sizeof(float));
-            move(w, w->q, 1);
-            if (!evaluate(w, &cost) && !set_cells(w, w->baseline)) status->outcome = LAMPEST_FAILED;
-            status->left = predicted;
-            break;
+        const bool solved = tail < FLT_MAX;
+        if (lower && solved) {
+            /* What the linear model missed, and what conjugate gradients left. */
+            status->left = tail + fabsf(cost - next - predicted);
+            cost = next;
+            status->settled = status->left <= enough || predicted <= enough;
+            continue;
         }
-        /* What the linear model missed, and what conjugate gradients left. */
-        status->left = tail + fabsf(cost - next - predicted);
-        cost = next;
-        status->settled = status->left <= enough || predicted <= enough;
+        status->left = predicted;
+        astray = !solved || predicted > larger(enough, RESOLVED * cost);
+        if (astray && !at_baseline && status->steps < c->steps) {
+            at_baseline = true;
+            astray = false;
+            if (!start_from(w, status, w->baseline, &misfit)) status->outcome = LAMPEST_FAILED;
+            cost = cost_of(w);
+            continue;
+        }
+        memset(w->x, 0, w->cells * sizeof(float));
+        move(w, w->q, 1);
+        if (!evaluate(w, &cost) && !set_cells(w, w->baseline)) status->outcome = LAMPEST_FAILED;
+        break;
     }
     if (!(status->left <= FLT_MAX)) status->left = FLT_MAX;
+    return astray || status->outcome != LAMPEST_FINE;
 }
 
 static bool sound(float value, float least, float largest) {
@@ -467,7 +513,7 @@ static bool constants_are_sound(const lampest_constants *c) {
     bool fine = all_sound(c->baseline, cells, SMALLEST_OHM, LARGEST_OHM) && sound(c->supply_volt, 1e-3f, 1e3f) &&
                 sound(c->volt_per_sum, 1e-12f, 1e3f) && sound(c->volt_at_zero, -1e3f, 1e3f) &&
                 all_sound(c->sigma_volt, c->sigma_count > 1 ? cells : 1, 1e-12f, 1e6f) &&
-                sound(c->plain_sigma, 0, 1e12f) && sound(c->within, 0, 1e6f) && c->low_sum <= c->high_sum &&
+                c->top_sum < LAMPEST_MISSING && sound(c->follow, 1, 1e6f) && sound(c->plain_sigma, 0, 1e12f) && sound(c->within, 0, 1e6f) && c->low_sum <= c->high_sum &&
                 c->high_sum <= c->top_sum && sound(c->least_ohm, 0, LARGEST_OHM) &&
                 sound(c->largest_ohm, c->least_ohm, 1e15f);
     fine = fine && (c->data_loss == LAMPEST_SQUARED || sound(c->data_corner, 1e-12f, 1e12f));
@@ -493,10 +539,12 @@ static bool constants_are_sound(const lampest_constants *c) {
 lampest_outcome lampest_begin(lampest_panel *panel, float *memory) {
     const lampest_constants *c = panel->constants;
     panel->ready = false;
+    if (c && c->version != LAMPEST_ESTIMATE_VERSION) return LAMPEST_OTHER_VERSION;
     if (!c || !memory || !constants_are_sound(c)) return LAMPEST_BAD_CONSTANTS;
     panel->memory = memory;
     panel->baselines = 0;
-    panel->solved = false;
+    panel->solved = panel->settled = false;
+    panel->at_baseline = true;
     workspace w = arrange(panel);
     for (uint8_t row = 0; row < c->rows; row++) {
         for (uint8_t column = 0; column < c->columns; column++) {
@@ -514,7 +562,7 @@ lampest_outcome lampest_begin(lampest_panel *panel, float *memory) {
     return panel->ready ? LAMPEST_FINE : LAMPEST_BAD_CONSTANTS;
 }
 
-lampest_status lampest_frame(lampest_panel *panel, const uint16_t *sums, float *log_change) {
+lampest_status lampest_frame(lampest_panel *panel, const uint32_t *sums, float *log_change) {
     lampest_status status = {.outcome = LAMPEST_FINE};
     if (!panel->ready) {
         status.outcome = LAMPEST_BAD_CONSTANTS;
@@ -529,9 +577,10 @@ lampest_status lampest_frame(lampest_panel *panel, const uint16_t *sums, float *
                 previous[cell] = w.net.conductance[cell] > 0 ? 1 / w.net.conductance[cell] : 1;
             }
         }
-        minimise(&w, &status);
+        panel->at_baseline = minimise(&w, &status, panel->at_baseline);
         panel->solved = status.outcome == LAMPEST_FINE;
     }
+    panel->settled = status.outcome == LAMPEST_FINE && status.settled;
     for (uint8_t row = 0; row < c->rows; row++) {
         for (uint8_t column = 0; column < c->columns; column++) {
             const uint16_t cell = cell_number(c, row, column);
@@ -547,32 +596,42 @@ float lampest_cell(const lampest_panel *panel, uint8_t row, uint8_t column) {
     return 1 / w.net.conductance[cell_number(panel->constants, row, column)];
 }
 
-/* Whether a cell of `u` lies further below the others, relative to the baseline of the constants, than cells at rest do.
- * A drift of all cells, as of a film that warms up, is none. */
+/* Whether a cell lies further below the others, relative to the baseline, than cells at rest do. A change of all cells, as of
+ * a film that warms up, is none. */
 static bool under_load(const workspace *w) {
-    const lampest_constants *c = w->constants;
-    float *change = w->q;
+    float low = INFINITY, high = -INFINITY;
     uint16_t count = 0;
-    for (uint8_t row = 0; row < c->rows; row++) {
-        for (uint8_t column = 0; column < c->columns; column++) {
-            const uint16_t cell = cell_number(c, row, column);
-            if (w->view.absent && w->absent[cell]) continue;
-            change[count++] = w->u[cell] - logarithm(c->baseline[row * c->columns + column]);
-        }
+    for (uint16_t cell = 0; cell < w->cells; cell++) {
+        if (w->view.absent && w->absent[cell]) continue;
+        const float change = w->u[cell] - w->baseline[cell];
+        low = smaller(low, change);
+        high = larger(high, change);
+        count++;
     }
-    float least = INFINITY, middle = 0;
-    for (uint16_t cell = 0; cell < count; cell++) {
-        uint16_t rank = 0; /* number of smaller changes; of equal ones, those before */
-        for (uint16_t k = 0; k < count; k++) {
-            rank += change[k] < change[cell] || (change[k] == change[cell] && k < cell);
+    const float least = low;
+    for (uint8_t part = 0; part < BISECTIONS; part++) { /* the median lies between `low` and `high` */
+        const float middle = low + 0.5f * (high - low);
+        uint16_t below = 0;
+        for (uint16_t cell = 0; cell < w->cells; cell++) {
+            below += !(w->view.absent && w->absent[cell]) && w->u[cell] - w->baseline[cell] <= middle;
         }
-        if (rank == count / 2) middle = change[cell];
-        least = smaller(least, change[cell]);
+        if (2 * below < count) low = middle;
+        else high = middle;
     }
-    return least < middle - c->loaded_limit;
+    return !(least >= high - w->constants->loaded_limit);
 }
 
-lampest_status lampest_baseline(lampest_panel *panel, const uint16_t *sums) {
+/* Move the baseline by a share of the way to the estimate; false if a load is on the panel. */
+static bool take_up(workspace *w, float share) {
+    if (under_load(w)) return false;
+    share = larger(share, 1 / larger(w->constants->follow, 1));
+    for (uint16_t cell = 0; cell < w->cells; cell++) {
+        w->baseline[cell] = FUSED(share, w->u[cell] - w->baseline[cell], w->baseline[cell]);
+    }
+    return true;
+}
+
+lampest_status lampest_baseline(lampest_panel *panel, const uint32_t *sums) {
     lampest_status status = {.outcome = LAMPEST_FINE};
     if (!panel->ready) {
         status.outcome = LAMPEST_BAD_CONSTANTS;
@@ -581,20 +640,21 @@ lampest_status lampest_baseline(lampest_panel *panel, const uint16_t *sums) {
     workspace w = arrange(panel);
     if (!read_sums(&w, sums, &status)) return status;
     w.view.at_rest = true;
-    if (set_cells(&w, w.baseline)) minimise(&w, &status);
-    else status.outcome = LAMPEST_FAILED;
-    if (status.outcome == LAMPEST_FINE && under_load(&w)) status.outcome = LAMPEST_UNDER_LOAD;
-    if (status.outcome == LAMPEST_FINE) {
-        const float share = 1.0f / (1 + panel->baselines);
-        for (uint16_t cell = 0; cell < w.cells; cell++) {
-            w.baseline[cell] = FUSED(share, w.u[cell] - w.baseline[cell], w.baseline[cell]);
-        }
-    }
+    minimise(&w, &status, true);
+    if (status.outcome == LAMPEST_FINE && !take_up(&w, 1.0f / (1 + panel->baselines))) status.outcome = LAMPEST_UNDER_LOAD;
     if (!set_cells(&w, w.baseline)) status.outcome = LAMPEST_FAILED;
+    panel->at_baseline = true;
+    panel->settled = false;
     if (status.outcome != LAMPEST_FINE) return status;
     if (panel->baselines < UINT8_MAX) panel->baselines++;
     panel->solved = true;
     return status;
+}
+
+bool lampest_follow(lampest_panel *panel) {
+    if (!panel->ready || !panel->settled) return false;
+    workspace w = arrange(panel);
+    return take_up(&w, 0);
 }
 
 float lampest_deviation(lampest_panel *panel, uint8_t row, uint8_t column, uint16_t products) {

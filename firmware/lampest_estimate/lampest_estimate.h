@@ -14,6 +14,7 @@
  *     lampest_begin(&panel, memory);
  *     lampest_baseline(&panel, sums);                                   // unloaded; as often as wanted
  *     lampest_status status = lampest_frame(&panel, sums, log_change);  // ln(r / r unloaded), row by row
+ *     lampest_follow(&panel);                                           // where loads come and go, and the film drifts
  *
  * Only lampest_panel is written to, so that several panels can be estimated side by side.
  */
@@ -27,10 +28,13 @@
 extern "C" {
 #endif
 
+/* 10,000 major + 100 minor + patch, the version of library.json. Constants of another version are refused. */
+#define LAMPEST_ESTIMATE_VERSION 200
+
 #define LAMPEST_MAX_LINES 64 /* of a side; line numbers and vectors over the lines are that long at most */
 
 /* A sum that no converter gives, for a reading that is missing. Any sum above `top_sum` counts as missing. */
-#define LAMPEST_MISSING 0xFFFF
+#define LAMPEST_MISSING 0xFFFFFFFFul
 
 /* Floats of the working memory. `driven` is 1 for circuits with driven lines, `relative` where a term compares with the
  * previous frame; else 0. */
@@ -68,6 +72,7 @@ typedef struct {
 
 /* Constants of one estimator on one panel. Arrays over cells are row by row, as readings are. */
 typedef struct {
+    uint32_t version;      /* of the library that they were written for: LAMPEST_ESTIMATE_VERSION */
     uint8_t rows, columns;
     const uint8_t *present; /* 1 for each cell that the panel has; NULL: all */
     const lampest_pair *pairs;
@@ -84,8 +89,8 @@ typedef struct {
     const float *gain;     /* sensed lines, volt: supply times the share of the line's voltage at the converter */
 
     /* Converter: sums of `readings` codes. */
-    uint16_t top_sum;      /* largest possible sum */
-    uint16_t low_sum, high_sum; /* sums below and above are bounds, at the edges of this range */
+    uint32_t top_sum;      /* largest possible sum */
+    uint32_t low_sum, high_sum; /* sums below and above are bounds, at the edges of this range */
     float volt_per_sum, volt_at_zero;
     float supply_volt;
     bool mirrored;         /* the network's voltage is the supply less the converter's */
@@ -105,6 +110,7 @@ typedef struct {
     bool native_bounds;
     const float *baseline; /* cells at rest, ohm */
     float loaded_limit;    /* a cell that lies further below the others than this, in ln r, is no cell at rest */
+    float follow;          /* unloaded frames in which the baseline makes up 1 - 1/e of a drift */
 
     /* Budget of a frame. */
     uint8_t steps;
@@ -117,7 +123,8 @@ typedef enum {
     LAMPEST_BAD_CONSTANTS, /* a number is no number, or out of range: nothing is estimated */
     LAMPEST_TOO_FEW,       /* most readings are missing, or too few are values and not bounds: the estimate stays */
     LAMPEST_UNDER_LOAD,    /* a baseline of a panel that is touched: the old one stays */
-    LAMPEST_FAILED         /* the arithmetic broke down: the estimate stays */
+    LAMPEST_FAILED,        /* the arithmetic broke down: the estimate stays */
+    LAMPEST_OTHER_VERSION  /* the constants were written for another version of this library */
 } lampest_outcome;
 
 typedef struct {
@@ -135,18 +142,28 @@ typedef struct {
     const lampest_constants *constants;
     /* All that follows is set by lampest_begin. */
     float *memory;
-    bool ready, solved; /* constants are sound; a frame or a baseline was estimated */
-    uint8_t baselines; /* unloaded frames whose mean, in ln r, is the baseline; 0: that of the constants */
+    bool ready;         /* the constants are sound */
+    bool solved;        /* a frame or a baseline was estimated */
+    bool settled;       /* the last frame has */
+    bool at_baseline;   /* the next frame starts at the baseline instead of the estimate of the last one */
+    uint8_t baselines;  /* unloaded frames that `lampest_baseline` took, at most 255 */
 } lampest_panel;
 
 /* Check the constants and start from their baseline. `memory` has the floats that the header declares. */
 lampest_outcome lampest_begin(lampest_panel *panel, float *memory);
 
-/* Add an unloaded frame to the baseline; the first call replaces that of the constants. */
-lampest_status lampest_baseline(lampest_panel *panel, const uint16_t *sums);
+/* Take up an unloaded frame in the baseline: the first call replaces that of the constants, the next ones average, and later
+ * ones follow a drift with the time constant `follow`. */
+lampest_status lampest_baseline(lampest_panel *panel, const uint32_t *sums);
+
+/* Let the baseline follow a drift, with the time constant `follow`: after frames that show no load, and have settled.
+ *
+ * A load lowers some cells, by more than `loaded_limit` below the others, and is never taken up. What changes all cells,
+ * raises some, or stays below the limit is taken for drift. Returns whether the baseline moved. */
+bool lampest_follow(lampest_panel *panel);
 
 /* Estimate a frame. `log_change` gets ln(r / r unloaded) of all cells, row by row; 0 where there is no cell. */
-lampest_status lampest_frame(lampest_panel *panel, const uint16_t *sums, float *log_change);
+lampest_status lampest_frame(lampest_panel *panel, const uint32_t *sums, float *log_change);
 
 /* Cell of the present estimate in ohm. */
 float lampest_cell(const lampest_panel *panel, uint8_t row, uint8_t column);

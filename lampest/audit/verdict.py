@@ -10,10 +10,14 @@ from lampest.audit.health import Health
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
+from lampest.panel.readouts import LoadedColumnsReadout
+from lampest.panel.readouts.unseen import unseen_sentence
 from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
+HALF = 0.5  # of the supply
+WHOLE = 1e-3  # distance of a code from a whole number
 # By the readings alone, of the panel that is taken, against one that reads alike.
 CLEAR_LOG_ODDS = math.log(1000)
 
@@ -29,6 +33,10 @@ def verdict(check: ModelCheck, prepared: Prepared, health: Health | None = None)
     health : Health or None
         Health of the panel, where it is known already.
     """
+    scene = prepared.recording.scene
+    if scene.panel.modules is None:
+        scales = scene.circuit.unseen_scales(*scene.panel.shape)
+        check = check.with_doubts(unseen_sentence(scales))
     return check.with_doubts(*_doubts(prepared, health)) if check.explains else check
 
 
@@ -37,12 +45,51 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     yield from (finding.what for finding in unnamed_effects(prepared))
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
+    yield from _loads_at_half_the_supply(prepared)
+    yield from _fewer_bits(prepared)
     yield from _another_panel(prepared)
     try:
         shown = health or Health.of(prepared.recording)
     except InputError:
         return
     yield from (finding.what for finding in shown.findings if finding.room in OF_CIRCUIT)
+
+
+def _loads_at_half_the_supply(prepared: Prepared) -> Iterator[str]:
+    """Yield the doubt that loads end at another potential than the ground of the scene.
+
+    No reading of a panel lies in the half of the range where those of open cells would.
+    """
+    recording = prepared.recording
+    circuit = recording.scene.circuit
+    if not isinstance(circuit, LoadedColumnsReadout) or circuit.load_volt is not None:
+        return
+    known = prepared.noise.readings.plain
+    shown = prepared.noise.readings.value[known]
+    if shown.size and shown.min() > HALF * circuit.driving_volt:
+        yield (
+            f"no reading is within {100 * HALF:.0f} % of the supply of where the loads end: do "
+            "they end at another potential (load_volt)?"
+        )
+
+
+def _fewer_bits(prepared: Prepared) -> Iterator[str]:
+    """Yield the doubt that codes are those of a converter with fewer bits than the scene's."""
+    recording = prepared.recording
+    readout = recording.scene.readout
+    if readout is None or readout.converter is not None or recording.scene.panel.modules:
+        return
+    volt = readout.volt_from_recorded(recording.recorded)
+    codes = readout.steps_from_volt(volt[np.isfinite(volt)])
+    if not codes.size or np.abs(codes - np.rint(codes)).max() > WHOLE:
+        return
+    largest = float(codes.max())
+    for bits in (8, 10, 12):
+        if bits < readout.adc_bits and 2 ** (bits - 1) < largest < 2**bits:
+            yield (
+                f"no code is above {2**bits - 1:,} of {2**readout.adc_bits - 1:,}: does the "
+                f"converter have {bits} bits (adc_bits)?"
+            )
 
 
 def _another_panel(prepared: Prepared) -> Iterator[str]:

@@ -38,7 +38,7 @@ def init(
         Folder, created if missing; existing files are kept.
     readout
         Your circuit: two_mux, parallel_mux, pull_ups, pull_downs, grounded, grounded_one,
-        amplifiers or diodes.
+        amplifiers, diodes, mid_supply, feedback, driven_mux or bare_inputs.
     rows
         Rows of your panel, such as 16.
     columns

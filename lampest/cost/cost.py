@@ -49,6 +49,11 @@ class Cost:
     partial: bool = False
 
     @property
+    def convex_losses(self) -> bool:
+        """Whether every loss is convex."""
+        return all(term.loss.convex for term in self.terms)
+
+    @property
     def needs_previous(self) -> bool:
         """Whether a single frame needs a known previous one."""
         return self.frames == 1 and any(term.needs_previous for term in self.terms)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.converter_zero import with_converter_ends
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.sizes import ESTIMATED
@@ -130,6 +131,7 @@ def with_saturated_stage(recording: Recording) -> Recording:
 
     None in its place where its frames show none.
     """
+    recording, _ = with_converter_ends(recording)
     readout = recording.scene.readout
     if readout is None or readout.passes_volt != ESTIMATED:
         return recording

@@ -21,6 +21,7 @@ import numpy as np
 from lampest.estimate.outliers import QUIET_SHARE
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import in_scan_lines
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
@@ -109,9 +110,8 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     else:
         volt = circuit.volt_from_recorded(circuit.to_recorded(middle, scene))
         loudness = np.asarray(volt / np.broadcast_to(scene.readout.sigma_volt(), volt.shape))
-    if circuit.by_columns:
-        deviation = deviation.swapaxes(1, 2)
-        loudness = loudness.T
+    deviation = in_scan_lines(circuit, deviation)
+    loudness = in_scan_lines(circuit, loudness)
     return scatter(
         deviation,
         loudness,

@@ -30,9 +30,16 @@ MAX_VALUES = 100_000_000  # values that are read at once; 0.8 GB (tests/attack)
 MAX_TEXT_BYTES = 5_000_000  # of a text or an attribute (tests/attack)
 UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
+DEFLATE_LEVEL = 4  # that of h5py
 CHUNK = 100_000  # values of a chunk, which contains whole frames
 ALL = slice(None)
 
+# Attributes of HDF5's dimension scales: references to the scales of each axis of a dataset, and the
+# users of a scale, each a dataset and the number of an axis.
+AXES = "DIMENSION_LIST"
+AXES_TYPE = h5py.vlen_dtype(h5py.ref_dtype)
+USERS = "REFERENCE_LIST"
+USERS_TYPE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.uint32)], align=True)
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Keys that only one kind of YAML file has, and suffixes of other files: the kind, with the command
 # that reads it.
@@ -202,7 +209,7 @@ def set_attributes(node: Any, **attributes: Any) -> None:
     """
     for name, value in attributes.items():
         data = np.asarray(ascii_array(value) if isinstance(value, str | list) else value)
-        checksums.set_text_attribute(node, name, data)
+        checksums.set_attribute(node.id, name, data)
 
 
 def write_dataset(
@@ -220,9 +227,14 @@ def write_dataset(
     meanings of flags.
     """
     data = np.asarray(data)
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     if data.shape and data.size > 64:  # fewer are not worth compression
-        packing = PACKED if _shrinks(data) else UNPACKED
-        dataset: Any = group.create_dataset(name, data=data, chunks=chunk_of(data.shape), **packing)
+        properties.set_chunk(chunk_of(data.shape))
+        if _shrinks(data):
+            properties.set_shuffle()
+            properties.set_deflate(DEFLATE_LEVEL)
+        properties.set_fletcher32()
+        dataset = _written(group, name, data, properties)
     else:
         dataset = write_plain(group, name, data)
     set_attributes(dataset, units=units, long_name=long_name, **further)
@@ -252,35 +264,56 @@ def _shrinks(data: NDArray[Any]) -> bool:
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
     """Attach scales to the axes of datasets, given by path in the group.
 
-    '' for an axis without a scale.
+    '' for an axis without a scale. The attributes of HDF5's specification are written at once;
+    `h5py.h5ds` writes them anew for every axis.
     """
     nodes = {
-        name: group[name].id
+        name: h5py.h5d.open(group.id, name.encode("utf-8"))
         for path, names in axes.items()
         for name in (path, *filter(None, names))
     }
+    references = {
+        name: h5py.h5r.create(node, b".", h5py.h5r.OBJECT) for name, node in nodes.items()
+    }
+    users: dict[str, list[tuple[Any, int]]] = {}
     for path, names in axes.items():
-        for axis, name in enumerate(names):
+        scales = np.empty(nodes[path].rank, dtype=AXES_TYPE)
+        for axis in range(len(scales)):
+            name = names[axis] if axis < len(names) else ""
+            scales[axis] = np.array([references[name]] if name else [], dtype=h5py.ref_dtype)
             if name:
-                h5py.h5ds.attach_scale(nodes[path], nodes[name], axis)
+                users.setdefault(name, []).append((references[path], axis))
+        checksums.set_attribute(nodes[path], AXES, scales)
+    for name, added in users.items():
+        earlier = checksums.attribute(nodes[name], USERS)
+        entries = [*([] if earlier is None else earlier.tolist()), *added]
+        checksums.set_attribute(nodes[name], USERS, np.array(entries, dtype=USERS_TYPE))
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
     """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars
+        properties.set_layout(h5py.h5d.COMPACT)
+    return _written(group, name, data, properties)
+
+
+def _written(
+    group: h5py.Group, name: str, data: NDArray[Any], properties: h5py.h5p.PropDCID
+) -> h5py.Dataset:
+    """Write a dataset with these properties, and its digests."""
     links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
     properties.set_obj_track_times(False)  # times would make equal contents different files
-    if data.nbytes <= 60_000:  # HDF5's limit is 64 KiB; h5py itself cannot request it for scalars
-        properties.set_layout(h5py.h5d.COMPACT)
     kind = h5py.h5t.py_create(data.dtype, logical=True)
     space = h5py.h5s.create_simple(data.shape)
-    dataset = h5py.Dataset(
-        h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
-    )
+    node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
     if data.size:
-        dataset[...] = data
-    return dataset
+        node.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data).reshape(data.shape))
+        chunked = properties.get_layout() == h5py.h5d.CHUNKED
+        step = properties.get_chunk()[0] if chunked else (*data.shape, 1)[0]
+        checksums.set_digests(node, data, step)
+    return h5py.Dataset(node)
 
 
 def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:
@@ -476,6 +509,23 @@ def children(file: h5py.File, path: str, kind: type[Any] = h5py.Dataset) -> list
     if not isinstance(group, h5py.Group):
         raise InputError(f"{file.filename}: {path} is no group")
     return [name for name in group if _node_or_none(file, f"{path}/{name}", kind) is not None]
+
+
+@_located
+def datasets(file: h5py.File, path: str) -> dict[str, h5py.Dataset]:
+    """Return all datasets below a group by their paths, without a leading slash.
+
+    Links, and datasets whose values are in other files, are left out. Raises InputError if a part
+    of the file is damaged.
+    """
+    found: dict[str, h5py.Dataset] = {}
+
+    def take(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and not (node.is_virtual or node.external):
+            found[name] = node
+
+    file[path].visititems(take)  # each object once, by hard links alone
+    return found
 
 
 def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:

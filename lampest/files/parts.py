@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from lampest.files import hdf5
+from lampest.files import checksums, hdf5
 from lampest.files.checksums import BLOCKS, located, nodes_below, read_verified, verified_blocks
 
 TIME = "time"  # axis along which parts are concatenated
@@ -105,6 +105,32 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         hdf5.attach_scales(
             target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)}
         )
+
+
+def copy_group(source: h5py.Group, target: h5py.Group, name: str) -> None:
+    """Copy a group of another file as it is stored, packed and with the digests of its values.
+
+    The values are not read, so damage is copied as well; its digests show it.
+    """
+    h5py.h5o.copy(source.id, b".", target.id, name.encode("utf-8"))
+    copied = target[name]
+    # HDF5 copies references in attributes as empty ones: scales are attached anew.
+    paths = list[bytes]()
+    h5py.h5o.visit(source.id, paths.append)
+    scale_names: dict[Any, str] = {}
+    for path in paths:
+        if h5py.h5a.exists(copied.id, hdf5.USERS.encode(), obj_name=path):
+            h5py.h5a.delete(copied.id, hdf5.USERS.encode(), obj_name=path)
+            scale_names[h5py.h5o.open(source.id, path)] = path.decode("utf-8")
+    axes: dict[str, tuple[str, ...]] = {}
+    for path in paths:
+        scales = checksums.attribute(source.id, hdf5.AXES, path)
+        if scales is not None:
+            axes[path.decode("utf-8")] = tuple(
+                scale_names[h5py.h5r.dereference(scale[0], source.id)] if len(scale) else ""
+                for scale in scales
+            )
+    hdf5.attach_scales(copied, axes)
 
 
 def _copy(dataset: h5py.Dataset, target: h5py.Group, path: str) -> None:

@@ -6,6 +6,7 @@ from math import floor, inf, log10
 # Key of a scene, or the end of it → unit; other numbers are relative.
 UNITS = {
     "_lsb": "LSB",
+    "_volt": "volt",
     "ripple": "LSB",
     "_ohm": "ohm",
     "_ohm_per_cell": "ohm a cell",

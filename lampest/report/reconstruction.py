@@ -1,4 +1,7 @@
-"""Estimates for notebooks: with plots, files, labelled arrays and tables."""
+"""Estimates for notebooks: with plots, files, labelled arrays and tables.
+
+Whoever asks for cells loads none of these: each method imports what it needs.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -9,27 +12,18 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from lampest.audit.advice import Audit
-from lampest.audit.verdict import verdict
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
-from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.report.compare import data_error
-from lampest.report.strongest import strongest_index
-from lampest.report.words import digits, median_text, spanned
-from lampest.runs.case import FIGURES
-from lampest.runs.columns import Column
-from lampest.runs.filling import named_result
-from lampest.runs.results import CaseResult, write_results
 
 if TYPE_CHECKING:
+    from lampest.estimate.model_check import ModelCheck
     from lampest.report.plots.contours import Axes, Figure, Plot
-    from lampest.runs.case import DataFrame, Dataset
+    from lampest.runs.case import CaseResult, DataFrame, Dataset
+    from lampest.runs.columns import Column
 
 INTERNAL = {"of", "tared"}  # attributes that the package's own columns read
 
@@ -71,17 +65,21 @@ class Reconstruction(Estimates):
     @property
     def weights(self) -> dict[str, Array]:
         """Penalty → λ (frames), given or chosen by the data."""
+        from lampest.runs.case import FIGURES
+
         values: Mapping[str, Array] = next(
             folder for folder in FIGURES if folder.name == "weights"
         ).value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
     @property
-    def model_check(self) -> ModelCheck:
+    def model_check(self) -> "ModelCheck":
         """The verdict on the scene's circuit: 'yes', 'doubtful' or 'no'.
 
         It comes with all that speaks against the circuit.
         """
+        from lampest.audit.verdict import verdict
+
         return verdict(super().model_check, self.prepared)
 
     @property
@@ -93,6 +91,8 @@ class Reconstruction(Estimates):
         >>> found.advice
         ()
         """
+        from lampest.audit.advice import Audit
+
         return tuple(finding.text for finding in Audit(self.prepared).advice)
 
     def __dir__(self) -> list[str]:
@@ -108,6 +108,11 @@ class Reconstruction(Estimates):
         >>> print(found.fit_report().splitlines()[0])
         [[Model]]
         """
+        from lampest.panel.estimated import estimated_lines
+        from lampest.report.compare import data_error
+        from lampest.report.strongest import strongest_index
+        from lampest.report.words import digits, spanned
+
         case = self.result()
         place = strongest_index([self.result()])
         residual = (
@@ -157,20 +162,24 @@ class Reconstruction(Estimates):
         source = data_uri(self.plot("change"))
         return f'{report}<img alt="change of the cells" style="max-width: 100%" src="{source}">'
 
-    def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
+    def result(self, name: str | None = None, columns: "Sequence[Column]" = ()) -> "CaseResult":
         """Return the case for a results file; `write_results` writes several into one file."""
+        from lampest.runs.filling import named_result
+
         return named_result(self, name, columns)
 
     def save(
-        self, path: str | Path, name: str | None = None, columns: Sequence[Column] = ()
+        self, path: str | Path, name: str | None = None, columns: "Sequence[Column]" = ()
     ) -> None:
         """Write a results file atomically, for `read_results` and the commands.
 
         Raises InputError if the place cannot be written.
         """
+        from lampest.runs.results import write_results
+
         write_results(path, [self.result(name, columns)], columns=columns)
 
-    def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
+    def to_xarray(self, columns: "Sequence[Column]" = ()) -> "Dataset":
         """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
 
         Units are in `attrs`.
@@ -179,7 +188,7 @@ class Reconstruction(Estimates):
         """
         return self.result(columns=columns).to_xarray(columns)
 
-    def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
+    def to_dataframe(self, columns: "Sequence[Column]" = ()) -> "DataFrame":
         """Return a pandas.DataFrame with a line for every cell of every frame.
 
         Units are in `attrs["units"]`.
@@ -236,4 +245,6 @@ class Reconstruction(Estimates):
 
 
 def _median(values: Array | None) -> str:
+    from lampest.report.words import median_text
+
     return ("" if values is None else median_text(values)) or "unknown"

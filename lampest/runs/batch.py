@@ -37,7 +37,7 @@ from lampest.files.whole import (
 from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
-from lampest.runs.case import CaseResult, StoredCase
+from lampest.runs.case import StoredCase
 from lampest.runs.checks import Checks, CheckTask, RecordingCheck, without_check
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
@@ -45,7 +45,7 @@ from lampest.runs.filling import case_result
 from lampest.runs.results import (
     PublishedFigures,
     join_case,
-    read_results,
+    read_case_scene,
     stored_cases,
     write_results,
 )
@@ -246,8 +246,8 @@ def run_batch(
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
             cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
-            _clear(folder, tasks, fresh=False)
             aside = _write_all(folder / RESULTS, cases, run.published)
+            _clear(folder, tasks, fresh=False)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         return Report(
             results=folder / RESULTS if cases else None,
@@ -260,16 +260,16 @@ def run_batch(
             warnings=(*_different_lines(cases, "warnings"), *_unchecked(checked)),
             advice=_different_lines(cases, "advice"),
             estimated=about_recordings(
-                (case.recording, case.scene.estimated)
-                for case in cases
-                if isinstance(case, CaseResult)
+                (case.recording, read_case_scene(case).estimated)
+                for case, previous in zip(cases, (None, *cases), strict=False)
+                if previous is None or previous.recording != case.recording
             ),
         )
 
 
 def _with_unfinished(
-    tasks: Sequence[Task], finished: Mapping[Path, CaseResult | StoredCase]
-) -> list[CaseResult | StoredCase]:
+    tasks: Sequence[Task], finished: Mapping[Path, StoredCase]
+) -> list[StoredCase]:
     """Return the results of all cases in order, of unfinished ones those of the finished frames."""
     unfinished = _results([task for task in tasks if task.file not in finished], unfinished=True)
     results = {**finished, **unfinished}
@@ -289,19 +289,17 @@ def _checks(tasks: Sequence[Task]) -> list[CheckTask]:
 
 
 def _with_checks(
-    cases: Sequence[CaseResult | StoredCase],
+    cases: Sequence[StoredCase],
     checked: Mapping[str, RecordingCheck | BaseException | None],
     which: Checks,
-) -> list[CaseResult | StoredCase]:
+) -> list[StoredCase]:
     """Return the results with the checks of their recordings, as far as these are finished."""
-    results: list[CaseResult | StoredCase] = []
+    if which == "none":
+        return [without_check(case) for case in cases]
+    results: list[StoredCase] = []
     for case in cases:
         check = checked.get(case.recording)
-        if isinstance(case, CaseResult) and which == "none":
-            case = without_check(case)
-        elif isinstance(case, CaseResult) and isinstance(check, RecordingCheck):
-            case = check.apply_to(case)
-        results.append(case)
+        results.append(check.apply_to(case) if isinstance(check, RecordingCheck) else case)
     return results
 
 
@@ -315,7 +313,7 @@ def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> 
 
 def _write_all(
     path: Path,
-    cases: Sequence[CaseResult | StoredCase],
+    cases: Sequence[StoredCase],
     published: Mapping[str, PublishedFigures] | None,
 ) -> Path | None:
     """Write the results of all cases, if any; return the new name of a file of other cases."""
@@ -333,14 +331,13 @@ def _failure(task: Task, error: BaseException) -> tuple[str, str]:
 
 
 def _different_lines(
-    cases: Sequence[CaseResult | StoredCase], name: Literal["warnings", "advice"]
+    cases: Sequence[StoredCase], name: Literal["warnings", "advice"]
 ) -> tuple[str, ...]:
     """Return the different lines of results' warnings or advice, behind their recordings' names."""
     lines = list[str]()
     for case in cases:
-        if isinstance(case, CaseResult):
-            text = getattr(case, name)
-            lines += [f"{case.recording}: {line}" for line in text.split("\n") if line]
+        text = getattr(case, name)
+        lines += [f"{case.recording}: {line}" for line in text.split("\n") if line]
     return tuple(dict.fromkeys(lines))
 
 
@@ -387,7 +384,7 @@ def _outcomes(executor: Executor, waiting: Sequence[Task], checks: Sequence[Chec
         yield from stack.enter_context(closing(executor.results(solve_task, tasks)))
 
 
-def solve_task(task: Task | CheckTask) -> CaseResult | StoredCase | RecordingCheck:
+def solve_task(task: Task | CheckTask) -> StoredCase | RecordingCheck:
     """Solve a case, or check a recording and keep the outcome."""
     if isinstance(task, Task):
         return solve_case(task)
@@ -398,7 +395,7 @@ def solve_task(task: Task | CheckTask) -> CaseResult | StoredCase | RecordingChe
     return check
 
 
-def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:
+def _put_aside(path: Path, done: Sequence[StoredCase]) -> Path | None:
     """Rename a file of other cases, or of another format; return the new name.
 
     The new names are results_1.h5 and so on.
@@ -438,7 +435,7 @@ def solve_part(part: tuple[Task, int]) -> None:
             pass
 
 
-def solve_case(task: Task) -> CaseResult | StoredCase:
+def solve_case(task: Task) -> StoredCase:
     """Solve a case and write its result atomically."""
     recording = _recording(task.case.path, task.case.sha256)
     inner_folder(task.folder, CASES).mkdir(exist_ok=True)
@@ -447,7 +444,7 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
     result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
     inner_folder(task.folder, CASES)  # it may have become a link meanwhile
     write_results(task.file, [result])
-    return result
+    return StoredCase.of(result, task.file)
 
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
@@ -577,12 +574,8 @@ def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
         task.clear_parts()
 
 
-def _results(
-    tasks: Sequence[Task], *, unfinished: bool = False
-) -> dict[Path, CaseResult | StoredCase]:
-    """Return the readable results by file; cases with a damaged one are solved again.
-
-    The result of a recording that is too long for memory stays in its file.
+def _results(tasks: Sequence[Task], *, unfinished: bool = False) -> dict[Path, StoredCase]:
+    """Return the intact results by file; cases with a damaged one are solved again.
 
     Parameters
     ----------
@@ -590,16 +583,14 @@ def _results(
     unfinished : bool
         Whether to read the files of the finished frames of unfinished cases.
     """
-    results: dict[Path, CaseResult | StoredCase] = {}
+    results: dict[Path, StoredCase] = {}
     for task in tasks:
         file = task.unfinished if unfinished else task.file
         with suppress(InputError, ValueError):
             if not file.is_file():
                 continue
-            cases: Sequence[CaseResult | StoredCase] = (
-                stored_cases(file) if task.case.stored else read_results(file).cases
-            )
-            [case] = cases
+            hdf5.checked(file)
+            [case] = stored_cases(file)
             if case.case_id == task.case.case_id:
                 results[task.file] = case
     return results

@@ -340,14 +340,39 @@ class CaseResult(Content):
 
 @dataclass(frozen=True)
 class StoredCase:
-    """Reference to a case in a file, for cases that exceed the memory."""
+    """Reference to a case in a file.
+
+    Attributes
+    ----------
+    path : Path
+        Results file.
+    recording, estimator : str
+        Names of the case.
+    frames, cells : int
+        Numbers of its frames, and of the cells of a frame.
+    case_id, warnings, advice : str
+        Attributes of the case, see `CaseResult`.
+    verdict : (str, str) or None
+        Mark and sentence on the circuit, which results have with `warnings` and `advice` in place
+        of those in the file; None: those in the file.
+    """
 
     path: Path
     recording: str
     estimator: str
-    case_id: str
     frames: int
     cells: int
+    case_id: str = ""
+    warnings: str = ""
+    advice: str = ""
+    verdict: tuple[str, str] | None = None
+
+    @classmethod
+    def of(cls, case: CaseResult, path: Path) -> StoredCase:
+        """Return the reference to a case that was written into a file."""
+        frames, rows, columns = case.measured.shape
+        texts = (case.case_id, case.warnings, case.advice)
+        return cls(path, case.recording, case.estimator, frames, rows * columns, *texts)
 
 
 def check_name(name: str, noun: str) -> None:

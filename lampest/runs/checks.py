@@ -12,7 +12,7 @@ from typing import Literal
 
 from lampest.estimate.prepared import Prepared
 from lampest.files.whole import inner_folder, write_whole
-from lampest.runs.case import CaseResult
+from lampest.runs.case import StoredCase
 from lampest.runs.filling import library_versions
 
 Checks = Literal["all", "none"]
@@ -59,16 +59,12 @@ class RecordingCheck:
             "\n".join(prepared.warnings_without_check),
         )
 
-    def apply_to(self, case: CaseResult) -> CaseResult:
-        """Return the result of a case with this check."""
+    def apply_to(self, case: StoredCase) -> StoredCase:
+        """Return a case with this check."""
         own = [line for line in case.warnings.split("\n") if line not in self.without.split("\n")]
-        return replace(
-            case,
-            model_mark=self.mark,
-            model_sentence=self.sentence,
-            advice=self.advice,
-            warnings="\n".join(filter(None, [*own, *self.warnings.split("\n")])),
-        )
+        warnings = "\n".join(filter(None, [*own, *self.warnings.split("\n")]))
+        verdict = (self.mark, self.sentence)
+        return replace(case, verdict=verdict, advice=self.advice, warnings=warnings)
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ class CheckTask:
         return {"format": KEPT, "sha256": self.sha256} | library_versions()
 
 
-def without_check(case: CaseResult) -> CaseResult:
-    """Return the result of a case of a run that leaves the check out."""
+def without_check(case: StoredCase) -> StoredCase:
+    """Return a case of a run that leaves the check out."""
     sentence = "the circuit was not checked: the run leaves it out"
-    return replace(case, model_mark=NOT_CHECKED, model_sentence=sentence, advice="")
+    return replace(case, verdict=(NOT_CHECKED, sentence), advice="")

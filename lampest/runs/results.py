@@ -11,10 +11,10 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
-from lampest.files import hdf5
+from lampest.files import checksums, hdf5
 from lampest.files.document import adapter, parse_document, validated
 from lampest.files.errors import InputError, brief, meant
-from lampest.files.parts import join_parts
+from lampest.files.parts import copy_group, join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -36,6 +36,7 @@ from lampest.runs.case import CaseResult as CaseResult
 from lampest.runs.columns import FRAMES, MAPS, Column, Series
 
 FORMAT = "results/1"
+MAX_BYTES_IN_MEMORY = 100_000_000  # of stored cases; the file of more is built on the disk
 POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray reads
 
 
@@ -167,7 +168,8 @@ def write_results(
     for held in recordings.values():
         _check_together([case for case in held if isinstance(case, CaseResult)], columns)
     size = sum(case.path.stat().st_size for case in cases if isinstance(case, StoredCase))
-    with hdf5.new_large_file(Path(path), size) if size else hdf5.new_file(Path(path)) as file:
+    large = size > MAX_BYTES_IN_MEMORY
+    with hdf5.new_large_file(Path(path), size) if large else hdf5.new_file(Path(path)) as file:
         entry = _begun(file, next(iter(recordings), ""))
         if published:
             text = json.dumps(
@@ -181,8 +183,8 @@ def write_results(
             )
             for number, case in enumerate(held):
                 if isinstance(case, StoredCase):
-                    for part in (SHARED, case.estimator)[bool(number) :]:
-                        join_parts((case.path,), group.create_group(part), f"/entry/{name}/{part}")
+                    _copy_case(group, case, with_measurement=not number)
+                    _replace_check(group[case.estimator], case)
                 else:
                     _write_case(group, case, table, with_measurement=not number)
                 hdf5.set_attributes(group[case.estimator], order=number)
@@ -257,6 +259,43 @@ def _write_case(
     _write_series(
         estimate, case, [column for column in series if not column.shared or column.name in axes]
     )
+
+
+def _replace_check(estimate: h5py.Group, case: StoredCase) -> None:
+    """Write the attributes of a check that was made after the case."""
+    if case.verdict is None:
+        return
+    mark, sentence = case.verdict
+    texts = {
+        "model_explains": mark,
+        "model_check": sentence,
+        "advice": case.advice,
+        "warnings": case.warnings,
+    }
+    hdf5.set_attributes(estimate, **{name: text for name, text in texts.items() if text})
+    for name in [name for name, text in texts.items() if not text and name in estimate.attrs]:
+        del estimate.attrs[name]
+
+
+def _copy_case(group: h5py.Group, case: StoredCase, *, with_measurement: bool) -> None:
+    """Copy an estimate of a file and, with the first case of a recording, the measurement.
+
+    Raises InputError for an unreadable file, or if its measurement differs from the first one's.
+    """
+    with hdf5.existing_file(case.path) as source:
+        held = source[f"entry/{case.recording}"]
+        if with_measurement:
+            copy_group(held[SHARED], group, SHARED)
+        else:
+            first = checksums.digests_below(group[SHARED])
+            ours = checksums.digests_below(held[SHARED])
+            for name in sorted(first.keys() | ours.keys()):
+                if first.get(name) != ours.get(name):
+                    raise InputError(
+                        f"{case.estimator} and an estimator before it were given different "
+                        f"recordings of the name {case.recording} ({name} differs)"
+                    )
+        copy_group(held[case.estimator], group, case.estimator)
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
@@ -346,11 +385,26 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
         cases = []
         for recording in _in_order(file, "/entry"):
             for name in _estimators(file, recording):
-                identity = hdf5.read_attribute(file, f"/entry/{recording}/{name}", "case_id")
-                cases.append(
-                    StoredCase(path, recording, name, str(identity), *_sizes(file, recording))
+                texts = (
+                    str(hdf5.read_attribute(file, f"/entry/{recording}/{name}", text) or "")
+                    for text in ("case_id", "warnings", "advice")
                 )
+                sizes = _sizes(file, recording)
+                cases.append(StoredCase(path, recording, name, *sizes, *texts))
         return tuple(cases)
+
+
+def read_case_scene(case: StoredCase) -> Scene:
+    """Return the scene of a case's recording. Raises InputError as `read_results`."""
+    with _results_file(case.path) as file:
+        return _read_scene(file, case.recording)
+
+
+def _read_scene(file: h5py.File, recording: str) -> Scene:
+    path = f"/entry/{recording}/{SHARED}/scene"
+    text = hdf5.read_text(file, path)
+    scene: Scene = validated(parse_document(text, f"{file.filename}:{path}"), Scene)
+    return scene
 
 
 @contextmanager
@@ -398,10 +452,7 @@ def _read_recording(
 ) -> list[CaseResult]:
     """Return the cases of a recording. Raises InputError as `read_results`."""
     base = f"/entry/{name}/{SHARED}"
-    scene: Scene = validated(
-        parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene"),
-        Scene,
-    )
+    scene = _read_scene(file, name)
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
     # Validation of type and dimensions; no values are read.

@@ -6,10 +6,10 @@ begins again at the convex start and at equal cells, cold, along the central pat
 which ends in lower minima than steps straight down (docs/studies/speed.md).
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, count, islice
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,16 @@ from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.certificate import MIN_COST_SHARE
 from lampest.solvers.convex import convex_cells, convex_is_the_answer
+from lampest.solvers.relaxation import relaxed_starts
 from lampest.solvers.solution import MAX_STARTS, Outcome, Solution, Solver, Status, check, failure
 
 # Starts of a frame whose first solve met negative curvature: as many as there are kinds of starts.
 MAX_MINIMA = 3
+# With losses that are not convex: starts of (a first frame, one that continues another). The frame
+# ends earlier where SHARED of them have costs within SAME_END of the lowest.
+MAX_RELAXED = (20, 6)
+SHARED = (3, 2)
+SAME_END = 1e-6
 # iterations of all starts after which a frame ends: with, and without an estimate
 MAX_SPENT = 100
 MAX_UNSOLVED = 300
@@ -43,37 +49,55 @@ class Effort:
         Whether the settings state the number of starts, so that the iterations have no limit.
     continues : bool
         Whether the frame begins at the estimate of an earlier one.
+    convex_losses : bool
+        See `Cost.convex_losses`.
     """
 
     starts: int
     requested: bool
     continues: bool = False
+    convex_losses: bool = True
 
     @classmethod
     def of(cls, solver: Solver, data: Data, previous: Array | None) -> "Effort":
         """Return the effort of a frame.
 
-        It is MAX_MINIMA starts where the cost may have several minima.
+        It is MAX_MINIMA starts where the cost may have several minima, and more of them with losses
+        that are not convex.
         """
         if solver.settings.starts is not None:
             return cls(solver.settings.starts, requested=True)
-        starts = MAX_MINIMA if several_minima(solver.cost, data) else 1
         continues = previous is not None and not data.first
-        return cls(starts, requested=False, continues=continues)
+        convex_losses = solver.cost.convex_losses
+        starts = MAX_MINIMA if several_minima(solver.cost, data) else 1
+        return cls(
+            starts if convex_losses else MAX_RELAXED[continues],
+            requested=False,
+            continues=continues,
+            convex_losses=convex_losses,
+        )
 
-    def is_spent(self, best: Solution, tried: int, iterations: int) -> bool:
-        """Return whether no further start is tried after `tried` starts with this best solution.
+    def is_spent(self, best: Solution, ends: Sequence[Solution]) -> bool:
+        """Return whether no further start is tried after these solutions, given the best of them.
 
         A strict minimum from the first start is kept in two cases: in a frame that continues an
         earlier one, and where the solver met no direction of negative curvature on its way. Further
-        starts then rarely find a lower minimum (docs/studies/speed.md).
+        starts then rarely find a lower minimum (docs/studies/speed.md). With losses that are not
+        convex, a minimum is kept at which several starts end.
         """
+        iterations = sum(end.iterations for end in ends)
         if self.requested:
-            return tried >= self.starts
+            return len(ends) >= self.starts
         if not best.solved:
             return iterations > MAX_UNSOLVED
-        kept = tried == 1 and best.strict and (best.convex or self.continues)
-        return tried >= self.starts or kept or iterations > MAX_SPENT
+        if len(ends) >= self.starts:
+            return True
+        if not self.convex_losses:
+            costs = [end.objective for end in ends if end.solved]
+            same = np.isclose(costs, best.objective, rtol=SAME_END, atol=0)
+            return int(same.sum()) >= SHARED[self.continues]
+        kept = len(ends) == 1 and best.strict and (best.convex or self.continues)
+        return kept or iterations > MAX_SPENT
 
 
 def best_solution(
@@ -95,24 +119,35 @@ def best_solution(
     """
     solver = solver.continued(carried)
     effort = Effort.of(solver, data, previous)
-    further = scattered(data) if effort.requested else ()
     best = None
     branch = None
-    tried = 0
-    iterations = 0
+    ends = list[Solution]()
     with np.errstate(all="ignore"), delayed_interrupt():
-        for start in evaluable(
-            solver.cost, data, chain(starts(solver.cost, data, previous), further)
-        ):
-            solution = solved_from(solver if tried == 0 else solver.cold(), start)
-            tried += 1
-            iterations += solution.iterations
+        for start in evaluable(solver.cost, data, _places(solver, data, previous)):
+            again = solver.cold() if effort.convex_losses else solver.continued(None)
+            ends.append(solved_from(again if ends else solver, start))
             branch = start.branch if branch is None else branch
-            best = preferred(best, solution, branch)
-            if data.overdue or effort.is_spent(best, tried, iterations):
+            best = preferred(best, ends[-1], branch)
+            if data.overdue or effort.is_spent(best, ends):
                 break
     best = _broken(solver.cost, data) if best is None else best
-    return replace(best, starts=tried or 1, solver=solver.name)
+    return replace(best, starts=len(ends) or 1, solver=solver.name)
+
+
+def _places(solver: Solver, data: Data, previous: Array | None) -> Iterator[Array]:
+    """Yield the starts of a frame.
+
+    They are endless where their number is requested, and with losses that are not convex.
+    """
+    cost = solver.cost
+    usual = starts(cost, data, previous)
+    if not cost.convex_losses:
+        first = next(usual)
+        yield first
+        yield from relaxed_starts(solver.continued(None), evaluated(cost, data, first))
+    yield from usual
+    if solver.settings.starts is not None:
+        yield from scattered(data)
 
 
 def lower_of(best: Solution | None, solution: Solution) -> Solution:

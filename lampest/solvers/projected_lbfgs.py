@@ -157,11 +157,12 @@ class BatchOutcome:
 def serves(cost: Cost, data: Data) -> bool:
     """Return whether a batch can minimise a cost.
 
-    All losses must be smooth, the readings two-point readings without wiring, and no second
-    derivative may couple cells with readings, or readings with each other.
+    All losses must be smooth and convex, the readings two-point readings without wiring, and no
+    second derivative may couple cells with readings, or readings with each other.
     """
     if (
         any(term.loss.enters == "dual" for term in cost.terms)
+        or not cost.convex_losses
         or cost.frames != 1
         or data.wiring is not None
     ):

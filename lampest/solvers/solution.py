@@ -25,12 +25,16 @@ VERIFIED = MILLIONTH
 # A cell within 1 % of a bound counts as being at it.
 OPEN_FRACTION = 0.99
 MAX_STARTS = 1000
+# A frame is MISSED where more than this share of its readings deviates by FAR standard deviations
+# (test_relaxation.py).
+FAR = 10.0
+MAX_FAR = 0.1
 # Of the largest residual with an absolute loss: width of the smoothing in a certificate.
 SMOOTHING_WIDTH = 1e-8
 
 
 class Status(Enum):
-    """Status of a solve, as a sentence; only the first five statuses come with an estimate.
+    """Status of a solve, as a sentence; only the first six statuses come with an estimate.
 
     >>> found.steps[0].solution.status.value
     'optimum verified'
@@ -42,6 +46,7 @@ class Status(Enum):
         "than their noise"
         " (by a millionth where that is unknown)"
     )
+    MISSED = "an optimum, but it misses more than a tenth of the readings by ten times their noise"
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
     FAINT = "an optimum, but some cells are determined so weakly that they may still move"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
@@ -73,6 +78,8 @@ ADVICE = {
     Status.OPTIMUM: "Nothing to do.",
     Status.HELD: "Look at the cells at their bounds: a reading may be wrong, or `bounds` too "
     "narrow.",
+    Status.MISSED: "Check the scene and the weights: the loss of the misfit ignores readings that "
+    "are far off, and these are too many to be outliers.",
     Status.FLAT: "Add a penalty, or a weight to the one there is; do not interpret the "
     "undetermined cells.",
     Status.FAINT: "Add a penalty, lower `solver: tolerance`, or read the error bars before these "
@@ -93,7 +100,7 @@ ADVICE = {
     Status.BREAKDOWN: "Check the weights and the scene's unit; report the frame if both are right.",
     Status.UNAVAILABLE: "Install IPOPT's linear solver, or take `formulation: reduced`.",
 }  # remedy for each status, one sentence
-STRICT = (Status.OPTIMUM, Status.HELD)  # certified strict minima
+STRICT = (Status.OPTIMUM, Status.HELD, Status.MISSED)  # certified strict minima
 OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
 
 
@@ -339,8 +346,22 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
         return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    held = bounds_matter(at, gradient, dual)
-    return solution_at(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
+    status = Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM
+    return solution_at(at, residual, outcome, Status.MISSED if misses_many(at) else status)
+
+
+def misses_many(at: Evaluation) -> bool:
+    """Return whether a share of more than MAX_FAR of the readings deviates by FAR of their noise.
+
+    This is asked of misfits whose loss is not convex: they ignore readings that are far off.
+    """
+    data = at.data
+    ignores = any(term.reads_measurement and not term.loss.convex for term in at.cost.terms)
+    if not (ignores and data.noise_known):
+        return False
+    plain = data.plain
+    far = np.abs(at.reading - data.measured)[plain] > FAR * data.sigma[plain]
+    return bool(far.sum() > MAX_FAR * far.size)
 
 
 def sharp_hessian(at: Evaluation, dual: Array) -> Hessian:

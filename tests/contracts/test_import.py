@@ -313,6 +313,29 @@ TABS = [
     "\t\t".join([str(600 + n), str(row), *line.split(",")]) + "\t\t" for n, row, line in NUMBERED
 ]
 codes("two tabs between fields", TABS, "empty columns left out", "field 1 frame, field 2 row")
+for between in ("\n", "\n\n"):
+    before_each = blocks("\t", between).replace("\n", "\n\t").replace("\n\t\n", "\n\n")
+    codes(
+        f"a tab before each value, {between!r} between frames",
+        "\t" + before_each,
+        "a separator before the first value of every line",
+    )
+codes(
+    "a tab before each value of a frame",
+    ["\t" + line for line in lines(CODES.reshape(4, -1), "\t")],
+    "a separator before the first value of every line",
+)
+WRAPPED = (np.arange(4) * 53_120 + 4_294_900_000) % 2**32
+for before, after in (("F,", ""), ("", ",7"), ("F,", ",7")):
+    codes(
+        f"a counter that wraps, {before!r} before it and {after!r} at the end",
+        [
+            f"{before}{us},{line}{after}"
+            for us, line in zip(WRAPPED, lines(CODES.reshape(4, -1)), strict=True)
+        ],
+        "the counter began again once",
+        times=np.arange(4) * 0.05312 + WRAPPED[0] / 1e6,
+    )
 ALIGNED = [
     "\t".join(f"{value}\t" if int(value) < 500 else value for value in line.split(","))
     for line in lines(CODES)

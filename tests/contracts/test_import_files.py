@@ -96,6 +96,21 @@ def matlab(path: Path, **arrays: np.ndarray) -> None:
     path.write_bytes(header + path.read_bytes()[len(header) :])
 
 
+def tree(*notes: str, arrays: dict[str, Any], **options: Any) -> SimpleNamespace:
+    """An HDF5 file of another program: arrays by their paths; behind @, an attribute."""
+
+    def write(path: Path) -> None:
+        with h5py.File(path, "w") as file:
+            for name, values in arrays.items():
+                of, _, attribute = name.partition("@")
+                if attribute:
+                    (file[of] if of else file).attrs[attribute] = values
+                else:
+                    file[name] = values
+
+    return foreign_file(write, *notes, name="m.h5", **options)
+
+
 def book(
     sheets: dict[str, Sequence[Sequence[Any]]], *notes: str, **options: Any
 ) -> SimpleNamespace:
@@ -299,7 +314,51 @@ NAMED_RECORDS = [
     {"ms": 250 * n} | dict(zip(names("r{r}c{c}").split(","), listed(frame.ravel()), strict=True))
     for n, frame in enumerate(FRAMES)
 ]
+BLOCKS = np.concatenate(
+    [FRAMES, np.zeros_like(FRAMES)]
+)  # as many frames again that were not written
+STEP_NS = 2.0**26  # doubles hold its multiples exactly, also since 1970
+SINCE_1970_NS = STEP_NS * (25_609_000_000 + np.arange(4))
+START = "2024-06-17T02:21:38.176000Z"
+WITH_TIMES = np.column_stack([SINCE_1970_NS, FRAMES.reshape(4, -1)])
+FIELDS = np.zeros(4, dtype=[("time", "f8"), ("values", "f8", (ROWS, COLUMNS))])
+FIELDS["time"] = np.arange(4) / 4
+FIELDS["values"] = FRAMES
 FILES |= {
+    "HDF5: counted frames": tree(
+        "array mat/pressure read as (frames, rows, columns)",
+        "4 frames behind the 4 of mat/frame_count left out",
+        "array mat/ts in s",
+        arrays={
+            "ts": np.arange(8.0) * 9 + 1,
+            "mat/pressure": BLOCKS,
+            "mat/ts": np.append(np.arange(4) / 20, np.zeros(4)),
+            "mat/frame_count": np.array([4], dtype="u4"),
+            "label": "left",
+        },
+        times=np.arange(4) / 20,
+    ),
+    "HDF5: frames counted by an attribute": tree(
+        "4 frames behind the 4 of R.n_frames left out", arrays={"R": BLOCKS, "R@n_frames": 4}
+    ),
+    "HDF5: blocks that are not full": tree(
+        "4 frames of zeros at the end, without a time, left out",
+        arrays={"R": BLOCKS, "t": np.append(1 + np.arange(4.0), np.zeros(4))},
+        times=np.arange(4.0) + 1,
+    ),
+    "HDF5: the time in the first column": tree(
+        "array R read as (frames, 1 + rows·columns), the time first",
+        "time: ns since 1970",
+        arrays={"R": WITH_TIMES},
+        times=np.arange(4) * STEP_NS * 1e-9,
+        start=START,
+    ),
+    "HDF5: fields of one dataset": tree(
+        "array log.values read as (frames, rows, columns)",
+        arrays={"log": FIELDS},
+        times=np.arange(4) / 4,
+    ),
+    "NPY: the time in the first column": array(WITH_TIMES, "the time first", start=START),
     "JSON: frames": records(listed(HOLES), "read as (frames, rows, columns)", expected=HOLES),
     "JSON: a name beside times": records(
         {"unit": "ohm", "t": [0, 1, 2, 3], "R": listed(FRAMES)}, "array R read as"
@@ -493,7 +552,7 @@ REFUSED = [
     foreign_file(
         b"1," * 14 + b"1",
         "holds nothing by name",
-        "`variable` is for .mat, .npz",
+        "`variable` is for .h5, .hdf, .hdf5, .mat, .npz",
         variable="R",
         name="m.csv",
     ),
@@ -524,7 +583,16 @@ REFUSED = [
     foreign_file(b"MATLAB 7.3 MAT-file".ljust(600), "save it with the option -v7", name="m.mat"),
     foreign_file(claims, "claims", name="m.mat"),
     foreign_file(b"\xd0\xcf", "save it as .xlsx", name="m.xls"),
-    foreign_file(b"", ".h5 files are not read; save the array as .npy", name="m.h5"),
+    tree("is lampest's own file, which needs no import", arrays={"@lampest_format": "recording/3"}),
+    tree(
+        "left, right would all fit; say which with `variable`",
+        arrays={"left": FRAMES, "right": FRAMES},
+    ),
+    tree(
+        "no array fits 3 × 5 cells; the numeric arrays are: R (4 × 16)",
+        arrays={"R": np.ones((4, 16))},
+    ),
+    foreign_file(b"", "m.h5: not a readable HDF5 file: it is empty", name="m.h5"),
     book({"A": [*MEAN, ["mean", *MEAN[1][1:]]]}, "A!A6: 'mean' is no time"),
     foreign_file(whole_sheet, "Sheet!1048576: 1 field; 3 × 5 cells need", name="m.xlsx"),
     array(FRAMES.astype(complex), "no plain array of real numbers"),

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 import lampest
 from lampest import (
     Array,
+    Diode,
     DrivenReadout,
     GroundedReadout,
     InputError,
@@ -206,6 +207,12 @@ def test_contradictions_are_refused(keys: dict[str, Any], message: str) -> None:
 def test_amplifiers_with_currents_of_both_signs_are_refused() -> None:
     with pytest.raises(InputError, match="currents of both signs"):
         VirtualGroundReadout(load_volt=2.5)
+
+
+def test_diodes_with_several_potentials_are_refused() -> None:
+    readout = DrivenReadout(idle_ohm=1e3, idle_volt=1.0, load_volt=2.0, diode=Diode())
+    with pytest.raises(InputError, match="diode: circuits with several potentials"):
+        Scene(Panel(*SHAPE), readout)
 
 
 def test_driven_groups_name_every_line() -> None:

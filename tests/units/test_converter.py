@@ -8,6 +8,8 @@ import pytest
 
 import lampest
 from lampest import Characteristic, GroundedReadout, InputError, Panel, Recording, Scene
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.resolve import resolved_scene
 
 BITS = 10
 STEP = 5 / 2**BITS
@@ -98,3 +100,24 @@ def test_first_recordings_keep_the_middle_of_their_codes(tmp_path: Path) -> None
 def test_contradictions_are_refused(keys: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Characteristic(**keys)
+
+
+def test_the_zero_of_a_converter_follows_from_open_cells() -> None:
+    """Codes of open cells stand 3.4 steps above 0, where the loads end."""
+    offset = 3.4
+    rng = np.random.default_rng(6)
+    circuit = readout(converter=Characteristic(zero_volt="estimated"))
+    resting = np.full((6, 6), 1e9)
+    loaded = resting.copy()
+    loaded[2:4, 2:4] = 2000.0
+    volt = np.stack([circuit.exact_reading(cells) for cells in [resting] * 5 + [loaded] * 3])
+    codes = np.rint(volt / STEP + offset + 0.5 * rng.standard_normal(volt.shape))
+    scene = Scene(Panel(6, 6), circuit)
+    recording = Recording.from_array(codes, unit="code", scene=scene, baseline=5)
+    noise = Prepared(recording).noise
+    zero, deviation = noise.estimated["readout.converter.zero_volt"]
+    assert zero == pytest.approx(-offset * STEP, abs=4 * deviation + 0.1 * STEP)
+    numbers = resolved_scene(scene, noise)
+    assert numbers.readout is not None and numbers.readout.zero_volt == pytest.approx(zero)
+    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")])
+    assert found.cell_resistance[-1, 2:4, 2:4] == pytest.approx(2000.0, rel=0.02)

@@ -1,11 +1,13 @@
 """The way of a frame, as the page of the architecture has it, is what a trace of a run shows."""
 
 import re
+import subprocess
 import sys
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import lampest
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -52,3 +54,54 @@ def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> Non
     expected = [CLASSES.get(word, word) for word in objects]
     made = traced_classes(lambda: run_batch(read_run(document), tmp_path / "out", Serial()))
     assert [name for name in made if name in expected] == expected
+
+
+LOADED = """
+import sys, lampest
+recording = lampest.Recording.load(sys.argv[1])
+found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), lampest.LogGradient()])
+assert found.cell_resistance_errors is not None and found.relative_change.shape
+print(*[name for name in sys.modules if name.startswith("lampest.")])
+"""
+MAX_LOADED = 150  # modules of a first reconstruction (146)
+MAX_PASSED = 48  # files whose functions a frame calls (46)
+
+
+def test_a_first_reconstruction_loads_no_application_and_no_room_above() -> None:
+    completed = subprocess.run(
+        [sys.executable, "-c", LOADED, str(ROOT / "data" / "ring.h5")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    modules = completed.stdout.split()
+    rooms = {name.split(".")[1] for name in modules}
+    assert not rooms & {"apps", "audit", "cli", "runs"}
+    above = {name for name in modules if name.startswith("lampest.report.")}
+    assert above == {"lampest.report.reconstruction"}
+    assert len(modules) <= MAX_LOADED
+
+
+def test_a_frame_passes_few_files() -> None:
+    recording = lampest.datasets.load("lamprey_35mm")
+    frames = recording.resistance
+    unloaded = recording.role == lampest.UNLOADED
+    resting = lampest.Readings.of(recording.scene, frames[unloaded]).mean()
+    estimator = lampest.Estimator(
+        (lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)), "reduced"
+    )
+    stream = lampest.Stream.begin(estimator, recording.scene, 1.0, resting)
+    first, second = frames[~unloaded][:2]
+    stream, _ = stream.push(lampest.Readings.of(recording.scene, first))
+    passed = set()
+
+    def notice(frame: FrameType, event: str, _: Any) -> None:
+        if event == "call" and "/lampest/" in frame.f_code.co_filename:
+            passed.add(frame.f_code.co_filename)
+
+    sys.setprofile(notice)
+    try:
+        _, step = stream.push(lampest.Readings.of(recording.scene, second))
+    finally:
+        sys.setprofile(None)
+    assert step.bars is not None and len(passed) <= MAX_PASSED, sorted(passed)

@@ -1,5 +1,9 @@
-"""Frames of foreign files, and their construction from the arrays of .npy, .npz and .mat files."""
+"""Frames of foreign files, and their construction from arrays.
 
+The arrays are those of .npy, .npz, .mat and HDF5 files.
+"""
+
+import re
 import struct
 import warnings
 import zipfile
@@ -16,7 +20,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from lampest.apps.foreign.words import Clock, clock_of_numbers, role_of
+from lampest.apps.foreign.words import Clock, clock_of_numbers, grows, role_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError, counted, first_and_more
 from lampest.files.typed import Validated, real_array
@@ -34,6 +38,9 @@ ONE = "(rows, columns)"
 STACKED = "(rows, columns, frames)"
 FRAMES = "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
+TIMED = "(frames, 1 + rows·columns), the time first"
+# Words in the name of a single number that counts the frames that were written.
+COUNTS = {"count", "counts", "frames", "nframes", "samples", "nsamples", "length", "written"}
 
 Arrays = dict[str, NDArray[Any]]
 Shape = tuple[int, int]
@@ -339,8 +346,42 @@ def _of_level_7(path: Path) -> Arrays:
     return arrays
 
 
+def _of_hdf5(path: Path) -> Arrays:
+    """Return the arrays of an HDF5 file by their paths; of compound ones each field.
+
+    Attributes of one number are arrays of one value.
+
+    Raises InputError for lampest's own files, and if the values are more than are imported.
+    """
+    arrays = Arrays()
+    with hdf5.existing_file(path) as file:
+        if "lampest_format" in hdf5.attribute_names(file, "/"):
+            raise InputError(f"{path}: is lampest's own file, which needs no import")
+        datasets = hdf5.datasets(file, "/")
+        for name, node in {"": file, **datasets}.items():
+            for attribute, value in node.attrs.items():
+                if isinstance(value, int | float | np.number):
+                    arrays[f"{name}.{attribute}".lstrip(".")] = np.array([value])
+        total = 0
+        for name, dataset in datasets.items():
+            fields = dataset.dtype.names
+            if dataset.shape is None or not (fields or dataset.dtype.kind in "iuf"):
+                continue
+            total += dataset.size * max(1, dataset.dtype.itemsize // 8)
+            check_count(path, total)
+            if dataset.shape and not fields:
+                arrays[name] = hdf5.read_array(file, f"/{name}", dataset.ndim)
+                continue
+            values = np.atleast_1d(dataset[()])
+            parts = {f"{name}.{part}": values[part] for part in fields or ()} or {name: values}
+            arrays |= {part: array for part, array in parts.items() if array.dtype.kind in "iuf"}
+    return arrays
+
+
 # They return arrays of real numbers only.
-READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}
+READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat} | dict.fromkeys(
+    (".h5", ".hdf5", ".hdf"), _of_hdf5
+)
 
 
 def arrays_of(path: Path) -> Arrays:
@@ -352,20 +393,27 @@ def arrays_of(path: Path) -> Arrays:
 def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | None) -> Frames:
     """Return the frames of the only array that fits the panel, or of the array `variable`.
 
-    They are by the first fitting layout.
+    They are by the first fitting layout. Frames behind those that a number of the file counts, and
+    frames of zeros at the end whose times are 0, were never written and are left out.
 
     Raises InputError if no array or several arrays fit.
     """
     matlab = path.suffix.lower() == ".mat"
+    cells = shape[0] * shape[1]
     sizes = {
         ONE: shape,
         FRAMES: (None, *shape),
-        FLAT: (None, shape[0] * shape[1]),
+        FLAT: (None, cells),
+        TIMED: (None, cells + 1),
         STACKED: (*shape, None),
     }
     layouts = (ONE, STACKED, FRAMES) if matlab else tuple(sizes)
     fits = {
-        name: [way for way in layouts if _fits(array.shape, sizes[way])]
+        name: [
+            way
+            for way in layouts
+            if _fits(array.shape, sizes[way]) and (way != TIMED or _leads_with_times(array))
+        ]
         for name, array in arrays.items()
     }
     name = _chosen(path, arrays, fits, shape, variable)
@@ -377,29 +425,81 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
     check_count(where, array.size)
     layout, *alternatives = fits[name]
     indices: Index = np.arange(array.size).reshape(array.shape)
-    number = (indices.transpose(2, 0, 1) if layout == STACKED else indices).reshape(-1, *shape)
+    if layout == TIMED:
+        number = indices[:, 1:].reshape(-1, *shape)
+    else:
+        number = (indices.transpose(2, 0, 1) if layout == STACKED else indices).reshape(-1, *shape)
     second = f" ({alternatives[0]} would fit, too)" if alternatives else ""
     note = f"{f'array {name} ' if name else ''}read as {layout}{second}"
+    times: tuple[str, Array] | None
+    if layout == TIMED:
+        times = f"{where}[:, 0]", np.asarray(array[:, 0], dtype=float)
+    else:
+        times = _times_beside(path, arrays, name, len(number))
+    values = array.ravel().astype(float)
+    values[np.isnan(values)] = np.nan  # a signalling NaN would raise warnings in arithmetic
+    written, unwritten = _written(arrays, values[number], None if times is None else times[1])
 
     def named(at: int) -> str:
         index = ", ".join(str(part + matlab) for part in np.unravel_index(max(at, 0), array.shape))
         return f"{where}({index})" if matlab else f"{where}[{index}]"
 
     def clock(unit: str | None) -> Clock:
-        values = np.asarray(arrays[times[0]], dtype=float).ravel()
-        read = clock_of_numbers(
-            values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit
-        )
-        return read.read_from(f"array {times[0]} in ")
+        assert times is not None
+        source, of_frames = times
+        word = "" if layout == TIMED else _last(source)
+        read = clock_of_numbers(of_frames[:written], word, lambda frame: f"{source}[{frame}]", unit)
+        return read.read_from("" if layout == TIMED else f"array {source.split(': ')[-1]} in ")
 
-    times = [
+    return Frames(
+        values,
+        number[:written],
+        named,
+        clock if times is not None else None,
+        (note, *unwritten),
+        (name,),
+    )
+
+
+def _last(name: str) -> str:
+    """Return the name of an array without the groups that hold it."""
+    return re.split(r"[/.]|: ", name)[-1]
+
+
+def _leads_with_times(array: NDArray[Any]) -> bool:
+    """Return whether the first column grows, but for frames at the end that are 0."""
+    first = np.trim_zeros(np.asarray(array[:, 0], dtype=float), "b")
+    return len(first) > 1 and grows(first)
+
+
+def _times_beside(path: Path, arrays: Arrays, name: str, frames: int) -> tuple[str, Array] | None:
+    """Return the place and the values of the times of an array, first of those in its group."""
+    group = name.rpartition("/")[0]
+    fitting = [
         time
         for time in arrays
-        if role_of(time) == "time" and arrays[time].size == len(number) and time != name
+        if role_of(_last(time)) == "time" and arrays[time].size == frames and time != name
     ]
-    values = array.ravel().astype(float)
-    values[np.isnan(values)] = np.nan  # a signalling NaN would raise warnings in arithmetic
-    return Frames(values, number, named, clock if times else None, (note,), (name,))
+    if not fitting:
+        return None
+    chosen = min(fitting, key=lambda time: time.rpartition("/")[0] != group)
+    return f"{path}: {chosen}", np.asarray(arrays[chosen], dtype=float).ravel()
+
+
+def _written(arrays: Arrays, values: Array, times: Array | None) -> tuple[int, tuple[str, ...]]:
+    """Return how many frames were written, and a note on those that were not."""
+    count = len(values)
+    for name, array in arrays.items():
+        words = set(re.findall(r"[a-z]+", _last(name).lower()))
+        if array.size == 1 and words & COUNTS and array.item() in range(1, count):
+            left = counted(count - int(array.item()), "frame")
+            return int(array.item()), (f"{left} behind the {int(array.item())} of {name} left out",)
+    if times is None:
+        return count, ()
+    filled = np.flatnonzero((times != 0) | np.any(values != 0, axis=(1, 2)))
+    last = int(filled[-1]) + 1 if len(filled) else count
+    note = f"{counted(count - last, 'frame')} of zeros at the end, without a time, left out"
+    return last, (note,) if last < count else ()
 
 
 def _chosen(

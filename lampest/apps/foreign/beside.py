@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.table import ReadingsTable
-from lampest.apps.foreign.words import PART_OF_CLOCK, grows, is_stamp, line_of, parted
+from lampest.apps.foreign.words import PART_OF_CLOCK, grows, is_stamp, line_of, parted, unwrapped
 from lampest.panel.panel import Array
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none
@@ -172,7 +172,7 @@ def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str 
     None if nothing fits.
     """
     texts = table.fields[:, field]
-    values = table.values[:, field]
+    values = unwrapped(table.values[:, field])
     words = table.words[:, field]
     if all(is_stamp(text) for text in set(texts[words])) and words.all():
         return "time"

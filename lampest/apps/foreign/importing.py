@@ -38,9 +38,7 @@ from lampest.recording.processed import AS_CONVERTED, normalised, processing_of,
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.unit import RESISTANCES, check_unit, recorded_values
 
-NOT_READ = dict.fromkeys(
-    (".h5", ".hdf5"), "save the array as .npy; lampest's own recordings need no import"
-) | {
+NOT_READ = {
     ".xls": "save it as .xlsx",
     ".ods": "save it as .xlsx or .csv",
     ".xlsb": "save it as .xlsx",
@@ -76,8 +74,8 @@ def import_file(  # noqa: PLR0913 # the options of a command
 ) -> tuple[Recording, tuple[str, ...]]:
     r"""Import a file as a recording of rows × columns cells.
 
-    The suffix determines the format: .xlsx, .npy, .npz, .mat, .json, .jsonl, .parquet, those of
-    layouts, and a text table for any other; a folder of such files holds frames one after the
+    The suffix determines the format: .xlsx, .npy, .npz, .mat, .h5, .json, .jsonl, .parquet, those
+    of layouts, and a text table for any other; a folder of such files holds frames one after the
     other. docs/apps/foreign/import.md.
 
     Parameters
@@ -94,7 +92,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     transpose : bool
         Whether the file's rows are the panel's columns.
     variable : str, or None
-        Array of a .mat or .npz file, or sheet of an .xlsx file; required if several fit.
+        Array of a .mat, .npz or HDF5 file, or sheet of an .xlsx file; required if several fit.
     period : float, or None
         Time between frames in s, in place of the file's times.
     missing : {'mark', 'skip-frame', 'refuse'}

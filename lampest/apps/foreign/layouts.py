@@ -27,6 +27,10 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
     table = with_one_clock(table)
+    if _begins_with_a_separator(table, shape):
+        note = "a separator before the first value of every line"
+        shorter = table.only(columns=list(range(1, table.width)))
+        return frames_of(replace(shorter, notes=(*table.notes, note)), shape)
     # One value a line; else one frame a line; else one row a line; else again without empty
     # columns.
     order = _single_values(table, shape)
@@ -57,6 +61,17 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
         "a line for each row; "
         "`layout` says what each field is"
     )
+
+
+def _begins_with_a_separator(table: ReadingsTable, shape: Shape) -> bool:
+    """Return whether the first field of every line is empty and no reading of the panel.
+
+    A program that prints a tab before each value leaves such a field.
+    """
+    if table.width in (1, shape[0] * shape[1], shape[1]) or table.names[0]:
+        return False
+    empty = np.all(table.fields[:, :2] == "", axis=0)
+    return bool(empty[0] and not empty[1])
 
 
 def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:

@@ -409,7 +409,7 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     """
     values = np.where(np.isfinite(values), values, np.nan)
     largest = float(np.max(values[_longest_growing(values)], initial=0.0))
-    restarts = np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
+    restarts = _restarts(values)
     # Unit: as specified, by the name, by the usual step of whole numbers, or by the size of times
     # since 1970.
     word, suffix = parted(name)
@@ -496,6 +496,17 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     inner = np.interp(number, growing, seconds[growing])
     places = ", ".join(where(int(place)) for place in cut[:5]) + (", ..." if len(cut) > 5 else "")
     return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
+
+
+def unwrapped(values: Array) -> Array:
+    """Return numbers of a counter of 32 bits that go on where it began again."""
+    return np.asarray(values + COUNTER * _restarts(values))
+
+
+def _restarts(values: Array) -> NDArray[np.intp]:
+    """Return how often a counter of 32 bits began again until each of its values."""
+    with np.errstate(invalid="ignore"):  # of two infinite numbers
+        return np.cumsum(np.diff(values, prepend=values[:1]) < -COUNTER / 2)
 
 
 def grows(values: Array) -> bool:

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.apps.microcontroller.drift import frames_to_follow
 from lampest.files.document import parse_document
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.equation import equation_of
+from lampest.panel.readouts.lines import Side
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 
@@ -32,7 +34,7 @@ LIMITS = {  # ranges that `constants_are_sound` allows, of numbers that are not 
     "reference": (1e-6, MAX_OHM),
     "plain sigma": (0.0, 1e12),
 }
-MAX_SUM = 65535  # sums are unsigned numbers of 16 bits
+MISSING = 2**32 - 1  # LAMPEST_MISSING; sums are unsigned numbers of 32 bits below it
 # Kind of a penalty → what it compares, and how; its reference decides between baseline and previous
 # frame.
 PENALTIES = {
@@ -145,7 +147,32 @@ class CircuitLines:
                 "resistor: single precision loses what differs"
             )
         tie = readout.ties(np.full(shape, readout.driving_volt / 2))
-        return cls(tie, drive, release, load, readout.driving_volt * gain)
+        lines = cls(tie, drive, release, load, readout.driving_volt * gain)
+        # Anything else that a readout states would be lost silently.
+        cells = np.geomspace(1e3, 1e4, shape[0] * shape[1]).reshape(shape)
+        exact = readout.exact_reading(cells)
+        if not np.allclose(lines.readings(cells, readout.driven), exact, rtol=1e-6, atol=1e-9):
+            raise InputError(f"the C library has no such circuit: {readout.description()}")
+        return lines
+
+    def readings(self, cells: Array, driven: Side) -> Array:
+        """Return the readings of cells (rows, columns) in ohm, as the C library computes them."""
+        rows, columns = cells.shape
+        conductance = np.zeros((rows + columns,) * 2)
+        conductance[:rows, rows:] = 1 / cells
+        conductance += conductance.T
+        impedance = np.linalg.inv(np.diag(conductance.sum(axis=0) + self.tie) - conductance)
+        own = np.diag(impedance)
+        of_rows, of_columns, mutual = own[:rows, None], own[None, rows:], impedance[:rows, rows:]
+        if driven == "rows":
+            drive, release = self.drive[:, None], self.release[:, None]
+            load, gain, own_driven, own_sensed = self.load, self.gain, of_rows, of_columns
+        else:
+            drive, release = self.drive, self.release
+            load, gain = self.load[:, None], self.gain[:, None]
+            own_driven, own_sensed = of_columns, of_rows
+        path = (drive + release * own_driven) * (1 + load * own_sensed)
+        return np.asarray(gain * mutual / (path - release * load * mutual**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +197,8 @@ class Constants:
         Cells at rest in ohm; 1 kΩ where there is no cell.
     loaded_limit : float
         In ln r.
+    follow : float
+        Time constant of the baseline, frames.
     budget : Budget
     """
 
@@ -185,6 +214,7 @@ class Constants:
     native_bounds: bool
     baseline: Array
     loaded_limit: float
+    follow: float
     budget: Budget = Budget()
 
     @classmethod
@@ -225,9 +255,10 @@ class Constants:
         penalties = tuple(_penalty(term, case, scale) for term in terms if term is not data)
         loss, corner = _loss(data)
         solved = case.solved
-        limit = 0.0
+        noisy = 0.0
         if case.sigma_own is not None:
-            limit = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
+            noisy = LOADED_DEVIATIONS * float(np.nanmedian(case.sigma_own[solved]))
+        limit = max(MIN_LOADED_LIMIT, noisy if np.isfinite(noisy) else 0.0)
         bounds = content.get("bounds", {})
         lower = bounds.get("lower", "measured")
         upper = bounds.get("upper", "resolution")
@@ -248,7 +279,8 @@ class Constants:
             float(upper) if not isinstance(upper, str) else _largest(case),
             native,
             np.where(scene.panel.present, baseline, 1000.0),
-            max(MIN_LOADED_LIMIT, limit if np.isfinite(limit) else 0.0),
+            limit,
+            frames_to_follow(case, limit),
         )
 
     def check(self) -> None:
@@ -358,17 +390,17 @@ class Constants:
             rises = readout.direction > 0
         return rises == (readout.code_sign > 0)
 
-    def sums_of(self, case: CaseResult) -> NDArray[np.uint16]:
+    def sums_of(self, case: CaseResult) -> NDArray[np.uint32]:
         """Return the sums of codes of the frames, (frames, rows, columns).
 
-        Missing readings are 65535.
+        Missing readings are MISSING.
         """
         sums = self._sums(self.scene.circuit.to_recorded(case.measured, self.scene))
         if case.reading_side is not None:
             high = case.reading_side == (1 if self.rises else -1)
             sums = np.where(case.reading_side != 0, np.where(high, self.top_sum, 0), sums)
         missing = ~np.isfinite(case.measured)
-        return np.where(missing, MAX_SUM, sums).astype(np.uint16)
+        return np.where(missing, MISSING, sums).astype(np.uint32)
 
     def _sums(self, recorded: Array) -> Array:
         """Return sums of codes of recorded values, not rounded to more than a sum."""
@@ -407,9 +439,9 @@ def check_scene(scene: Scene) -> None:
         raise InputError(f"the C library has no {named[0]}")
     if not isinstance(readout, TwoPointReadout | DrivenCircuit):
         raise InputError(f"the C library has no such circuit: {readout.description()}")
-    if readout.readings * (2**readout.adc_bits - 1) > MAX_SUM:
+    if readout.readings * (2**readout.adc_bits - 1) >= MISSING:
         raise InputError(
-            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 16 bits: give "
+            f"sums of {readout.readings} readings of {readout.adc_bits} bits exceed 32 bits: give "
             "fewer readings"
         )
 

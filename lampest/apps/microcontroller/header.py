@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lampest.apps.microcontroller.constants import Constants
+from lampest.apps.microcontroller.library import library_version
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.driven import DrivenCircuit
@@ -107,6 +108,7 @@ def header(constants: Constants, name: str, about: Iterable[str]) -> str:
 # The fields of lampest_constants in the order of their declaration, as C++ demands of designated
 # initialisers; absent ones are 0.
 ORDER = (
+    "version",
     "rows",
     "columns",
     "present",
@@ -143,6 +145,7 @@ ORDER = (
     "native_bounds",
     "baseline",
     "loaded_limit",
+    "follow",
     "steps",
     "products",
     "within",
@@ -153,7 +156,11 @@ def _panel(constants: Constants) -> Entries:
     """Return the panel's size, its cells where some are missing, and the pairs of neighbours."""
     panel = constants.scene.panel
     rows, columns = panel.shape
-    entries: Entries = {"rows": str(rows), "columns": str(columns)}
+    entries: Entries = {
+        "version": str(library_version()),
+        "rows": str(rows),
+        "columns": str(columns),
+    }
     if panel.cells is not None:
         entries["present"] = CArray(
             "uint8_t", tuple(str(int(cell)) for cell in panel.present.ravel())
@@ -210,9 +217,9 @@ def _converter(constants: Constants) -> Entries:
     low, high = constants.valid_sums
     alike = bool(np.all(constants.sigma_volt == constants.sigma_volt.flat[0]))
     return {
-        "top_sum": str(constants.top_sum),
-        "low_sum": str(low),
-        "high_sum": str(high),
+        "top_sum": f"{constants.top_sum}u",
+        "low_sum": f"{low}u",
+        "high_sum": f"{high}u",
         "volt_per_sum": number(readout.lsb_volt / readout.readings),
         "volt_at_zero": number(readout.zero_volt),
         "supply_volt": number(readout.supply_volt),
@@ -241,6 +248,7 @@ def _cost(constants: Constants) -> Entries:
         "native_bounds": _literal(constants.native_bounds),
         "baseline": CArray.of_floats(constants.baseline),
         "loaded_limit": number(constants.loaded_limit),
+        "follow": number(constants.follow),
     }
 
 

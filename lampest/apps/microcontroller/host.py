@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from lampest.apps.microcontroller.constants import Budget, Constants
 from lampest.apps.microcontroller.header import header
+from lampest.apps.microcontroller.library import library_folder, sources
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.recording.datasets import folder
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2", "-shared", "-fPIC")
@@ -38,24 +38,15 @@ static void put(lampest_status s, float *numbers) {
     const float values[] = {s.outcome, s.settled, s.steps, s.products, s.saturated, s.missing, s.dead_line, s.left};
     memcpy(numbers, values, sizeof values);
 }
-void host_frame(const uint16_t *sums, float *change, float *numbers) {
+void host_frame(const uint32_t *sums, float *change, float *numbers) {
     put(lampest_frame(&host_panel, sums, change), numbers);
 }
-void host_baseline(const uint16_t *sums, float *numbers) { put(lampest_baseline(&host_panel, sums), numbers); }
+void host_baseline(const uint32_t *sums, float *numbers) { put(lampest_baseline(&host_panel, sums), numbers); }
+int host_follow(void) { return lampest_follow(&host_panel); }
 float host_deviation(int row, int column, int products) {
     return lampest_deviation(&host_panel, row, column, products);
 }
 """  # noqa: E501
-
-
-def library_folder() -> Path:
-    """Return the folder of the C library."""
-    return folder() / "firmware" / "lampest_estimate"
-
-
-def sources() -> tuple[Path, ...]:
-    """Return the files of the C library."""
-    return tuple(sorted([*library_folder().glob("*.c"), *library_folder().glob("*.h")]))
 
 
 def compiler() -> str | None:
@@ -103,19 +94,23 @@ class Host:
             self.library.host_begin(budget.steps, budget.products, ctypes.c_float(budget.within))
         )
 
-    def frame(self, sums: NDArray[np.uint16]) -> tuple[Array, Array]:
+    def frame(self, sums: NDArray[np.uint32]) -> tuple[Array, Array]:
         """Return (log change (rows, columns), status (8,)) of one frame."""
         return self._call(self.library.host_frame, sums, changes=True)
 
-    def baseline(self, sums: NDArray[np.uint16]) -> Array:
+    def baseline(self, sums: NDArray[np.uint32]) -> Array:
         """Add a frame to the baseline, and return its status (8,)."""
         return self._call(self.library.host_baseline, sums, changes=False)[1]
+
+    def follow(self) -> bool:
+        """Let the baseline follow the last frame; return whether it moved."""
+        return bool(self.library.host_follow())
 
     def deviation(self, row: int, column: int, products: int) -> float:
         """Return the standard deviation of ln r of a cell."""
         return float(self.library.host_deviation(row, column, products))
 
-    def frames(self, sums: NDArray[np.uint16], budget: Budget) -> Answers:
+    def frames(self, sums: NDArray[np.uint32], budget: Budget) -> Answers:
         """Return the answers to frames (frames, rows, columns) from the baseline on."""
         if outcome := self.begin(budget):
             raise InputError(f"the C library refuses its constants (outcome {outcome})")
@@ -124,9 +119,9 @@ class Host:
         return Answers(np.array([change for change, _ in answers]), *status.T)
 
     def _call(
-        self, function: Any, sums: NDArray[np.uint16], *, changes: bool
+        self, function: Any, sums: NDArray[np.uint32], *, changes: bool
     ) -> tuple[Array, Array]:
-        held = np.ascontiguousarray(sums, np.uint16)
+        held = np.ascontiguousarray(sums, np.uint32)
         change = np.zeros(self.shape, np.float32)
         status = np.zeros(8, np.float32)
         arrays = (held, change, status) if changes else (held, status)

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from lampest.apps.microcontroller.constants import Budget, Constants
 from lampest.apps.microcontroller.header import header, number
-from lampest.apps.microcontroller.host import compiled, compiler, sources
+from lampest.apps.microcontroller.host import compiled, compiler
+from lampest.apps.microcontroller.library import library_version, sources
 from lampest.apps.microcontroller.trade import PROCESSORS, Trade, chosen_budget, trades
 from lampest.files.errors import InputError
 from lampest.files.typed import typed
@@ -33,7 +35,7 @@ SKETCH = """\
 static lampest_panel panel = {&panel_constants};
 static float memory[PANEL_MEMORY];
 static float change[PANEL_ROWS * PANEL_COLUMNS];
-static uint16_t sums[PANEL_ROWS * PANEL_COLUMNS];
+static uint32_t sums[PANEL_ROWS * PANEL_COLUMNS];
 
 /* Sums of codes, row by row: PANEL_READINGS conversions of each cell. LAMPEST_MISSING where there is none. */
 static void read_sums() {
@@ -181,7 +183,12 @@ def export_sketch(
         text = header(
             constants,
             "panel",
-            ("Constants of an estimator, written by `lampest export --to c`.", *about),
+            (
+                "Constants of an estimator, written by `lampest export --to c` of lampest "
+                f"{version('lampest')}",
+                f"for version {library_version()} of lampest_estimate.",
+                *about,
+            ),
         )
         readings = f"#define PANEL_READINGS {constants.scene.circuit.readings}\n\nstatic const"
         # The sketch is the last one that gets its name, and an old one goes before the first does:
@@ -255,7 +262,7 @@ def _measured(
     return table, constants, _vector(sums, answers, SAME), tuple(notes)
 
 
-def _vector(sums: NDArray[np.uint16], changes: Array, tolerance: float) -> str:
+def _vector(sums: NDArray[np.uint32], changes: Array, tolerance: float) -> str:
     """Return the test vector as a header."""
 
     def rows(values: Iterable[Iterable[str]]) -> str:
@@ -270,6 +277,6 @@ def _vector(sums: NDArray[np.uint16], changes: Array, tolerance: float) -> str:
         "#ifndef TEST_VECTOR_H\n#define TEST_VECTOR_H\n\n#include <stdint.h>\n\n"
         f"#define VECTOR_FRAMES {len(sums)}\n#define VECTOR_TOLERANCE {number(tolerance)} /* ln r "
         "*/\n\n"
-        f"static const uint16_t vector_sums[{len(sums)}][{cells}] = {{\n{codes}}};\n\n"
+        f"static const uint32_t vector_sums[{len(sums)}][{cells}] = {{\n{codes}}};\n\n"
         f"static const float vector_log_change[{len(sums)}][{cells}] = {{\n{answers}}};\n\n#endif\n"
     )

@@ -307,7 +307,7 @@ def attachments_of(
     attachments = list[Attachment]()
     first = 0
     change = frame.free_map
-    moved = np.abs(change) > NOISE_REACH * _cell_sd(frame)
+    moved = np.abs(change) > NOISE_REACH * np.hypot(frame.free_sd, _drift_sd(frame))
     # Δg = g₀ (e^−x − 1) and σ = g₀ e^−x σ_x of x = ln r/r₀
     resting = np.exp(-frame.baseline.logarithm)
     more = resting * np.expm1(-change)
@@ -321,7 +321,7 @@ def attachments_of(
         sucks = verdict.sucks_at(disc)
         shape: dict[str, Any] = {}
         if disc is None:
-            groups = _contacts(frame, more, errors)
+            groups = _contacts(frame)
         else:
             groups = [moved & under(frame.panel, disc)]
             half_pitch = frame.panel.pitch_mm / 2
@@ -348,23 +348,28 @@ def attachments_of(
     return attachments
 
 
-def _cell_sd(frame: Observation) -> Array:
-    """Return the standard deviation of ln r/r0 of the free cells, drift included."""
-    drift = frame.baseline.model_errors.resting_sd(frame.seconds)
-    return np.asarray(np.hypot(frame.free_sd, drift))
+def _drift_sd(frame: Observation) -> float:
+    """Return the standard deviation of each cell's drift since the unloaded frames."""
+    return frame.baseline.model_errors.resting_sd(frame.seconds)
 
 
-def _contacts(frame: Observation, more: Array, errors: Array) -> list[NDArray[np.bool_]]:
-    """Return the cells of the contacts whose conductance rose significantly.
+def _contacts(frame: Observation) -> list[NDArray[np.bool_]]:
+    """Return the cells of the contacts without which the readings are not explained.
 
-    It rose by `more` siemens with the `errors`.
+    The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as at rest and
+    all others are free. This is a likelihood ratio: where a load lowers the sensitivity, as beside
+    large pull-ups, the standard deviation of a pressed cell does not tell whether it is pressed.
     """
-    groups = contacts_of(frame.panel, frame.free_map, _cell_sd(frame))
-    return [
-        group
-        for group in groups
-        if more[group].sum() > SIGNIFICANT * np.hypot.reduce(errors[group])
-    ]
+    sd = np.hypot(frame.mean_sd, _drift_sd(frame))
+    groups = contacts_of(frame.panel, frame.free_map, sd)
+    least = frame.free.misfit + SIGNIFICANT**2
+    return [group for group in groups if _misfit_without(frame, group) > least]
+
+
+def _misfit_without(frame: Observation, group: NDArray[np.bool_]) -> float:
+    """Return the misfit of the most probable cells where those of a group are as at rest."""
+    free = np.where(group, 0.0, 1.0)
+    return frame.cells(frame.free_map * free, np.diag(free.ravel())).misfit
 
 
 def _touched(panel: Panel, group: NDArray[np.bool_], change: Array) -> dict[str, Any]:

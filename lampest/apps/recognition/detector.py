@@ -27,6 +27,7 @@ from lampest.apps.recognition.candidates import (
 from lampest.apps.recognition.fit import (
     EVIDENCE_SHARE,
     MAX_LOG_RATIO,
+    MAX_MISFIT,
     SEARCH,
     CellLikelihood,
     Fit,
@@ -105,7 +106,10 @@ class Detector:
         kinds = tuple(load for load in self.loads if load.sucks)
         places = suctions(without)[: self.most_loads]
         if places and kinds:
-            return self._sucking(frame, kinds, places, field, without)
+            # cells rise, too, where other readings saturate under a heavy load
+            verdict = self._sucking(frame, kinds, places, field, without)
+            refuted = verdict.goodness > MAX_MISFIT
+            return self._judged(without, (field,)) if refuted else verdict
         # Where fallen cells hide others, the shape decides whether these have risen.
         hidden = may_suck(without)
         kinds = tuple(load for load in self.loads if hidden or not load.sucks)
@@ -115,15 +119,17 @@ class Detector:
         shaped = min(fit.chi2 for fit in coarse) < MAX_COARSE * frame.measured.size
         single = self._settled(frame, coarse if shaped else (), field, without)
         groups = groups_of(frame.panel, states(frame.panel, field.change) > 1)
-        if not 2 <= len(groups) <= self.most_loads or not self._doubtful(frame, single, field):
-            return self._spread(frame, single)
-        several = self._together(
-            kinds, without, field, [self._under(frame.panel, group) for group in groups]
-        )
-        if several.chi2 > MAX_COARSE * frame.measured.size:
-            return self._spread(frame, single)
-        verdict = self._settled(frame, (several, *single.loads[:1]), field, without)
-        return self._spread(frame, max(single, verdict, key=lambda verdict: verdict.best.evidence))
+        verdict = single
+        if 2 <= len(groups) <= self.most_loads and self._doubtful(frame, single, field):
+            several = self._together(
+                kinds, without, field, [self._under(frame.panel, group) for group in groups]
+            )
+            if several.chi2 <= MAX_COARSE * frame.measured.size:
+                together = self._settled(frame, (several, *single.loads[:1]), field, without)
+                verdict = max(single, together, key=lambda verdict: verdict.best.evidence)
+        if self._incomplete(frame, verdict, field):
+            verdict = self._judged(without, (field,))
+        return self._spread(frame, verdict)
 
     def _sucking(
         self,
@@ -207,7 +213,8 @@ class Detector:
         calm, whitening = self.with_errors(frame, fit)
         resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
         spread = resting + self.fitting(fit.candidate, frame).film(fit, fit.scatter)
-        both = np.hstack([calm.slope(fit.change), calm.offsets])
+        network = baseline.network(fit.change)
+        both = np.hstack([calm.sensitivity(network), calm.offsets(network)])
         # P Aᵀ: the baseline's covariance times Aᵀ, and that of drift and film times (∂f/∂ln r)ᵀ; C
         # = root rootᵀ
         before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
@@ -295,6 +302,7 @@ class Detector:
             Results of `field_fit`.
         """
         explains = field
+        without = calm
         scatter = self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
             best = min(fits, key=attrgetter("score"))
@@ -312,7 +320,9 @@ class Detector:
             explains = best
             if min(fits, key=attrgetter("score")) is best:
                 break
-        return self._judged(calm, (*fits, field))
+        verdict = self._judged(calm, (*fits, field))
+        # outliers about a shape may be other contacts
+        return replace(verdict, frame=without) if verdict.best is field else verdict
 
     def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
         """Return a fit with the errors about its own explained change, and these errors.
@@ -384,12 +394,15 @@ class Detector:
         return Verdict.of((*uniform, *fits), frame, places)
 
     def _doubtful(self, frame: Observation, verdict: Verdict, field: Fit) -> bool:
-        """Return whether the best fit is poor, or leaves changes unexplained.
+        """Return whether the best fit is poor, or leaves changes unexplained."""
+        poor = verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE
+        return poor or self._incomplete(frame, verdict, field)
 
-        The latter are clearly changed cells beside its loads.
-        """
-        if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
-            return True
+    @staticmethod
+    def _incomplete(frame: Observation, verdict: Verdict, field: Fit) -> bool:
+        """Return whether cells beside the loads of the best fit have clearly changed."""
+        if verdict.best.candidate in (*UNIFORM, FIELD):
+            return False
         explained = [
             verdict.best.change != 0,
             *(under(frame.panel, disc) for disc in verdict.best.discs),

@@ -38,6 +38,9 @@ NEGLIGIBLE = 5.0
 PROFILE_STEPS = 5
 MAX_PROFILE = 6
 FARTHER = 1.5
+# χ² of a reading beyond which a fit is refuted by its own misfit: films that keep a part of a load,
+# and shapes that are not quite theirs, have less (tests/apps/recognition/test_detector.py).
+MAX_MISFIT = 10.0
 # Difference of ln P to the best candidate beyond which candidates do not count.
 MAX_LOG_RATIO = 20.0
 # Assumed −ln P: of one in twenty, for every further load, a rim that moves without its suction, and
@@ -130,8 +133,8 @@ class CellLikelihood(NamedTuple):
     def about(cls, frame: Observation, whitening: Whitening, change: Array) -> "CellLikelihood":
         """Return the likelihood of a frame linearised about x₀ = `change`, (rows, columns)."""
         network = frame.baseline.network(change)
-        residual = frame.target - network.reading().ravel()
-        both = whitening @ np.column_stack([network.sensitivity(), residual])
+        residual = frame.deviation(network)
+        both = whitening @ np.column_stack([frame.sensitivity(network), residual])
         return cls(whitening, both[:, :-1], both[:, -1] + both[:, :-1] @ change.ravel(), residual)
 
 
@@ -388,7 +391,10 @@ def _profile(
         number = 0
         while squares.cost < best.cost + NEGLIGIBLE and number < MAX_PROFILE:
             begin = position + FARTHER**number * step * direction
-            position, squares = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
+            position, _ = fitting.descended(begin, likelihood, PROFILE_STEPS, held=place)
+            # linearised again: open cells change readings by much where they would close
+            here = fitting.about(position, likelihood.whitening)
+            position, squares = fitting.descended(position, here, PROFILE_STEPS, held=place)
             points.append((position, squares))
             number += 1
     return sorted(points, key=lambda point: float(point[0][place]))
@@ -516,10 +522,15 @@ class Verdict:
         """Return the verdict on the fits of a frame.
 
         Where no candidate explains the frame, differences of evidence are divided by χ² per reading
-        of the best fit.
+        of the best fit. No load is no verdict where its χ² refutes it and another fit explains the
+        frame: the prior of a field of many changed cells may outweigh any misfit.
         """
         before = np.array([prior_cost(fit) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
+        refuted = np.array([fit.chi2 > MAX_MISFIT * frame.measured.size for fit in fits])
+        if not refuted.all():
+            unloaded = np.array([fit.candidate in UNIFORM for fit in fits])
+            evidence = np.where(unloaded & refuted, -np.inf, evidence)
         goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
         counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
         shares = softmax(counts * evidence - before)

@@ -200,6 +200,12 @@ class MostProbable(NamedTuple):
             self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T)
         )
 
+    @property
+    def misfit(self) -> float:
+        """The minimum of the linearised cost: |root⁻¹ apart|²."""
+        errors = self.whitening @ self.apart
+        return float(errors @ errors)
+
 
 def most_probable(
     model: Callable[[Array], tuple[Array, Array, Array]],
@@ -397,11 +403,29 @@ class Observation:
 
     def residual(self, change: Array | float = 0.0) -> Array:
         """Return R − f(r0·e^change) − E δ, (cells,)."""
-        return np.asarray(self.target - self.baseline.network(change).reading().ravel())
+        return self.deviation(self.baseline.network(change))
+
+    def deviation(self, network: RecognitionNetwork) -> Array:
+        """Return R − f − E δ, (cells,), of a solved network with the readings f."""
+        expected = network.reading().ravel() + self.offsets(network) @ self.baseline.offsets
+        return np.asarray(self.measured.ravel() - expected)
+
+    def offsets(self, network: RecognitionNetwork) -> Array:
+        """Return E (cells, offsets), the effect of every offset's standard deviation.
+
+        E belongs to the readings that a network predicts. With E of the measured readings, an error
+        of the reference would explain any change of a frame: E δ of the frame and of the unloaded
+        panel differ by a multiple of the change itself.
+        """
+        return self.baseline.model_errors.offsets(network.reading(), self.baseline.scene)
 
     def slope(self, change: Array | float = 0.0) -> Array:
-        """Return ∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
-        return self.baseline.network(change).sensitivity()
+        """Return ∂(f + E δ)/∂ln r at ln r/r0 = `change`, (cells, cells)."""
+        return self.sensitivity(self.baseline.network(change))
+
+    def sensitivity(self, network: RecognitionNetwork) -> Array:
+        """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
+        return np.asarray(self._gain[:, None] * network.sensitivity())
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
         """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa.
@@ -420,21 +444,30 @@ class Observation:
         slope = (up - down) / (2 * step) * within
         return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), slope
 
-    def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
-        """Return the covariance of the readings, (cells, cells).
+    @cached_property
+    def _gain(self) -> Array:
+        """Derivative of f + E δ by f, (cells,): E depends linearly on the readings f."""
+        errors = self.baseline.model_errors
+        ends = (np.zeros(self.measured.shape), np.ones(self.measured.shape))
+        none, one = (errors.offsets(end, self.baseline.scene) for end in ends)
+        return np.asarray(1 + (one - none) @ self.baseline.offsets)
+
+    def covariance(self, network: RecognitionNetwork, cells: Array | float = 0.0) -> Array:
+        """Return the covariance of the readings about those of a network, (cells, cells).
 
         It is σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E). The parts are the noise, errors shared
         within the frame, the baseline's covariance C, and the drift T of cells.
 
         Parameters
         ----------
-        slope : array, shape (cells, cells)
-            J.
+        network : RecognitionNetwork
+            Solved network, with the slope J.
         cells : array, shape (cells, cells)
             Further covariance of ln r, added to T.
         """
         # H = (J, E); H (C + T) Hᵀ with T on the block of the cells
-        both = np.hstack([slope, self.offsets])
+        slope = self.sensitivity(network)
+        both = np.hstack([slope, self.offsets(network)])
         errors = self.baseline.covariance.copy()
         errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(
             self.seconds, len(slope)
@@ -453,8 +486,8 @@ class Observation:
 
         def model(change: Array) -> tuple[Array, Array, Array]:
             network = self.baseline.network(change.reshape(self.measured.shape))
-            slope = network.sensitivity()
-            return self.target - network.reading().ravel(), slope, self.covariance(slope)
+            slope = self.sensitivity(network)
+            return self.deviation(network), slope, self.covariance(network)
 
         return most_probable(model, start.ravel(), np.zeros(start.size), prior, MAX_STEP / 10)
 
@@ -490,14 +523,20 @@ class Observation:
         return np.sqrt(np.diag(self.free.covariance)).reshape(self.measured.shape)
 
     @cached_property
-    def target(self) -> Array:
-        """The readings less the most probable offsets, (cells,), in the readout's unit."""
-        return np.asarray(self.measured.ravel() - self.offsets @ self.baseline.offsets)
+    def mean_sd(self) -> Array:
+        """Standard deviation of `free` cells, averaged over their change, (rows, columns).
 
-    @cached_property
-    def offsets(self) -> Array:
-        """E (cells, offsets): the effect of every offset's standard deviation on the readings."""
-        return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
+        Beside large pull-ups a pressed cell changes readings less, so its own standard deviation is
+        that of a pressed cell. With sd(0) of cells at rest, the signed root of the likelihood ratio
+        between a change x and rest is the integral of 1/sd, here |x| (1/sd(0) + 1/sd(x))/2.
+        """
+        rest = self.baseline.network()
+        slope = self.sensitivity(rest)
+        whitening = Whitening(cholesky(slope @ slope.T + self.covariance(rest), lower=True))
+        # the posterior's diagonal with the prior I: 1 − diag Jᵀ (J Jᵀ + C)⁻¹ J
+        variance = 1 - ((whitening @ slope) ** 2).sum(axis=0)
+        at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
+        return np.asarray(2 / (1 / at_rest + 1 / self.free_sd))
 
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
         """Return the observation without the readings of these numbers.
@@ -536,7 +575,9 @@ class Whitening:
 
         It is a covariance of ln r, (cells, cells).
         """
-        return cls(cholesky(frame.covariance(frame.slope(change), cells), lower=True), scatter)
+        return cls(
+            cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True), scatter
+        )
 
     @cached_property
     def volume(self) -> float:

@@ -455,7 +455,10 @@ class Watch:
             return replace(self, next_s=again)
         frame = verdict.frame
         change = verdict.changed
+        # what suction opened shows by its shape alone
         before = self._before
+        if self._recognised and self.look is not None:
+            before = np.where(before == 0, self.look.verdict.best.change, before)
         least = NOISE_REACH * self.setup.errors.residue * np.sum(change * before)
         # the film's residue in the cells of the former load
         residue = self._recognised and not self.known and np.sum(change**2) <= least

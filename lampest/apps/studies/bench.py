@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import linregress
 
 from lampest.apps.studies import common, study
+from lampest.apps.studies.command_times import CommandTime, command_times
 from lampest.apps.studies.common import (
     MIN_GAP,
     Pushed,
@@ -107,6 +108,8 @@ class BenchFile(Configuration):
         Largest side for each solver.
     memory
         Sides of panels on which the peak memory of a fresh process is measured.
+    commands
+        Sides of square panels on which whole commands are measured, in fresh processes.
     """
 
     schema: Literal[1]
@@ -123,12 +126,13 @@ class BenchFile(Configuration):
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
     memory: tuple[int, ...] = ()
+    commands: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
         common.check_sides(self.shapes, 2, common.MAX_SIDE)
-        check_range("a panel's side", self.memory, 2, common.MAX_SIDE)
+        check_range("a panel's side", (*self.memory, *self.commands), 2, common.MAX_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
@@ -216,10 +220,11 @@ class Bench(NamedTuple):
     settings: BenchFile
     frames: tuple[BenchFrame, ...]
     left_out: tuple[LeftOut, ...] = ()
+    commands: tuple[CommandTime, ...] = ()
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
-    """Measure as much as the budget allows.
+    """Measure commands, then solvers as far as the budget allows.
 
     The first recordings of all panels come first, and small panels before large ones.
 
@@ -232,12 +237,18 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
         BenchPart(*part)
         for part in product(range(bench.recordings), bench.shapes, bench.estimators)
     ]
+    commands = list[CommandTime]()
+    steps = len(bench.commands) + len(parts)
+    for number, side in enumerate(bench.commands):
+        on_step(number, steps, f"{side} × {side} commands")
+        pair = bench.recording((side, side), 0), bench.recording((side, side), 1)
+        commands += command_times(pair, bench.repeats)
     simulated = lru_cache(maxsize=1)(bench.recording)
-    for number, part in enumerate(parts):
+    for number, part in enumerate(parts, len(bench.commands)):
         shape = part.shape
         method = part.method
         name = f"recording {part.recording + 1}"
-        on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
+        on_step(number, steps, f"{shape[0]} × {shape[1]} {method}, {name}")
         if part.expected_s(bench, frames) > end - perf_counter():
             missed.append((shape, method, name))
             continue
@@ -259,7 +270,7 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
                 for frame in part_frames
             ]
         frames += part_frames
-    return Bench(bench, tuple(frames), tuple(missed))
+    return Bench(bench, tuple(frames), tuple(missed), tuple(commands))
 
 
 def _frames(
@@ -428,6 +439,16 @@ SCREEN: Columns = {
 }
 
 
+COMMANDS_CSV = ("command", "rows", "columns", "seconds", "solves_s", "ratio")
+COMMANDS_SCREEN: Columns = {
+    "command": "{command}",
+    "panel": "{rows} × {columns}",
+    "processor s": "{seconds:.2f}",
+    "solves s": "{solves_s:.2f}",
+    "ratio": "{ratio:.3g}",
+}
+
+
 def sheets(bench: Bench) -> list[study.Sheet]:
     """Return the tables that are not empty."""
     rows = bench_rows(bench.frames)
@@ -442,6 +463,7 @@ def sheets(bench: Bench) -> list[study.Sheet]:
             {title: of for title, of in SCREEN.items() if title != "solver"},
         ),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
+        ("commands: whole, in fresh processes", bench.commands, COMMANDS_SCREEN),
     ]
     return [sheet for sheet in titled if sheet[1]]
 
@@ -477,7 +499,18 @@ STUDY: study.Study[BenchFile, Bench] = study.Study(
     rows=lambda bench: bench_rows(bench.frames),
     sheets=sheets,
     form="bench/3",
-    records=lambda bench: [study.RecordGroup("frames", bench.frames, "seconds")],
-    texts=lambda bench: {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)},
+    records=lambda bench: [
+        study.RecordGroup(name, records, "seconds")
+        for name, records in (("frames", bench.frames), ("commands", bench.commands))
+        if records
+    ],
+    texts=lambda bench: {
+        name: study.csv_of(rows, columns)
+        for name, rows, columns in (
+            ("growth.csv", growth(bench_rows(bench.frames)), GROWTH),
+            ("commands.csv", bench.commands, COMMANDS_CSV),
+        )
+        if rows or name == "growth.csv"
+    },
     remarks=bench_remarks,
 )

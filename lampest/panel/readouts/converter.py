@@ -56,6 +56,10 @@ class Converter(Configuration):
         noise of either is a bound. 'estimated': from the frames. None: all.
     converter : Characteristic or {'esp32', 'avr'}, or None
         Voltages that the codes stand for. None: from 0 to full scale.
+    scan_order : {'rows', 'columns'} or tuple of (int, int), or None
+        Order in which the readings of a frame are taken: row by row, column by column, or a list of
+        [row, column]. Memory, motion and times within a frame follow it. None: driven line by
+        driven line.
     """
 
     usual_noise_lsb: ClassVar[float] = 0.7
@@ -66,6 +70,7 @@ class Converter(Configuration):
     floor_code: int | None = None
     passes_volt: tuple[float, float] | Literal["estimated"] | None = None
     converter: Characteristic | Literal["esp32", "avr"] | None = None
+    scan_order: Literal["rows", "columns"] | tuple[tuple[int, int], ...] | None = None
 
     def __post_init__(self) -> None:
         check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")

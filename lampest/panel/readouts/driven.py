@@ -63,7 +63,7 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.potentials import FOLLOWS, LineEnds
+from lampest.panel.readouts.potentials import FOLLOWS, LineEnds, check_line_ends
 from lampest.panel.readouts.readout import (
     MIN_LOAD_SHARE,
     SHORT_SHARE,
@@ -72,9 +72,12 @@ from lampest.panel.readouts.readout import (
     Readout,
     Surroundings,
 )
+from lampest.panel.readouts.unseen import Scale, unseen_scales
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 from lampest.panel.tied_network import TiedNetwork
 
+USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
+LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 
@@ -187,34 +190,7 @@ class DrivenCircuit(Readout):
             check_apart(self.groups)
         if self.driven_groups is not None:
             check_apart(self.driven_groups, "driven_groups")
-        self._check_potentials()
-
-    def _check_potentials(self) -> None:
-        """Raise ValueError if potentials contradict the circuit."""
-        volts = {name: getattr(self, name) for name in ("idle_volt", "load_volt", "idle_load_volt")}
-        for name, volt in volts.items():
-            if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
-                raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
-        loads, idle_loads = self.loads_connected
-        for name, connected, lines in (
-            ("idle_volt", self.idle_connected, "idle driven lines"),
-            ("load_volt", loads, "sensed lines"),
-            ("idle_load_volt", idle_loads, "idle sensed lines keep their load or"),
-        ):
-            if volts[name] is not None and not connected:
-                raise ValueError(f"{name} has no place where {lines} float: name their resistor")
-        if self.idle_volt == FOLLOWS:
-            if self.groups is not None and len(self.groups) > 1:
-                raise ValueError(
-                    "idle_volt: follows needs one sensed line at a time, not groups in parallel"
-                )
-            if self.driven_groups is not None:
-                raise ValueError("idle_volt: follows has no place with driven_groups")
-        ends = self.line_ends
-        if self.idle_volt != FOLLOWS and ends.source == ends.reference:
-            raise ValueError(
-                f"all lines end at {ends.source:g} V, as the driven one does: no current flows"
-            )
+        check_line_ends(self)
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError as `Readout.check`, or if lists do not fit the panel's lines.
@@ -283,7 +259,7 @@ class DrivenCircuit(Readout):
 
     @property
     def by_columns(self) -> bool:
-        return self.driven == "columns"
+        return self.driven == "columns" if self.scan_order is None else super().by_columns
 
     @property
     def _along_sensed(self) -> int:
@@ -447,15 +423,9 @@ class DrivenCircuit(Readout):
     def _reference(self, equation: Equation) -> Array:
         """Return the resistor that scales a reading, (rows, columns) ohm.
 
-        It is Rs, or Rp or Rd where Rs is infinite.
+        It is Rs. Where no resistor sets the scale of cells, it is one that gives usual cells.
         """
-        states = equation.states
-        resistors = [
-            ohm[(ohm > 0) & np.isfinite(ohm)]
-            for ohm in (states.load, states.idle, states.drive, states.idle_load)
-        ]
-        first = next(float(np.mean(ohm)) for ohm in resistors if ohm.size)
-        return np.where(np.isfinite(equation.load), equation.load, first)
+        return np.where(np.isfinite(equation.load), equation.load, USUAL_OHM)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Return the resistance of a single divider with this reading.
@@ -463,7 +433,7 @@ class DrivenCircuit(Readout):
         It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
         """
         equation = self._equation(measured.shape)
-        if not equation.plain:
+        if self._by_uniform_panels(equation, measured):
             return self._of_uniform_panels(measured)
         load = self._reference(equation)
         drive = equation.drive
@@ -480,7 +450,7 @@ class DrivenCircuit(Readout):
         resistance.
         """
         equation = self._equation(measured.shape)
-        if not equation.plain:
+        if self._by_uniform_panels(equation, measured):
             return self._of_uniform_panels(measured)
         if equation.floating:
             return np.asarray(
@@ -504,6 +474,28 @@ class DrivenCircuit(Readout):
             / share
         )
 
+    def unseen_scales(self, rows: int, columns: int) -> tuple[Scale, ...]:
+        equation = equation_of(self, rows, columns)
+        # A load, or nothing that conducts elsewhere, shows the scale
+        if np.isfinite(equation.load).all() or equation.floating:
+            return ()
+        return unseen_scales(self, rows, columns)
+
+    def resolution(self, measured: Array, sigma: Array) -> Array:
+        """Return the resolution limit, see `Readout.resolution`.
+
+        Without a scale it is that of any cell: no reading says more.
+        """
+        if self.unseen_scales(*measured.shape[-2:]):
+            return np.full(measured.shape, LARGEST_OHM)
+        return super().resolution(measured, sigma)
+
+    def _by_uniform_panels(self, equation: Equation, measured: Array) -> bool:
+        """Return whether no closed form gives a cell by its reading, but a uniform panel does."""
+        if equation.plain and np.isfinite(equation.load).all():
+            return False
+        return not self.unseen_scales(*measured.shape[-2:])
+
     def _of_uniform_panels(self, measured: Array) -> Array:
         """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
         rows, columns = measured.shape[-2:]
@@ -524,7 +516,12 @@ class DrivenCircuit(Readout):
         if equation.floating:
             return convex_start(self.apparent_resistance(measured), upper, near)
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
-        firsts = [near] if near is not None else uniform_panels(self.exact_reading, positive)
+        if near is not None:
+            firsts = [near]
+        elif self.unseen_scales(*measured.shape):
+            firsts = [self.uniform_start(measured)]
+        else:
+            firsts = uniform_panels(self.exact_reading, positive)
         if len(firsts) == 1 and equation.plain and np.isfinite(equation.states.load).all():
             alternation = Alternation(
                 equation,
@@ -541,7 +538,7 @@ class DrivenCircuit(Readout):
         return self._panels_from(positive, firsts, upper)[0][1]
 
     def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
-        if self._equation(measured.shape).floating:
+        if self._equation(measured.shape).floating or self.unseen_scales(*measured.shape):
             return []
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
         firsts = uniform_panels(self.exact_reading, positive)

@@ -150,7 +150,7 @@ def equation_of(circuit: DrivenLines, rows: int, columns: int) -> Equation:
     load_terms = _load_terms(states, in_ties=loads_stay or parallel)
     # Ties at every address: of idle lines, and of the loads of the lines that are read together.
     load_volt, idle_load_volt = _load_volts(ends, states, loads_stay=loads_stay)
-    idle_volt = 1.0 if ends.idle == FOLLOWS else ends.relative(ends.idle)
+    idle_volt = 1.0 if isinstance(ends.idle, str) else ends.relative(ends.idle)
     ties = []
     tie_volts = []
     read = []

@@ -17,12 +17,14 @@ ends but the source have it, d and s are those of the equation without potential
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
+from lampest.panel.readouts.characteristic import MAX_VOLT
+from lampest.panel.readouts.lines import Groups
 
 FOLLOWS = "follows"
 
@@ -167,3 +169,59 @@ class PotentialTerms:
             - (1 - held) * (of_load * by_drive) * (mutual * mutual)
         )
         return rises / determinant + held * self.held_volt
+
+
+class EndedCircuit(Protocol):
+    """Part of a circuit whose line ends are checked."""
+
+    @property
+    def groups(self) -> Groups | None:
+        """Sensed lines behind one multiplexer each."""
+
+    @property
+    def driven_groups(self) -> Groups | None:
+        """Driven lines behind one multiplexer each."""
+
+    @property
+    def idle_volt(self) -> float | Literal["follows"] | None:
+        """Potential of idle driven lines."""
+
+    @property
+    def idle_connected(self) -> bool:
+        """Whether idle driven lines end anywhere."""
+
+    @property
+    def loads_connected(self) -> tuple[bool, bool]:
+        """Whether sensed lines end anywhere while read, and elsewhere than that while idle."""
+
+    @property
+    def line_ends(self) -> LineEnds:
+        """Potentials in which lines end."""
+
+
+def check_line_ends(circuit: EndedCircuit) -> None:
+    """Raise ValueError if potentials contradict the circuit."""
+    volts = {name: getattr(circuit, name) for name in ("idle_volt", "load_volt", "idle_load_volt")}
+    for name, volt in volts.items():
+        if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
+            raise ValueError(f"{name} must lie within {MAX_VOLT:g} V of ground")
+    loads, idle_loads = circuit.loads_connected
+    for name, connected, lines in (
+        ("idle_volt", circuit.idle_connected, "idle driven lines"),
+        ("load_volt", loads, "sensed lines"),
+        ("idle_load_volt", idle_loads, "idle sensed lines keep their load or"),
+    ):
+        if volts[name] is not None and not connected:
+            raise ValueError(f"{name} has no place where {lines} float: name their resistor")
+    if circuit.idle_volt == FOLLOWS:
+        if circuit.groups is not None and len(circuit.groups) > 1:
+            raise ValueError(
+                "idle_volt: follows needs one sensed line at a time, not groups in parallel"
+            )
+        if circuit.driven_groups is not None:
+            raise ValueError("idle_volt: follows has no place with driven_groups")
+    ends = circuit.line_ends
+    if circuit.idle_volt != FOLLOWS and ends.source == ends.reference:
+        raise ValueError(
+            f"all lines end at {ends.source:g} V, as the driven one does: no current flows"
+        )

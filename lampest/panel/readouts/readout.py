@@ -130,8 +130,38 @@ class Readout(Converter, ABC):
 
     @property
     def by_columns(self) -> bool:
-        """Whether a scan goes column by column."""
-        return False
+        """Whether a scan goes column by column; a list of readings counts as rows."""
+        return self.scan_order == "columns"
+
+    def scan_places(self, rows: int, columns: int) -> NDArray[np.intp]:
+        """Return the numbers of the readings, rows first, in scan order, (rows · columns,).
+
+        Readings that a list leaves out are the last ones.
+        """
+        places = np.arange(rows * columns).reshape(rows, columns)
+        if not isinstance(self.scan_order, tuple):
+            return places.T.ravel() if self.by_columns else places.ravel()
+        row, column = np.array(self.scan_order).T
+        listed = places[row, column]
+        return np.concatenate([listed, np.setdiff1d(places, listed)])
+
+    def _check_scan_order(self, panel: Panel) -> None:
+        """Raise ValueError unless a list of readings names every cell of a panel once."""
+        if not isinstance(self.scan_order, tuple):
+            return
+        rows, columns = panel.shape
+        for row, column in self.scan_order:
+            if not (0 <= row < rows and 0 <= column < columns):
+                raise ValueError(f"readout.scan_order: there is no reading [{row}, {column}]")
+        if len(set(self.scan_order)) < len(self.scan_order):
+            twice = next(at for at in self.scan_order if self.scan_order.count(at) > 1)
+            raise ValueError(f"readout.scan_order: {list(twice)} is listed twice")
+        listed = np.zeros(panel.shape, dtype=bool)
+        for at in self.scan_order:
+            listed[at] = True
+        left_out = np.argwhere(panel.present & ~listed)
+        if len(left_out):
+            raise ValueError(f"readout.scan_order: {left_out[0].tolist()} is left out")
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout or the panel.
@@ -139,6 +169,7 @@ class Readout(Converter, ABC):
         It does not fit the readout if it has keys that the readout cannot model.
         """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
+        self._check_scan_order(scene.panel)
         if np.any(scene.series_ohm) and not self.in_series:
             raise ValueError(
                 "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's "
@@ -270,6 +301,10 @@ class Readout(Converter, ABC):
         response = self.network(start, self.ties(measured)).own_response()
         # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
+
+    def unseen_scales(self, rows: int, columns: int) -> tuple[str, ...]:
+        """Return the scales of cells that no reading shows: 'all', 'rows', 'columns'."""
+        return ()
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """Return the common factor of all cells relative to a prediction.
@@ -494,12 +529,19 @@ def without_memory(
 
 def in_scan_order(readout: Readout, values: Array) -> Array:
     """Return values (…, rows, columns) in scan order, (…, channels)."""
-    turned = values.swapaxes(-1, -2) if readout.by_columns else values
-    return turned.reshape(*values.shape[:-2], -1)
+    flat = values.reshape(*values.shape[:-2], -1)
+    return np.asarray(flat[..., readout.scan_places(*values.shape[-2:])])
+
+
+def in_scan_lines(readout: Readout, values: Array) -> Array:
+    """Return values (…, rows, columns) in scan order by scanned lines, (…, lines, channels)."""
+    rows, columns = values.shape[-2:]
+    lines, channels = (columns, rows) if readout.by_columns else (rows, columns)
+    return in_scan_order(readout, values).reshape(*values.shape[:-2], lines, channels)
 
 
 def in_panel_order(readout: Readout, channels: Array, shape: tuple[int, ...]) -> Array:
     """Return values (…, channels) in scan order as an array of `shape` (…, rows, columns)."""
-    if not readout.by_columns:
-        return channels.reshape(shape)
-    return channels.reshape(*shape[:-2], shape[-1], shape[-2]).swapaxes(-1, -2)
+    flat = np.empty_like(channels)
+    flat[..., readout.scan_places(*shape[-2:])] = channels
+    return flat.reshape(shape)

@@ -169,10 +169,12 @@ def measured(
     total, *passes = [
         _read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]
     ]
-    if passes:  # every line from the pass in which it was read
-        axis = 2 if actual.by_columns else 1
-        lines = [part.take(line, axis) for line, part in enumerate([total, *passes])]
-        total = np.stack(lines, axis=axis)
+    if passes:  # every reading from the pass in which its line of the scan was read
+        count = 1 + len(passes)
+        crossings = total[0].size
+        lines = np.repeat(np.arange(count), -(-crossings // count))[:crossings]
+        read_in = in_panel_order(actual, lines.astype(float), total.shape[1:]).astype(int)
+        total = np.take_along_axis(np.stack([total, *passes]), read_in[None, None], axis=0)[0]
     normal = random_stream(seed, "readings").standard_normal(scene.panel.shape)
     total = total * np.exp((unmodelled.reading_error or 0.0) * normal)
     if actual.unit == "ohm" and not np.all(total > 0):

@@ -102,9 +102,8 @@ def write_starter(
     if purpose not in (None, MAT):
         raise InputError(f"--purpose: there is no {purpose!r}; there is {MAT}")
     wiring = {"sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
-    half = -(-columns // 2)
-    groups = [list(range(first, min(first + half, columns))) for first in range(0, columns, half)]
-    readout = chosen.readout.replace("{groups}", str(groups))
+    readout = chosen.readout.replace("{groups}", str(_halves(columns)))
+    readout = readout.replace("{row_groups}", str(_halves(rows)))
     scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=readout, **wiring)
     scene = scene.replace("# purpose: mat  ", "purpose: mat    ") if purpose else scene
     centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"  # the middle of the panel
@@ -125,6 +124,12 @@ def write_starter(
     }.items():
         write_whole(paths[name], text)
     return tuple(paths.values())
+
+
+def _halves(lines: int) -> list[list[int]]:
+    """Return the lines behind two multiplexers."""
+    half = -(-lines // 2)
+    return [list(range(first, min(first + half, lines))) for first in range(0, lines, half)]
 
 
 def _template(name: str, **values: str) -> str:

@@ -107,7 +107,7 @@ def sums_of(scene, cells, seed=1):
     codes = volt[..., None] / readout.lsb_volt + readout.noise_lsb * rng.standard_normal(
         (*volt.shape, readout.readings)
     )
-    return np.clip(np.floor(codes), 0, 2**readout.adc_bits - 1).sum(axis=-1).astype(np.uint16)
+    return np.clip(np.floor(codes), 0, 2**readout.adc_bits - 1).sum(axis=-1).astype(np.uint32)
 
 
 def recording_of(scene, sums, rest=3):

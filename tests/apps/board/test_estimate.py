@@ -14,9 +14,10 @@ from apps.board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case,
 from typer.testing import CliRunner
 
 import lampest
-from lampest.apps.microcontroller.constants import Budget, CircuitLines, Constants
+from lampest.apps.microcontroller.constants import MISSING, Budget, CircuitLines, Constants
 from lampest.apps.microcontroller.header import header
-from lampest.apps.microcontroller.host import HOST, compiled, library_folder, sources
+from lampest.apps.microcontroller.host import HOST, compiled
+from lampest.apps.microcontroller.library import library_folder, sources
 from lampest.apps.microcontroller.sketch import export_sketch
 from lampest.apps.microcontroller.trade import chosen_budget, instructions, trades
 from lampest.cli.program import app
@@ -201,7 +202,7 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
     (folder / "panel_constants.h").write_text(header(constants, "panel", ()))
     sums = constants.sums_of(case)[:2]
     rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums)
-    vector = f"#define VECTOR_FRAMES 2\nstatic const uint16_t vector_sums[2][256] = {{{rows}}};\n"
+    vector = f"#define VECTOR_FRAMES 2\nstatic const uint32_t vector_sums[2][256] = {{{rows}}};\n"
     (folder / "test_vector.h").write_text(vector)
     counted, changes = emulated(folder, tmp_path / "build")
     assert counted.max() < MAX_INSTRUCTIONS_OF_16_BY_16
@@ -224,7 +225,7 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
         assert host.bytes < MAX_BYTES_OF_8_BY_8
     (tmp_path / "panel_constants.h").write_text(header(constants, "panel", ()))
     rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums[:2])
-    vector = f"#define VECTOR_FRAMES 2\nstatic const uint16_t vector_sums[2][64] = {{{rows}}};\n"
+    vector = f"#define VECTOR_FRAMES 2\nstatic const uint32_t vector_sums[2][64] = {{{rows}}};\n"
     (tmp_path / "test_vector.h").write_text(vector)
     words = [
         "make",
@@ -296,7 +297,7 @@ def test_bad_frames_get_a_status_and_keep_the_estimate():
     with compiled(Constants.of(case)) as host:
         host.begin(EXACT)
         previous, _ = host.frame(sums[0])
-        for bad in (0, full, full + 1, 65535):
+        for bad in (0, full, full + 1, MISSING):
             change, status = host.frame(np.full((6, 5), bad))
             assert status[0] == TOO_FEW
             np.testing.assert_array_equal(change, previous)
@@ -305,7 +306,7 @@ def test_bad_frames_get_a_status_and_keep_the_estimate():
         change, status = host.frame(dead)
         assert (status[0], status[4], status[6]) == (FINE, 6, 6 + 2 + 1)
         missing = sums[1].copy()
-        missing[1, 1] = 65535
+        missing[1, 1] = MISSING
         change, status = host.frame(missing)
         assert (status[0], status[5]) == (FINE, 1) and np.isfinite(change).all()
 
@@ -316,7 +317,7 @@ def test_missing_readings_and_bounds_reach_the_optimum_of_lampest():
     sums[4, 2, 2] = 4 * 4095
     recorded = sums.astype(float)
     case = solved_case(
-        scene, [NOISY, lampest.LogGradient(weight=30.0)], sums=recorded.astype(np.uint16)
+        scene, [NOISY, lampest.LogGradient(weight=30.0)], sums=recorded.astype(np.uint32)
     )[1]
     with compiled(Constants.of(case)) as host:
         estimates = host.frames(Constants.of(case).sums_of(case), Budget(12, 60, 1e-3))
@@ -379,7 +380,7 @@ static lampest_panel panel = {.constants = &panel_constants};
 int main(void) {
     const unsigned cells = PANEL_ROWS * PANEL_COLUMNS;
     float *memory = malloc(sizeof(float) * PANEL_MEMORY), change[PANEL_ROWS * PANEL_COLUMNS];
-    uint16_t sums[PANEL_ROWS * PANEL_COLUMNS];
+    uint32_t sums[PANEL_ROWS * PANEL_COLUMNS];
     if (lampest_begin(&panel, memory)) return 1;
     srand(1);
     for (int frame = 0; frame < 1500; frame++) {
@@ -394,6 +395,7 @@ int main(void) {
         }
         lampest_status s = rand() % 10 ? lampest_frame(&panel, sums, change)
                                        : lampest_baseline(&panel, sums);
+        if (rand() % 4 == 0) lampest_follow(&panel);
         if (s.steps > panel_constants.steps) return 2;
         if (s.products > panel_constants.steps * (panel_constants.products + 4)) return 3;
         if (!isfinite(s.left)) return 4;
@@ -464,7 +466,7 @@ int main(void) {
     for (int trial = 0; trial < 2000; trial++) {
         lampest_constants c = panel_constants;
         lampest_term term = c.terms[0];
-        const int turn = rand() % 23;
+        const int turn = rand() % 24;
         const int driven = c.rows_driven ? c.rows : c.columns, sensed = LINES - driven;
         const float bad = bads[rand() % (sizeof bads / sizeof *bads)];
         c.tie = copied(0, c.tie, LINES, turn, bad);
@@ -475,6 +477,7 @@ int main(void) {
         c.gain = copied(5, c.gain, sensed, turn, bad);
         c.sigma_volt = copied(6, c.sigma_volt, c.sigma_count, turn, bad);
         c.baseline = copied(7, c.baseline, CELLS, turn, bad);
+        c.follow = turn == 23 ? bad : c.follow;
         float *fields[] = {&c.volt_per_sum,  &c.volt_at_zero,  &c.supply_volt, &c.reference_ohm,
                            &c.ohm_scale,     &c.shunt_siemens, &c.plain_sigma, &c.data_corner,
                            &c.least_ohm,     &c.largest_ohm,   &c.loaded_limit, &c.within,
@@ -490,11 +493,12 @@ int main(void) {
         memset(change, 0, sizeof change);
         lampest_begin(&panel, memory);
         for (int call = 0; call < CALLS; call++) {
-            uint16_t sums[CELLS];
+            uint32_t sums[CELLS];
             for (int cell = 0; cell < CELLS; cell++)
                 sums[cell] = rand() % (panel_constants.top_sum + 1);
             lampest_status s = call % 4 == 1 ? lampest_baseline(&panel, sums)
                                              : lampest_frame(&panel, sums, change);
+            if (rand() % 2) lampest_follow(&panel);
             if (!isfinite(s.left)) return 2;
             if (s.products > c.steps * (c.products + 4)) return 3;
             for (int cell = 0; cell < CELLS; cell++)
@@ -522,7 +526,7 @@ def test_wrong_constants_never_give_nan_overruns_or_more_work(circuit, tmp_path)
 KEYS = """
 #include "keys.h"
 extern lampest_panel host_panel;
-int keys_host(const uint16_t *sums, float *change, uint8_t *pressed) {
+int keys_host(const uint32_t *sums, float *change, uint8_t *pressed) {
     return keys_scan(&host_panel, sums, change, pressed, 0).settled;
 }
 """

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laws.recognised import answered
 from scipy.stats import multivariate_normal
 
 from docs.studies.attachments import recording as attached
@@ -26,7 +27,7 @@ from lampest import (
     SuctionCup,
     TwoPointReadout,
 )
-from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.attachment import Attachment, attachments_of
 from lampest.apps.recognition.candidates import AND, UNIFORM, Several
 from lampest.apps.recognition.candidates import LOADS as SHAPED
 from lampest.apps.recognition.detect.detection import detect_recording
@@ -43,6 +44,7 @@ from lampest.apps.recognition.observation import Baseline, ModelErrors, Observat
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
+from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, VirtualGroundReadout
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.kinds import RoundCandidate
 from lampest.recording.shapes.shape import Candidate
@@ -282,6 +284,93 @@ def test_an_unknown_shape_is_unlike_any_and_a_thin_line_is_no_lamprey() -> None:
         assert verdict_on(line).sucks_at(None) < 0.1
 
 
+MAT = Scene(
+    Panel(6, 12, 10.0), GroundedReadout(noise_lsb=1, adc_bits=10), purpose="mat"
+)  # two feet stand on it
+FEET = [Rod(centre_mm=(x, 25), diameter_mm=40, mass_g=1500) for x in (25, 85)]
+
+
+def mat_frame(scene: Scene, loads: list[Rod], errors: ModelErrors) -> Observation:
+    simulation = Simulation(schema=1, seed=3, scene=scene, frames=1, loads=tuple(loads))
+    return frames_of(simulate(simulation), errors=errors)[0]
+
+
+def test_an_error_of_the_reference_explains_no_change_of_cells() -> None:
+    """It is in the unloaded frames as well, so changes of the readings exclude it."""
+    misfits = []
+    for reference in (0.0, 0.035):
+        frame = mat_frame(MAT, FEET, replace(ModelErrors(), channel_ohm=0.0, reference=reference))
+        verdict = Detector(6.0, any_form=True).verdict(frame)
+        assert verdict.nothing < 1e-6
+        assert len(attachments_of(verdict.frame, verdict, 0.0)) == len(FEET)
+        misfits.append(verdict.fits[0].chi2)
+    assert misfits[1] > 0.8 * misfits[0]
+
+
+def test_no_load_is_no_verdict_where_its_misfit_refutes_it() -> None:
+    frame = mat_frame(MAT, FEET, ModelErrors())
+    bare, field = (Detector(6.0, any_form=True).verdict(frame).fits[at] for at in (0, -1))
+    favoured = replace(bare, evidence=field.evidence + 100)
+    assert Verdict.of((favoured, field), frame).nothing == 0
+    explains = replace(favoured, chi2=float(frame.measured.size))
+    assert Verdict.of((explains, field), frame).nothing > 0.99
+    refuted = replace(field, chi2=2 * favoured.chi2)
+    assert Verdict.of((favoured, refuted), frame).nothing > 0.5
+
+
+def test_contacts_are_found_where_a_load_lowers_the_sensitivity() -> None:
+    """Beside pull-ups of ten times the cells the error of a pressed cell is twice that at rest."""
+    pull_ups = LoadedColumnsReadout(
+        polarity="down", load_ohm=35000.0, drive_ohm=30.0, adc_bits=10, noise_lsb=1
+    )
+    scene = Scene(Panel(8, 8, 10.0), pull_ups, purpose="mat")
+    rods = [
+        Rod(centre_mm=(16, 21), diameter_mm=28, mass_g=733),
+        Rod(centre_mm=(59, 58), diameter_mm=22, mass_g=500),
+    ]
+    frame = mat_frame(scene, rods, ModelErrors())
+    verdict = Detector(6.0, any_form=True).verdict(frame)
+    places = [load.place for load in attachments_of(verdict.frame, verdict, 0.0)]
+    for rod in rods:
+        assert min(np.hypot(*np.subtract(place, rod.centre_mm)) for place in places) < 10
+    assert len(places) == len(rods)
+
+
+@pytest.mark.parametrize("purpose", [None, "mat"])
+def test_loads_of_any_number_are_found(purpose: Any) -> None:
+    """A shape that leaves contacts unexplained is no answer, and drops no reading under them."""
+    scene = Scene(Panel(8, 12, 10.0), GroundedReadout(noise_lsb=1, adc_bits=10), purpose=purpose)
+    rods = [
+        Rod(centre_mm=place, diameter_mm=width, mass_g=mass)
+        for place, width, mass in (
+            ((80, 59), 17, 334),
+            ((29, 33), 24, 186),
+            ((78, 18), 15, 147),
+            ((10, 62), 16, 200),
+        )
+    ]
+    frame = mat_frame(scene, rods, ModelErrors())
+    verdict = Detector(6.0, any_form=purpose == "mat").verdict(frame)
+    places = [load.place for load in attachments_of(verdict.frame, verdict, 0.0)]
+    assert len(places) == len(rods)
+    for rod in rods:
+        assert min(np.hypot(*np.subtract(place, rod.centre_mm)) for place in places) < 10
+
+
+def test_a_load_that_sucks_is_refuted_by_its_misfit() -> None:
+    """Amplifiers that saturate under a heavy rod make other cells of their columns rise."""
+    amplifiers = VirtualGroundReadout(drive_ohm=70.0, feedback_ohm=1000.0, adc_bits=10, noise_lsb=1)
+    scene = Scene(Panel(10, 10, 10.0), amplifiers)
+    rod = Rod(centre_mm=(59, 63), diameter_mm=44, mass_g=4500)
+    course = Course(start_s=1.2)
+    recording = simulate(Simulation(1, 3, scene, frames=6, loads=(rod,), course=course))
+    contacts = answered(recording).attachments
+    assert contacts
+    for contact in contacts:
+        assert contact.sucks < 0.5
+        assert contact.distance(rod.centre_mm) < rod.diameter_mm / 2 + 10
+
+
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     """Where readings are straight in ln r, it is that of a Gaussian through them.
 
@@ -290,8 +379,9 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     frame = frames_of(recorded(frames=1))[0]
     cells = PANEL.rows * PANEL.columns
     fit, _ = field_fit(frame)
-    slope = frame.slope(fit.change)
-    spread = frame.covariance(slope) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
+    network = frame.baseline.network(fit.change)
+    slope = frame.sensitivity(network)
+    spread = frame.covariance(network) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
     expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(
         frame.residual()
     )

@@ -25,6 +25,7 @@ from lampest.apps.studies.bench import (
     run_bench,
     sheets,
 )
+from lampest.apps.studies.command_times import CommandTime
 from lampest.apps.studies.common import StudyMethod, paper_methods
 from lampest.apps.studies.study import page, read_settings
 from lampest.cost.cost import Cost
@@ -127,6 +128,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
     two_sizes = Bench(
         read_bench(ROOT / "configs" / "bench.yaml"),
         (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])),
+        commands=(CommandTime("run", 10, 10, 3.0, 1.5),),
     )
     tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(two_sizes)]
     written = sections(page(STUDY.name, tables, bench_remarks(two_sizes)))
@@ -135,6 +137,7 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
     )
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
     assert sorted(marks) == sorted(written)
+    assert "| run | 10 × 10 | 3.00 | 1.50 | 2 |" in written["commands"]
     text = (
         "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown "
         "-->\n<!-- /bench -->\n"

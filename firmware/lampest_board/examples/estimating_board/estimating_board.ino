@@ -17,7 +17,7 @@ static lampest_settings_t settings;
 static lampest_inbox_t inbox;
 static lampest_panel panel = {&panel_constants};
 static float memory[PANEL_MEMORY], change[PANEL_ROWS * PANEL_COLUMNS];
-static uint16_t sums[LAMPEST_MOST_ROWS * LAMPEST_MOST_COLUMNS];
+static uint32_t sums[LAMPEST_MOST_ROWS * LAMPEST_MOST_COLUMNS];
 static uint8_t frame[LAMPEST_MOST_BODY_BYTES];
 static uint8_t estimate[LAMPEST_ESTIMATE_HEADER_BYTES + 4 * PANEL_ROWS * PANEL_COLUMNS + LAMPEST_CRC_BYTES];
 static uint32_t sequence, due_us, greeted_ms;
@@ -73,7 +73,7 @@ static void sendFrame(uint32_t started_ms) {
     const uint16_t cells = (uint16_t)settings.rows * settings.columns;
     lampest_frame_header(&settings, sequence, started_ms, missed, frame);
     for (uint16_t cell = 0; cell < cells; ++cell) {
-        lampest_put_u16(frame + LAMPEST_FRAME_HEADER_BYTES + 2 * cell, sums[cell]);
+        lampest_put_u16(frame + LAMPEST_FRAME_HEADER_BYTES + 2 * cell, (uint16_t)sums[cell]);
     }
     lampest_send(frame, LAMPEST_FRAME_HEADER_BYTES + 2 * cells, emit);
     ++sequence;

@@ -12,7 +12,7 @@
 static lampest_panel panel = {&panel_constants};
 static float memory[PANEL_MEMORY];
 static float change[PANEL_ROWS * PANEL_COLUMNS];
-static uint16_t sums[PANEL_ROWS * PANEL_COLUMNS];
+static uint32_t sums[PANEL_ROWS * PANEL_COLUMNS];
 static uint8_t pressed[PANEL_ROWS * PANEL_COLUMNS];
 
 static void read_sums() {

@@ -53,7 +53,7 @@ static inline uint16_t keys_update(lampest_panel *panel, const float *change, ui
 }
 
 /* Estimate a scan and look at its keys, unless it does not settle. */
-static inline lampest_status keys_scan(lampest_panel *panel, const uint16_t *sums, float *change, uint8_t *pressed,
+static inline lampest_status keys_scan(lampest_panel *panel, const uint32_t *sums, float *change, uint8_t *pressed,
                                        keys_event event) {
     lampest_status status;
     uint8_t calls = KEYS_CALLS;

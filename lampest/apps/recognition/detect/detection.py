@@ -25,12 +25,13 @@ from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
+from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import Readings, stand_in
+from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand_in
 from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
@@ -45,6 +46,8 @@ NO_RESPONSE = (
 )
 NOT_CHECKED = "the circuit was not checked: --no-check leaves it out"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
+# Of the change to a bound: the cell is pressed at least so much, how much more is unknown.
+BOUND_SHARE = 0.1
 MIN_FRAME_SHARE = 1e-6  # of σ: the noise of a frame is no less, whatever rounding leaves
 Frames = Iterator[tuple[Array, Array, float]]
 
@@ -80,6 +83,8 @@ class Known:
         Probability from which an attachment is called a lamprey, or a suction cup.
     start_time : str or None
         Date and time at 0 s.
+    resting_side : array, shape (rows, columns), or None
+        Sides of the unloaded readings that are bounds, see `Readings`; None: all are values.
     """
 
     name: str
@@ -96,6 +101,7 @@ class Known:
     explained: bool = True
     threshold: float = MIN_PROBABILITY
     start_time: str | None = None
+    resting_side: Array | None = None
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
@@ -200,12 +206,40 @@ class Known:
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns).
 
-        σ is infinite where a reading is no value.
+        σ is infinite where a reading is no value and says nothing of a change; see
+        `with_bounds_counted`.
         """
-        sigma = readings.sigma_of_values
-        return readings.value, np.where(
-            readings.plain, self.sigma if sigma is None else sigma, np.inf
-        )
+        sigma = self.sigma if readings.sigma is None else readings.sigma
+        side = np.where(readings.seen > 0, readings.side, np.nan)
+        return with_bounds_counted(readings.value, sigma, side, self.resting, self.resting_side)
+
+
+def with_bounds_counted(
+    value: Array, sigma: Array, side: Array, resting: Array, resting_side: Array | None
+) -> tuple[Array, Array]:
+    """Return values and σ of frames in which bounds count as far as they say anything.
+
+    A bound beyond the resting reading is a change of that much at least: its value with a σ of
+    BOUND_SHARE of the change. A bound that was one at rest, too, shows no change. All others have
+    an infinite σ.
+
+    Parameters
+    ----------
+    value, sigma, side : array, shape (…, rows, columns)
+        Readings; the side is NaN where one is missing.
+    resting : array, shape (rows, columns)
+        Unloaded readings.
+    resting_side : array, shape (rows, columns), or None
+        Their sides; None: all are values.
+    """
+    was_bound = np.zeros(resting.shape) if resting_side is None else resting_side
+    change = value - resting
+    beyond = (side * change > 0) & (np.abs(change) > NOISE_REACH * sigma)
+    still = (side != VALUE) & (side == was_bound)
+    known = (side == VALUE) | still
+    counted = np.where(known, sigma, np.inf)
+    counted = np.where(beyond & ~known, np.maximum(sigma, BOUND_SHARE * np.abs(change)), counted)
+    return np.where(still, resting, value), counted
 
 
 def frame_rate(times: Sequence[float]) -> float:
@@ -273,9 +307,13 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         explained=case.model_mark != "no",
         start_time=case.start_time,
     )
-    return known, zip(
-        side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True
-    )
+    sides = np.where(case.valued, 0.0, np.nan)
+    if case.reading_side is not None:
+        bounded = np.isfinite(case.measured) & (case.reading_side != 0)
+        sides = np.where(bounded, case.reading_side, sides)
+    bounds, spread = with_bounds_counted(case.measured, spread, sides, baseline, None)
+    values = np.where(np.isfinite(spread), bounds, side)
+    return known, zip(values, spread, map(float, case.time), strict=True)
 
 
 def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
@@ -359,7 +397,10 @@ def known_of(
     unloaded = np.flatnonzero(head.role == UNLOADED)
     seen = None if readings.sigma is None else recognition_noise(prepared)
     resting = baseline_readings(head, readings if seen is None else seen.readings)
-    if not resting.enough(head.scene):
+    bounds = readings[unloaded].mean() if len(unloaded) else resting
+    if _open_at_rest(bounds, head.scene):
+        resting = bounds
+    elif not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
     if touched(head):
         return Detected.unknown(head.name, TOUCHED)
@@ -391,7 +432,20 @@ def known_of(
         patch_mm,
     )
     explained = not check or prepared.check.explains is not False
-    return Known(head.name, scene, *before, besides, explained)
+    known = Known(head.name, scene, *before, besides, explained)
+    side = np.where(resting.seen > 0, resting.side, 0.0)
+    if not side.any():
+        return known
+    # Repeats of a bound are the bound
+    values = np.where(side != VALUE, resting.value, known.unloaded)
+    return replace(known, resting_side=side, unloaded=values)
+
+
+def _open_at_rest(resting: Readings, scene: Scene) -> bool:
+    """Return whether the unloaded panel is one of bounds, as open cells give them."""
+    of_open = AT_LEAST if scene.circuit.unit == "ohm" else AT_MOST
+    opened = resting.bounds & (resting.side == of_open) & scene.requested
+    return not resting.enough(scene) and bool(2 * opened.sum() >= scene.requested.sum())
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:

@@ -1,0 +1,128 @@
+"""Processor time of whole commands in fresh processes, beside the time of their solves.
+
+The other tables of the benchmark time solvers. A user waits for commands, which load libraries,
+prepare recordings, check circuits, write files and draw pictures, too.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+
+import numpy as np
+
+from lampest.apps.studies.study import column
+from lampest.files.errors import InputError
+from lampest.panel.scene_file import scene_text
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.runs.results import read_results
+
+STEMS = ("first", "second")
+RUN = f"""
+schema: 1
+recordings: [{STEMS[0]}.h5, {STEMS[1]}.h5]
+formulation: reduced
+estimators:
+  log_gradient: {{terms: {{misfit: {{weighting: noise}}, log_gradient: {{}}}}}}
+  LSM: {{terms: {{misfit: {{}}}}}}
+  LSR-CR: {{terms: {{misfit: {{}}, cell_resistance: {{weight: 1e-3}}}}}}
+"""
+BY_RUN = ("run", "run.yaml", "--out", "out", "--jobs", "1")
+# Name → arguments, in a folder with two recordings, a run file, a scene and a table of readings.
+COMMANDS: Mapping[str, tuple[str, ...]] = {
+    "run": (*BY_RUN, "--fresh"),
+    "run, all cases done": BY_RUN,
+    "info": ("info", "first.h5"),
+    "detect": ("detect", "first.h5", "--out", "detected"),
+    "import": ("import", "table.csv", "--scene", "scene.yaml", "--out", "imported.h5"),
+    "plot": ("plot", "out/results.h5", "--out", "pictures"),
+}
+# (arguments, folder in which they run) → processor time in s
+Runner = Callable[[tuple[str, ...], Path], float]
+
+
+@dataclass(frozen=True)
+class CommandTime:
+    """Processor time of a command on recordings of a panel.
+
+    Attributes
+    ----------
+    command : str
+    rows, columns : int
+        Shape of the panel.
+    seconds : float
+        User and system time of the process and of those it started, in s.
+    solves_s : float
+        Sum of `solve_time`, with those of the baselines, over all cases of `run`, in s.
+    """
+
+    command: str = column("1", "name of the command")
+    rows: int = column("1", "rows of the panel")
+    columns: int = column("1", "columns of the panel")
+    seconds: float = column("s", "processor time of the process and of those it started")
+    solves_s: float = column("s", "sum of the solve times of the run")
+
+    @property
+    def ratio(self) -> float:
+        """Processor time over that of the solves of `run`."""
+        return self.seconds / self.solves_s
+
+
+def processor_seconds(arguments: tuple[str, ...], folder: Path) -> float:
+    """Return the processor time of a command in a fresh process, in s.
+
+    Raises InputError with its last line if it fails.
+    """
+    called = [sys.executable, "-c", "from lampest.cli import main; main()", *arguments]
+    with TemporaryFile() as output:
+        process = subprocess.Popen(called, cwd=folder, stdout=output, stderr=output)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            output.seek(0)
+            lines = output.read().decode("utf-8", "replace").strip().splitlines()
+            reason = lines[-1] if lines else f"exit code {process.returncode}"
+            raise InputError(f"lampest {' '.join(arguments)} failed: {reason}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def command_times(
+    recordings: tuple[Recording, Recording], repeats: int, run: Runner = processor_seconds
+) -> Iterator[CommandTime]:
+    """Yield the processor time of every command on two recordings, the least of some repeats.
+
+    Raises InputError if a command fails.
+    """
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for stem, recording in zip(STEMS, recordings, strict=True):
+            recording.save(folder / f"{stem}.h5")
+        (folder / "run.yaml").write_text(RUN, encoding="utf-8")
+        scene = recordings[0].scene
+        (folder / "scene.yaml").write_text(scene_text(scene), encoding="utf-8")
+        (folder / "table.csv").write_text(_table_of(recordings[0]), encoding="utf-8")
+        unloaded = str(int(np.sum(recordings[0].role == UNLOADED)))
+        seconds = dict[str, float]()
+        for command, arguments in COMMANDS.items():
+            further = ("--baseline", unloaded) if command == "import" else ()
+            seconds[command] = min(run((*arguments, *further), folder) for _ in range(repeats))
+        solves_s = sum(
+            float(np.nansum([*case.solve_time, case.baseline_solve_time]))
+            for case in read_results(folder / "out" / "results.h5").cases
+        )
+    rows, columns = scene.panel.shape
+    for command, spent in seconds.items():
+        yield CommandTime(command, rows, columns, spent, solves_s)
+
+
+def _table_of(recording: Recording) -> str:
+    """Return readings as a table for `lampest import`: a line for each, in ohm."""
+    lines = ["time_s,row,column,resistance_ohm"]
+    for time, frame in zip(recording.time, recording.recorded, strict=True):
+        lines += [
+            f"{time:g},{row},{column},{value:.9g}" for (row, column), value in np.ndenumerate(frame)
+        ]
+    return "\n".join(lines) + "\n"

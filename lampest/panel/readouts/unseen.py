@@ -1,0 +1,74 @@
+"""Scales of cells that no reading of a circuit shows.
+
+A direction in which no reading changes is a null vector of J = ∂y/∂ln r. It belongs to the circuit,
+not to the cells: inputs without any resistor, with idle lines held at ground, read a mean of
+potentials weighted by the conductances of a column, and a factor on the column changes none of
+them. It is found once for a circuit, at cells that scatter.
+"""
+
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import Readout
+
+Scale = Literal["all", "rows", "columns"]
+TYPICAL_OHM = 3000.0
+SCATTER = 0.5  # of ln r, so that no direction is null by symmetry
+MAX_LINES = 8  # of a side: a circuit without lists has the same null vectors at any size
+MAX_CELLS = 400  # of a circuit with lists
+NULL = 1e-6  # singular value over the largest; of readings that are shown 0.01 and more
+WITHIN = 0.9  # share of a scale's square that lies in the null space
+
+
+def unseen_scales(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
+    """Return the scales that no reading shows: of all cells, of each row, of each column."""
+    listed = any(isinstance(value, tuple) for value in vars(circuit).values())
+    if not listed:
+        return _unseen(circuit, min(rows, MAX_LINES), min(columns, MAX_LINES))
+    return _unseen(circuit, rows, columns) if rows * columns <= MAX_CELLS else ()
+
+
+@lru_cache(maxsize=64)
+def _unseen(circuit: Readout, rows: int, columns: int) -> tuple[Scale, ...]:
+    scatter = np.random.default_rng(1).standard_normal((rows, columns))
+    cells = TYPICAL_OHM * np.exp(SCATTER * scatter)
+    null = _null_space(circuit.network(cells, circuit.ties(cells)))
+    row, column = np.indices((rows, columns))
+    scales: dict[Scale, list[Array]] = {
+        "all": [np.ones((rows, columns))],
+        "rows": [(row == line) * 1.0 for line in range(rows)],
+        "columns": [(column == line) * 1.0 for line in range(columns)],
+    }
+    return tuple(
+        name
+        for name, directions in scales.items()
+        if all(_share_within(null, direction) > WITHIN for direction in directions)
+    )
+
+
+def _null_space(network: Network) -> Array:
+    """Return an orthonormal basis of the directions of ln r that no reading shows, (n, cells)."""
+    _, singular, directions = np.linalg.svd(network.sensitivity())
+    return np.asarray(directions[singular <= NULL * singular[0]])
+
+
+def _share_within(null: Array, direction: Array) -> float:
+    """Return the share of a direction's square that lies in a space."""
+    flat = direction.ravel()
+    return float(np.sum((null @ flat) ** 2) / np.sum(flat**2))
+
+
+def unseen_sentence(scales: tuple[str, ...]) -> str:
+    """Return the scales in words, with the cure; '' for none."""
+    if not scales:
+        return ""
+    of_lines = " and ".join(name for name in scales if name != "all")
+    scale = f"each of the {of_lines} has a scale of its own" if of_lines else "all cells share one"
+    return (
+        f"{scale} that no reading shows: no resistor sets it; only ratios of cells within them are "
+        "known, and a resistor from each sensed line to ground (load_ohm) would show it"
+    )

@@ -1,0 +1,67 @@
+"""Processor time of whole commands: what is counted, and that every command works."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lampest import InputError, read_results
+from lampest.apps.studies.bench import BenchFile
+from lampest.apps.studies.command_times import COMMANDS, command_times, processor_seconds
+
+# A command whose child works for half a second of processor time.
+BUSY = """
+import subprocess, sys
+subprocess.run([sys.executable, "-c", "import time\\nwhile time.process_time() < 0.5: pass"])
+"""
+
+
+def test_the_time_of_a_command_includes_the_processes_that_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "lampest" / "cli.py"
+    script.parent.mkdir()
+    (script.parent / "__init__.py").touch()
+    script.write_text(f"def main():\n    exec({BUSY!r})\n")
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    assert processor_seconds((), tmp_path) >= 0.5
+
+
+def test_a_failed_command_is_no_measurement(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"lampest info absent\.h5 failed: .*no such file"):
+        processor_seconds(("info", "absent.h5"), tmp_path)
+
+
+def test_every_command_is_measured_beside_the_solves_of_the_run(
+    monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
+) -> None:
+    solves = list[float]()
+
+    def called(arguments: tuple[str, ...], folder: Path) -> float:
+        monkeypatch.chdir(folder)
+        completed = lampest(*arguments)
+        assert completed.code == 0, completed.err
+        if arguments[0] == "run":
+            results = read_results(folder / "out" / "results.h5")
+            assert len(results.cases) == 6
+            solves.append(sum(float(np.sum(case.solve_time)) for case in results.cases))
+            done = "6 were done before" if "--fresh" not in arguments else "6 cases solved"
+            assert done in completed.out
+        return 10.0 + len(arguments)
+
+    bench = BenchFile(1, (2,), frames=1)
+    pair = bench.recording((2, 3), 0), bench.recording((2, 3), 1)
+    times = list(command_times(pair, 1, called))
+    assert [time.command for time in times] == list(COMMANDS)
+    assert {(time.rows, time.columns) for time in times} == {(2, 3)}
+    assert times[0].seconds == 10.0 + len(COMMANDS["run"])
+    for time in times:
+        assert time.solves_s >= solves[0] > 0
+        assert time.ratio == time.seconds / time.solves_s
+
+
+def test_a_panel_of_commands_has_a_side() -> None:
+    with pytest.raises(ValueError, match="a panel's side"):
+        BenchFile(1, (3,), commands=(1,))

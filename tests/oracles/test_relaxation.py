@@ -1,0 +1,124 @@
+"""Losses that are not convex: minima from far, for every solver, and readings that are missed."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from lampest import (
+    Array,
+    Estimator,
+    Huber,
+    Loss,
+    Misfit,
+    Panel,
+    Readings,
+    Scene,
+    Solution,
+    Student,
+)
+from lampest.cost.given import Background
+from lampest.cost.problem import Data
+from lampest.cost.terms import LogGradient
+from lampest.estimate.methods import named_method
+from lampest.solvers.multistart import best_solution, evaluated, solved_from
+from lampest.solvers.projected_lbfgs import serves
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.relaxation import CORNER, huber_of
+from lampest.solvers.solution import Settings, Status
+
+SHAPE = (4, 5)
+SCENE = Scene(Panel(*SHAPE))
+CORNER_SIGMA = 3.0
+SAME = 1e-6  # relative, of costs at one minimum; measured 1e-12
+NOISE = 1e-3  # of a reading
+TERMS = (Misfit(weighting="noise", loss=Student(corner=CORNER_SIGMA)), LogGradient(weight=0.1))
+
+
+@cache
+def cells() -> tuple[Array, Array]:
+    """Of the unloaded panel and under a palm that covers it."""
+    random = np.random.default_rng(4)
+    resting = 3000 * np.exp(0.1 * random.standard_normal(SHAPE))
+    return resting, resting * np.exp(-1.0 - 0.2 * random.random(SHAPE))
+
+
+def frame(wrong: int, pressed: Array | None = None) -> Data:
+    """Data of the palm, or of other cells, with so many readings that are half as large."""
+    random = np.random.default_rng(7)
+    exact = SCENE.circuit.exact_reading(cells()[1] if pressed is None else pressed)
+    measured = exact * (1 + NOISE * random.standard_normal(SHAPE))
+    measured.flat[random.permutation(exact.size)[:wrong]] *= 0.5
+    zeros = np.zeros((1, *SHAPE))
+    readings = Readings(measured[None], NOISE * exact[None], zeros, zeros + 1)
+    return Estimator(TERMS).data(readings, Background(SCENE))
+
+
+def solved(
+    kind: str,
+    data: Data,
+    previous: Array | None,
+    settings: Settings | None = None,
+    weight: float = 0.1,
+) -> Solution:
+    terms = (TERMS[0], LogGradient(weight=weight))
+    cost = Estimator(terms, kind).cost(SCENE, 1, partial=False)
+    return best_solution(
+        named_method(kind).solver(cost, SCENE, settings or Settings(), 1.0), data, previous
+    )
+
+
+@pytest.mark.parametrize("kind", ["reduced", "nodal"])
+def test_a_palm_far_from_the_frame_before_is_no_outlier(kind: str) -> None:
+    """From the unloaded cells every reading is beyond the corner.
+
+    The reference is the minimum next to the true cells.
+    """
+    data = frame(wrong=1)
+    resting, pressed = cells()
+    solution = solved(kind, data, resting[None])
+    newton = ProjectedNewton(solution.at.cost, Settings())
+    reference = solved_from(newton, evaluated(newton.cost, data, pressed[None]))
+    assert solution.status is Status.OPTIMUM
+    assert solution.objective <= reference.objective * (1 + SAME)
+    assert_allclose(solution.objective, reference.objective, rtol=SAME)
+
+
+def test_a_frame_ends_where_two_starts_agree_and_a_first_one_where_three_do() -> None:
+    data = frame(wrong=0)
+    pressed = cells()[1][None]
+    assert solved("reduced", data, pressed).starts == 2
+    assert solved("reduced", data, None).starts == 3
+    assert solved("reduced", data, pressed, Settings(starts=5)).starts == 5
+
+
+def test_too_many_readings_for_outliers_are_told_in_the_status() -> None:
+    """Cells that a heavy penalty holds together cannot follow wrong readings."""
+    equal = np.full(SHAPE, 1000.0)
+    for wrong, status in ((1, Status.OPTIMUM), (8, Status.MISSED)):
+        solution = solved("reduced", frame(wrong, equal), equal[None], weight=1e4)
+        assert solution.status is status
+
+
+def test_a_batch_leaves_out_losses_that_are_not_convex() -> None:
+    data = frame(0)
+    for loss, served in ((Student(corner=3.0), False), (Huber(corner=3.0), True)):
+        terms = (Misfit(weighting="noise", loss=loss), TERMS[1])
+        assert serves(Estimator(terms).cost(SCENE, 1, partial=False), data) is served
+
+
+def test_the_relaxed_loss_ends_its_square_at_a_tenth_of_the_corner() -> None:
+    class Flat(Loss):
+        """3·x²/(1 + x²), convex up to 1/√3, with six times the square at 0."""
+
+        convex = False
+        kind = "flat"
+
+        def cost(self, residual):  # type: ignore[no-untyped-def]
+            import casadi
+
+            return casadi.sum1(3 * residual**2 / (1 + residual**2))
+
+    assert_allclose(huber_of(Student(corner=4.0)), (CORNER * 4.0, 1.0), rtol=0.02)
+    assert_allclose(huber_of(Flat()), (CORNER / np.sqrt(3), 3.0), rtol=0.02)

@@ -1,0 +1,96 @@
+"""A results file of stored cases: copied as they are, with their digests and axes."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+from fuzz.batches import content, same
+from support import METHODS, invented_case
+
+from lampest import CaseResult, InputError, read_results, write_results
+from lampest.files import checksums, hdf5
+from lampest.runs.case import StoredCase
+from lampest.runs.results import stored_cases
+
+
+def stored(folder: Path, cases: list[CaseResult]) -> list[StoredCase]:
+    """Write each case into a file of its own; return references to them."""
+    references = list[StoredCase]()
+    for number, case in enumerate(cases):
+        path = folder / f"case{number}.h5"
+        write_results(path, [case])
+        references += stored_cases(path)
+    return references
+
+
+def axes(path: Path) -> dict[str, Any]:
+    """Return the scales of the axes of every dataset, and the users of every scale."""
+    found: dict[str, Any] = {}
+
+    def look(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset):
+            found[name] = [[scale.name for scale in axis.values()] for axis in node.dims]
+            users = node.attrs.get("REFERENCE_LIST", ())
+            found[f"{name} is used by"] = sorted((file[user].name, int(n)) for user, n in users)
+
+    with h5py.File(path) as file:
+        file.visititems(look)
+    return found
+
+
+def test_stored_cases_give_the_file_of_cases_in_memory(tmp_path: Path) -> None:
+    cases = [invented_case(name, stem, failed=(1,)) for stem in ("b", "a") for name in METHODS[:2]]
+    write_results(tmp_path / "memory.h5", cases)
+    write_results(tmp_path / "stored.h5", stored(tmp_path, cases))
+    same(content(tmp_path / "stored.h5"), content(tmp_path / "memory.h5"))
+    assert axes(tmp_path / "stored.h5") == axes(tmp_path / "memory.h5")
+    expected = hdf5.checked(tmp_path / "memory.h5")[1]
+    assert hdf5.checked(tmp_path / "stored.h5")[1] == expected
+    assert not expected.without_digest
+
+
+def test_a_value_is_digested_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A case by its own file; the file of all cases takes its digests."""
+    digested: list[str] = []
+    entry = checksums._entry
+
+    def counted(first: int, values: Any) -> bytes:
+        digested.append(f"{first} {values.shape}")
+        return entry(first, values)
+
+    monkeypatch.setattr(checksums, "_entry", counted)
+    [reference] = stored(tmp_path, [invented_case("LSM")])
+    with h5py.File(reference.path) as file:
+        nodes = [node for _, node in checksums.nodes_below(file, "/")]
+        assert len(digested) == sum(isinstance(node, h5py.Dataset) for node in nodes)
+    digested.clear()
+    write_results(tmp_path / "r.h5", [reference])
+    assert digested == []
+
+
+def test_a_reference_is_that_of_the_written_case(tmp_path: Path) -> None:
+    case = invented_case("LSM", warnings="one\ntwo", advice="three", case_id="c")
+    [reference] = stored(tmp_path, [case])
+    assert reference == StoredCase.of(case, reference.path)
+    assert (reference.warnings, reference.advice) == ("one\ntwo", "three")
+
+
+def test_stored_cases_of_different_recordings_are_refused(tmp_path: Path) -> None:
+    case = invented_case("LSM")
+    other = dataclasses.replace(case, estimator="b", measured=case.measured * 1.01)
+    with pytest.raises(InputError, match=r"different recordings of the name \w+ \(resistance diff"):
+        write_results(tmp_path / "r.h5", stored(tmp_path, [case, other]))
+    assert not (tmp_path / "r.h5").exists()
+
+
+@pytest.mark.parametrize("limit", [0, 10**9])
+def test_the_place_of_a_large_file_is_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int
+) -> None:
+    references = stored(tmp_path, [invented_case(name) for name in METHODS[:2]])
+    monkeypatch.setattr("lampest.runs.results.MAX_BYTES_IN_MEMORY", limit)
+    monkeypatch.setattr(hdf5, "new_large_file" if limit else "new_file", None)
+    write_results(tmp_path / "r.h5", references)
+    assert read_results(tmp_path / "r.h5").estimators() == tuple(METHODS[:2])

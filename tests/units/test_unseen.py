@@ -1,0 +1,86 @@
+"""Scales that no reading shows, and doubts on numbers that readings contradict."""
+
+from math import inf
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lampest
+from lampest import (
+    DrivenReadout,
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+)
+from lampest.audit.verdict import verdict
+from lampest.estimate.model_check import ModelCheck
+from lampest.estimate.prepared import Prepared
+
+INPUTS = DrivenReadout(
+    drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1
+)
+SHAPE = (5, 6)
+EXPLAINED = ModelCheck(explains=True, sentence="the circuit explains its readings")
+
+
+def cells() -> lampest.Array:
+    return 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(SHAPE))
+
+
+def recording(readout: Any, measured: lampest.Readout, noise: float = 0.5) -> Recording:
+    rng = np.random.default_rng(5)
+    frames = np.stack([measured.exact_reading(cells())] * 6)
+    volt = measured.to_recorded(frames, Scene(Panel(*SHAPE), measured))
+    codes = measured.code_from_volt(volt + noise * measured.lsb_volt * rng.normal(size=volt.shape))
+    scene = Scene(Panel(*SHAPE), readout)
+    return Recording.from_array(codes.astype(float), unit="code", scene=scene, baseline=4)
+
+
+@pytest.mark.parametrize(
+    ("readout", "scales"),
+    [
+        (INPUTS, ("all", "columns")),
+        (
+            DrivenReadout(driven="columns", drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf),
+            ("all", "rows"),
+        ),
+        (DrivenReadout(idle_ohm=3300.0, load_ohm=inf), ()),
+        (GroundedReadout(), ()),
+        (LoadedColumnsReadout(), ()),
+        (TwoPointReadout(), ()),
+    ],
+    ids=["inputs", "inputs of rows", "pull-downs", "grounded", "loaded", "two-point"],
+)
+def test_scales_that_no_reading_shows_follow_from_the_circuit(
+    readout: lampest.Readout, scales: tuple[str, ...]
+) -> None:
+    assert readout.unseen_scales(*SHAPE) == scales
+
+
+def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
+    made = recording(INPUTS, INPUTS)
+    told = verdict(EXPLAINED, Prepared(made))
+    assert told.mark == "doubtful" and "each of the columns has a scale of its own" in told.sentence
+    estimate = lampest.reconstruct(made, [Misfit(weighting="noise")])
+    lower, upper = estimate.cell_resistance_lower[-1], estimate.cell_resistance_upper[-1]
+    assert np.all((lower <= cells()) & (cells() <= upper))
+
+
+def test_loads_at_half_the_supply_are_asked_for() -> None:
+    built = LoadedColumnsReadout(load_ohm=1e5, load_volt=2.5, adc_bits=12, readings=1)
+    scene = LoadedColumnsReadout(load_ohm=1e5, adc_bits=12, readings=1)
+    assert "(load_volt)" in verdict(EXPLAINED, Prepared(recording(scene, built))).sentence
+    assert "(load_volt)" not in verdict(EXPLAINED, Prepared(recording(built, built))).sentence
+
+
+def test_codes_of_fewer_bits_are_asked_for() -> None:
+    built = LoadedColumnsReadout(load_ohm=3e4, adc_bits=10, readings=1)
+    scene = LoadedColumnsReadout(load_ohm=3e4, adc_bits=12, readings=1)
+    question = "does the converter have 10 bits"
+    assert question in verdict(EXPLAINED, Prepared(recording(scene, built))).sentence
+    assert question not in verdict(EXPLAINED, Prepared(recording(scene, scene))).sentence
