@@ -162,7 +162,11 @@ def _build() -> None:
     Hidden words of the previous release follow.
     """
     others = applications().usable.values()
-    commands = CORE | {name: each for other in others for name, each in other.commands.items()}
+    commands = dict(CORE)
+    for other in others:
+        for name, added in other.commands.items():
+            if commands.setdefault(name, added) is not added:
+                warn(f"the application '{other.name}': there is a command '{name}' already")
     abouts = GROUPS | {name: about for other in others for name, about in other.groups.items()}
     parts = list(dict.fromkeys((*PARTS, *(command.part for command in commands.values()))))
     groups: dict[str, typer.Typer] = {"": app}
@@ -171,11 +175,15 @@ def _build() -> None:
         group, _, word = name.rpartition(" ")
         epilog = f"Example: lampest {name} {command.example}".rstrip()
         if group not in groups:
-            groups[group] = typer.Typer(no_args_is_help=True, help=abouts[group])
+            groups[group] = typer.Typer(no_args_is_help=True, help=abouts.get(group))
             app.add_typer(
                 groups[group], name=group, epilog=epilog, rich_help_panel=command.part, hidden=True
             )
-        called = _guarded(loaded(command.target))
+        try:
+            called = _guarded(loaded(command.target))
+        except (ImportError, AttributeError) as error:
+            warn(f"the command '{name}' cannot be loaded ({error})")
+            continue
         panel = None if group else command.part
         groups[group].command(word, epilog=epilog, rich_help_panel=panel)(called)
         for former in command.renamed:

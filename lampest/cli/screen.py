@@ -1,11 +1,13 @@
 """Options, messages, progress bar, tables and exit codes of all commands."""
 
 import inspect
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
+from io import TextIOWrapper
 from itertools import chain, groupby
 from pathlib import Path
 from shutil import get_terminal_size
@@ -100,7 +102,7 @@ def documented(command: Callable[..., None]) -> tuple[str, inspect.Signature]:
         if get_origin(kind) is Annotated:
             kind = get_args(kind)[0]
         note = _note_of(parameter, kind)
-        note.help = note.help or help_of[name]
+        note.help = note.help or help_of.get(name)
         parameters.append(parameter.replace(annotation=Annotated[kind, note]))
     return about.strip(), signature.replace(parameters=parameters)
 
@@ -147,7 +149,33 @@ def written(path: Path, *, replaced: bool) -> str:
 
 def warn(sentence: object) -> None:
     """Print a sentence on stderr, after the program's name."""
-    print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+    with suppress(OSError):  # nothing can be said on a full disk
+        print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+
+
+def usable_streams() -> None:
+    r"""Open closed standard streams on the null device, and let them write any character.
+
+    Characters that an encoding lacks are written as escapes, such as \xb1 in ASCII.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number
+            if descriptor != number:
+                os.dup2(descriptor, number)
+                os.close(descriptor)
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def end_of_output(error: OSError) -> str:
+    """Return a sentence on an error of the standard output, which leads nowhere from now on."""
+    descriptor = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(descriptor, sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    os.close(descriptor)
+    return f"standard output cannot be written ({error.strerror or error})"
 
 
 def as_options(sentence: str) -> str:

@@ -71,6 +71,7 @@ class Application:
     answers : mapping of str to str
         Answers to questions of the core, by name.
 
+    >>> from lampest.files.applications import Application
     >>> Application(name="midi", about="notes of pressed cells").commands
     {}
     """
@@ -96,7 +97,7 @@ class Applications:
     usable : mapping of str to Application
         By name, those of the package before those of installed packages.
     objections : tuple of str
-        A sentence for each application that cannot be used.
+        A sentence for each application of an installed package that cannot be used.
     """
 
     usable: Mapping[str, Application]
@@ -156,7 +157,8 @@ def applications() -> Applications:
         for application in incomplete:
             missing = ", ".join(name for name in application.needs if name not in usable)
             del usable[application.name]
-            objections.append(f"the application '{application.name}' needs {missing}")
+            if not (FOLDER / application.name).is_dir():  # of a package; a folder was deleted
+                objections.append(f"the application '{application.name}' needs {missing}")
     return Applications(usable, tuple(objections))
 
 

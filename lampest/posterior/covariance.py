@@ -224,8 +224,21 @@ class DenseErrors:
 
     @cached_property
     def resolution(self) -> Array:
-        """Diagonal of the averaging kernel K J, (free,)."""
-        return np.asarray(np.einsum("ij,ji->i", self._gain, self.jacobian))
+        """Diagonal of the averaging kernel ∂(estimate)/∂(cells), (free,).
+
+        It is that of K J. With absolute losses, the estimate moves along `LinearModel.plateaus`
+        alone, and a loss of constant slope does not hold it.
+        """
+        model = self.model
+        if not model.absolute.any():
+            return np.asarray(np.einsum("ij,ji->i", self._gain, self.jacobian))
+        basis = model.plateaus[model.free].toarray()
+        data = self.jacobian * np.sqrt(model.data_curvature)[:, None]
+        smooth = self._penalties[~model.absolute] @ basis
+        along = data @ basis
+        normal = along.T @ along + smooth.T @ smooth
+        normal[np.diag_indices(len(normal))] += IGNORANCE * model.scale
+        return np.asarray(np.sum(basis * (data.T @ (along @ positive_inverse(normal))), axis=1))
 
     @cached_property
     def certainty(self) -> Certainty:

@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
@@ -21,6 +22,9 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import MAX_DENSE
 
 NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at it
+# Percent: an absolute residual below it is 0. Solvers end at 1e-7 and less, noise moves cells by
+# 0.01 and more (tests/oracles/test_certainty.py).
+PINNED = 1e-4
 IGNORANCE = 1e-4  # prior precision of log r, which regularises cells without data and penalties
 
 
@@ -173,6 +177,37 @@ class LinearModel:
     def penalty(self) -> Array:
         """Residuals x̂ of the penalties, (penalty rows,)."""
         return self._residuals.penalties.values(self.at)
+
+    @cached_property
+    def absolute(self) -> NDArray[np.bool_]:
+        """Whether a penalty row has an absolute loss, (penalty rows,)."""
+        numbers = [n for n, term in enumerate(self.at.cost.terms) if term.loss.enters == "dual"]
+        return np.isin(self.penalty_term, numbers)
+
+    @cached_property
+    def plateaus(self) -> sparse.csc_array:
+        """Orthonormal changes of log r that keep residuals of absolute losses at 0, sparse.
+
+        Shape (cells, plateaus). Cells whose residual is 0 against a reference are in none. Cells
+        whose differences are 0 are one. Their number is that of the degrees of freedom of such an
+        estimate (Zou, Hastie & Tibshirani, Ann. Stat. 35, 2007; Tibshirani & Taylor, Ann. Stat. 40,
+        2012).
+        """
+        cells = self.at.cell_resistance.size
+        pinned = self.absolute & (np.abs(self.penalty) < PINNED)
+        rows = sparse.csr_array(self.penalty_jacobian)[pinned]
+        counts = np.diff(rows.indptr)
+        entries = rows.indices
+        fixed = np.zeros(cells, dtype=bool)
+        fixed[entries[np.repeat(counts == 1, counts)]] = True
+        pairs = entries[np.repeat(counts == 2, counts)].reshape(-1, 2).T
+        linked = sparse.coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(cells, cells))
+        count, label = connected_components(linked, directed=False)
+        moving = ~np.bincount(label, fixed, count).astype(bool)
+        size = np.bincount(label, minlength=count)
+        entry = np.where(moving[label], size[label] ** -0.5, 0.0)
+        basis = sparse.csc_array((entry, (np.arange(cells), label)), shape=(cells, count))
+        return sparse.csc_array(basis[:, np.flatnonzero(moving)])
 
     @property
     def penalty_squares(self) -> Array:

@@ -155,8 +155,12 @@ class SampledErrors(DenseErrors):
 
     @property
     def resolution(self) -> Array:
-        """Diagonal of the averaging kernel, clipped to 0 to 1 because samples scatter, (free,)."""
-        return np.clip(1 - self._samples[1], 0, 1)
+        """Diagonal of the averaging kernel, clipped because samples scatter, (free,).
+
+        It is 0 to 1, and with absolute losses at most one share of a plateau.
+        """
+        plateaus = self.model.plateaus[self.model.free]
+        return np.clip(1 - self._samples[1], 0, plateaus.power(2).sum(axis=1))
 
     def reading_deviation(self) -> Array:
         """Return the standard deviation of the modelled readings over the samples.

@@ -181,6 +181,12 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     Raises InputError for any fault before the first solve. An unreadable recording among several is
     no fault here: its cases fail later, without effect on the others.
 
+    >>> from pathlib import Path
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> recording.save("mine.h5")
     >>> estimators = "{LSM: {terms: {misfit: {}}}}"
     >>> text = f"{{schema: 1, recordings: [mine.h5], estimators: {estimators}}}"
     >>> _ = Path("run.yaml").write_text(text)

@@ -7,6 +7,7 @@ rules test them.
 """
 
 import ast
+import re
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -18,6 +19,7 @@ from lampest.files.applications import applications
 
 CONTRACTS = Path(__file__).parent
 HOUSE = CONTRACTS.parents[1] / "lampest"
+REFERENCE = CONTRACTS.parents[1] / "docs" / "reference"
 MAX_LINES = 750  # of a module, as the contributing page states
 
 # From the ground up. A room may import from itself and from the floors below its own; rooms of one
@@ -419,6 +421,25 @@ def test_the_package_has_a_core_of_twelve_rooms_and_nine_applications() -> None:
     assert folders(HOUSE) - {"apps"} == {room for rooms in FLOORS for room in rooms}
     assert folders(HOUSE / "apps") == set(APPLICATIONS)
     assert {path.name for path in HOUSE.glob("*.py")} == {"__init__.py"}
+
+
+def test_the_figure_of_the_packages_has_the_floors() -> None:
+    figure = (REFERENCE / "packages.svg").read_text(encoding="utf-8")
+    drawn = re.findall(r'font-weight="bold">(\w+)<', figure)
+    assert drawn == ["apps", *(room for rooms in reversed(FLOORS) for room in rooms)]
+    assert " · ".join(sorted(APPLICATIONS)) in figure
+
+
+def test_the_page_states_what_each_application_adds() -> None:
+    page = (REFERENCE / "architecture.md").read_text(encoding="utf-8")
+    for name, application in APPLICATIONS.items():
+        needs, commands = (
+            ", ".join(f"`{word}`" for word in words) or "–"
+            for words in (application.needs, application.commands)
+        )
+        answers = ", ".join(application.answers) or "–"
+        row = f"| `{name}/` | {application.about} | {needs} | {commands} | {answers} |"
+        assert page.count(row) == 1, row
 
 
 @pytest.mark.parametrize("name", sorted(APPLICATIONS))

@@ -9,6 +9,7 @@ import json
 import os
 import pickle
 import re
+import struct
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -466,9 +467,13 @@ def boastful(path: Path) -> None:
 
 
 def bomb(path: Path) -> None:
+    """Six parts that claim 100,000,000 bytes each; nothing is unpacked to find out."""
+    size = 12_345
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as parts:
         for number in range(6):
-            parts.writestr(f"{number}.npy", bytes(100_000_000))
+            parts.writestr(f"{number}.npy", bytes(size))
+    claimed = path.read_bytes().replace(struct.pack("<I", size), struct.pack("<I", 100_000_000))
+    path.write_bytes(claimed)
 
 
 def claims(path: Path) -> None:

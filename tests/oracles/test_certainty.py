@@ -14,12 +14,22 @@ from numpy.testing import assert_allclose
 from lampest import (
     Estimator,
     Readings,
+    Rod,
     Scene,
+    Simulation,
     Solution,
+    simulate,
     two_point_resistance,
 )
 from lampest.cost.given import Background
-from lampest.cost.terms import CellResistance, Gradient, Misfit, Term
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    LogRatio,
+    Misfit,
+    Term,
+    TotalVariationOfChange,
+)
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
@@ -33,6 +43,7 @@ from tests.estimates import in_intervals, recording_of, rms
 SHAPE = (7, 8)
 DIFFERENCE_ERROR = 1e-5  # of derivatives by differences
 CONDITION = 200  # of the precision matrix of a panel, as far as it multiplies that error
+ZERO = 1e-6  # of ln r: less is no change
 FEW = 3  # cells, so that both kinds are there
 # Of 95 % intervals and of scores, over 200 draws of the noise of 56 cells that share it.
 COVERAGE_ERROR = 0.02  # measured 0.002
@@ -99,6 +110,31 @@ def test_the_covariance_is_that_of_laplace(weight: float) -> None:
     kernel = np.linalg.inv(precision) @ (jacobian.T @ jacobian)
     assert_allclose(errors.resolution, np.diag(kernel), atol=DIFFERENCE_ERROR)
     assert_allclose(errors.data_share, kernel.sum(axis=1), atol=DIFFERENCE_ERROR)
+
+
+@pytest.mark.parametrize("term", [LogRatio(), TotalVariationOfChange()], ids=lambda term: term.kind)
+def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) -> None:
+    """The resolution sums to the number of changed cells, or of areas of equal change.
+
+    By Mallows' C, which counts them, few changes predict new readings better than least squares.
+    """
+    scene = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=1), 140.0)
+    rod = Rod(centre_mm=(25, 25), diameter_mm=20, mass_g=300)
+    recording = simulate(Simulation(1, 2, scene, frames=2, loads=(rod,)))
+    predictions = []
+    for terms in ([Misfit(), term], [Misfit()]):
+        estimates = reconstruct(recording, Estimator(tuple(terms)))
+        change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
+        resolution = estimates.resolution
+        if len(terms) > 1:
+            if isinstance(term, LogRatio):
+                counts = [np.sum(np.abs(frame) > ZERO) for frame in change]
+            else:
+                counts = [1 + np.sum(np.diff(np.sort(frame, None)) > ZERO) for frame in change]
+            assert_allclose(resolution.sum(axis=(1, 2)), counts, atol=0.1)
+            assert max(counts) < 36
+        predictions.append(np.mean(estimates.misfit["chi_square"]) + 2 * resolution.sum() / 2)
+    assert predictions[0] < predictions[1]
 
 
 def test_a_cell_at_a_bound_is_released_separately() -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from small_files import write_recording
+
 import lampest
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
@@ -47,7 +49,7 @@ def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> Non
     assert last == NO_OBJECT
     document = tmp_path / "run.yaml"
     estimators = "{smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 0.5}}}}"
-    recording = ROOT / "data" / "rod.h5"
+    recording = write_recording(tmp_path / "small.h5")
     document.write_text(
         f"schema: 1\nrecordings: [{recording}]\nestimators: {estimators}\nformulation: reduced\n"
     )

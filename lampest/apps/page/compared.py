@@ -22,6 +22,8 @@ from lampest.runs.results import read_results
 # frames of an autoregression with 0.8 hold the mean in 77, 91 and 94 %, with parts as long as the
 # correlation in 71, 80 and 81 %.
 MAX_PARTS = 5
+# Below three, an interval of a mean is 12.7 standard errors to each side.
+MIN_RECORDINGS = 3
 MIN_SOLVED = 0.95  # share of its frames that an estimator has to solve to be compared
 # Relative differences of the mean error up to this are invisible in maps and forces.
 SIMILAR = 0.05
@@ -223,6 +225,19 @@ def mean_interval(values: Array, parts: int) -> Interval:
     return Interval(mean, mean - reach, mean + reach)
 
 
+def positive_mean_interval(values: Array, parts: int) -> Interval:
+    """Return the mean of positive values with its interval x̄·e^(±t·s/(x̄·√n)), as `mean_interval`.
+
+    The standard deviation of ln x̄ is that of x̄ over x̄, so that both ends are positive.
+    """
+    interval = mean_interval(values, parts)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        factor = float(np.exp((interval.upper - interval.value) / np.float64(interval.value)))
+    if not interval.value > 0:
+        return interval
+    return Interval(interval.value, interval.value / factor, interval.value * factor)
+
+
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
     """Format an interval, such as '2.13 (1.95 to 2.36) %', with two digits of its length.
 
@@ -390,7 +405,10 @@ def comparison_of(batch: Batch) -> Comparison | None:
     for number in order:  # against the smallest mean
         chosen_values = values[:, number]
         best = values[:, order[0]]
-        intervals = mean_interval(chosen_values, parts), mean_interval(chosen_values - best, parts)
+        intervals = (
+            positive_mean_interval(chosen_values, parts),
+            mean_interval(chosen_values - best, parts),
+        )
         standings.append(
             Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number]))
         )
@@ -460,6 +478,12 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     if comparison.over_frames:
         only = "One recording only: the intervals describe its frames, not other subjects or days."
         warnings = (only, *left_out)
+    elif len(comparison.units) < MIN_RECORDINGS:
+        few = (
+            f"{counted(len(comparison.units), 'recording')} are few: the next one may change "
+            "the ranking."
+        )
+        warnings = (few, *left_out)
     best = comparison.standings[0]
     largest = (1 + SIMILAR) * best.mean.value
     similar = [row for row in comparison.standings if row.mean.value <= largest]

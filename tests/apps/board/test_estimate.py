@@ -10,7 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from apps.board.estimated import CIRCUITS, pressed_cells, scene_of, solved_case, sums_of
+from apps.board.estimated import (
+    CIRCUITS,
+    pressed_cells,
+    scene_of,
+    solved_case,
+    sums_of,
+    unchecked_case,
+)
 from typer.testing import CliRunner
 
 import lampest
@@ -153,8 +160,9 @@ def lamprey(tmp_path_factory):
     recording = lampest.datasets.load("lamprey_35mm")
     estimate = lampest.reconstruct(recording, [NOISY, lampest.LogGradient()], formulation="reduced")
     path = tmp_path_factory.mktemp("lamprey") / "results.h5"
-    estimate.save(path, name="smooth")
-    return path, estimate.result("smooth")
+    case = unchecked_case(estimate, "smooth")
+    lampest.write_results(path, [case])
+    return path, case
 
 
 def emulated(folder, build):
@@ -660,7 +668,7 @@ def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
     The smallest budget of the median frame does not suffice for it.
     """
     estimate = lampest.reconstruct(lampest.datasets.load("cup_air_20kpa"), formulation="reduced")
-    case = estimate.result("smooth")
+    case = unchecked_case(estimate, "smooth")
     constants = Constants.of(case)
     with compiled(constants) as host:
         table = trades(host, constants, case)

@@ -7,7 +7,14 @@ import pytest
 from scipy.signal import lfilter
 from support import invented_case
 
-from lampest.apps.page.compared import mean_interval, predicted
+from lampest.apps.page.compared import (
+    Batch,
+    advise,
+    comparison_of,
+    mean_interval,
+    positive_mean_interval,
+    predicted,
+)
 from lampest.apps.page.page import disagreements
 from lampest.runs.results import CaseResult
 
@@ -35,6 +42,33 @@ def test_intervals_of_a_mean_contain_it(count: int) -> None:
         held += interval.lower <= 0 <= interval.upper
     assert 0.95 - COVERAGE_ERROR <= held / DRAWS <= 0.95 + COVERAGE_ERROR
     assert mean_interval(values[:1], 1).upper == np.inf
+
+
+def test_an_interval_of_an_error_ends_above_zero() -> None:
+    """On the logarithmic scale its ends are equally far, and the usual ones of a sure mean."""
+    wide = positive_mean_interval(np.array([1.0, 11.0]), 2)
+    assert 0 < wide.lower < wide.value < wide.upper
+    assert wide.value / wide.lower == pytest.approx(wide.upper / wide.value)
+    sure = np.array([10.0, 10.01, 9.99])
+    narrow = mean_interval(sure, 3)
+    assert positive_mean_interval(sure, 3).lower == pytest.approx(narrow.lower, rel=1e-4)
+    assert positive_mean_interval(np.zeros(3), 3).value == 0
+
+
+def test_the_advice_says_that_two_recordings_are_few() -> None:
+    for count in (2, 3):
+        cases = [
+            dataclasses.replace(
+                invented_case(estimator, shape=SHAPE),
+                recording=f"day {number}",
+                measured=invented_case(estimator, shape=SHAPE).measured + number,
+            )
+            for number in range(count)
+            for estimator in ("A", "B")
+        ]
+        batch = Batch.of(("results.h5",), cases)
+        warnings = advise(batch, comparison_of(batch)).warnings
+        assert any("2 recordings are few" in warning for warning in warnings) == (count == 2)
 
 
 def test_parts_widen_the_interval_of_correlated_frames() -> None:
