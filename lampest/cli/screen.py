@@ -212,8 +212,8 @@ def print_notes(notes: Iterable[str]) -> None:
 def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., None]]:
     """Show a progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
 
-    Yields a function that takes the number of finished parts, their total, and a text for the
-    label.
+    Yields a function that takes the number of finished parts, their total, a text for the label,
+    and the name of a further step with a bar of its own.
 
     Parameters
     ----------
@@ -232,11 +232,16 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         *[MofNCompleteColumn()] * counted,
     )
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(label, total=None)
+        tasks = {label: bar.add_task(label, total=None)}
 
-        def show(done: int, total: int | None, text: str | None = None) -> None:
+        def show(done: int, total: int | None, text: str | None = None, step: str = label) -> None:
+            if step not in tasks:
+                tasks[step] = bar.add_task(step, total=None)
             bar.update(
-                task, completed=done, total=total, description=text and escape(printable(text))
+                tasks[step],
+                completed=done,
+                total=total,
+                description=text and escape(printable(text)),
             )
 
         yield show

@@ -426,8 +426,18 @@ class Estimates:
 
         They are on failed frames, weights, roles and units, circuit, noise.
         """
+        return (*self._own_doubts, *self.prepared.warnings)
+
+    @property
+    def checks_without_circuit(self) -> tuple[str, ...]:
+        """The doubts that need no check of the circuit, one line each."""
+        return (*self._own_doubts, *self.prepared.warnings_without_check)
+
+    @property
+    def _own_doubts(self) -> tuple[str, ...]:
+        """Doubts about these estimates alone: failed frames, and penalties that overrule data."""
         failed = unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings)))
+        return tuple(filter(None, (failed, self._overruled)))
 
     @property
     def _is_part(self) -> bool:

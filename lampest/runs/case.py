@@ -357,6 +357,9 @@ class StoredCase:
         Numbers of its frames, and of the cells of a frame.
     case_id, warnings, advice : str
         Attributes of the case, see `CaseResult`.
+    verdict : (str, str) or None
+        Mark and sentence on the circuit, which results have with `warnings` and `advice` in place
+        of those in the file; None: those in the file.
     """
 
     path: Path
@@ -367,6 +370,7 @@ class StoredCase:
     case_id: str = ""
     warnings: str = ""
     advice: str = ""
+    verdict: tuple[str, str] | None = None
 
     @classmethod
     def of(cls, case: CaseResult, path: Path) -> StoredCase:

@@ -194,6 +194,7 @@ def write_results(
             for number, case in enumerate(held):
                 if isinstance(case, StoredCase):
                     _copy_case(group, case, with_measurement=not number)
+                    _replace_check(group[case.estimator], case)
                 else:
                     _write_case(group, case, table, with_measurement=not number)
                 hdf5.set_attributes(group[case.estimator], order=number)
@@ -268,6 +269,22 @@ def _write_case(
     _write_series(
         estimate, case, [column for column in series if not column.shared or column.name in axes]
     )
+
+
+def _replace_check(estimate: h5py.Group, case: StoredCase) -> None:
+    """Write the attributes of a check that was made after the case."""
+    if case.verdict is None:
+        return
+    mark, sentence = case.verdict
+    texts = {
+        "model_explains": mark,
+        "model_check": sentence,
+        "advice": case.advice,
+        "warnings": case.warnings,
+    }
+    hdf5.set_attributes(estimate, **{name: text for name, text in texts.items() if text})
+    for name in [name for name, text in texts.items() if not text and name in estimate.attrs]:
+        del estimate.attrs[name]
 
 
 def _copy_case(group: h5py.Group, case: StoredCase, *, with_measurement: bool) -> None:
@@ -384,12 +401,13 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
         cases = []
         for recording in _in_order(file, "/entry"):
             for name in _estimators(file, recording):
-                texts = (
+                case_id, warnings, advice = (
                     str(hdf5.read_attribute(file, f"/entry/{recording}/{name}", text) or "")
                     for text in ("case_id", "warnings", "advice")
                 )
-                sizes = _sizes(file, recording)
-                cases.append(StoredCase(path, recording, name, *sizes, *texts))
+                frames, cells = _sizes(file, recording)
+                stored = StoredCase(path, recording, name, frames, cells, case_id, warnings, advice)
+                cases.append(stored)
         return tuple(cases)
 
 
