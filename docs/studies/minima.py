@@ -24,6 +24,7 @@ import lampest
 from docs.studies.blocks import METHODS, jumping_between_rods
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.cost.terms import term_kind
 from lampest.estimate.methods import named_method
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
@@ -190,15 +191,16 @@ class Statement:
         incidence[np.arange(cells.size), column] = -1
         matrix = incidence.T @ (incidence / cells[:, None])
         readout = self.problem.scene.circuit
-        loaded = isinstance(readout, lampest.LoadedColumnsReadout)
-        if loaded:
-            matrix[np.arange(rows, lines), np.arange(rows, lines)] += 1 / readout.load_ohm
+        if isinstance(readout, lampest.LoadedColumnsReadout):
+            matrix[np.arange(rows, lines), np.arange(rows, lines)] += 1 / np.asarray(
+                readout.load_ohm
+            )
             impedance = np.linalg.inv(matrix)
         else:
             impedance = np.zeros((lines, lines))
             impedance[1:, 1:] = np.linalg.inv(matrix[1:, 1:])
         drop = impedance @ incidence.T
-        if not loaded:
+        if not isinstance(readout, lampest.LoadedColumnsReadout):
             between = incidence @ drop
             return np.diag(between).copy(), between**2 / cells
         own = impedance[row, row] + readout.drive_ohm
@@ -239,7 +241,7 @@ def kept(side: int, terms: tuple[lampest.Term, ...]) -> str:
         changes.append(float(np.abs(np.log(ratio)).max()))
     lower = np.array(decreases) > SAME
     return (
-        f"| {side} × {side} | {terms[1].kind} | {lower.sum()} of {lower.size} | "
+        f"| {side} × {side} | {term_kind(terms[1])} | {lower.sum()} of {lower.size} | "
         f"{max(decreases):.1e} | {max(changes):.1e} |"
     )
 

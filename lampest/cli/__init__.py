@@ -1,14 +1,40 @@
 """The command line: parse, call, print. Libraries are imported by the command that needs them."""
 
+import errno
 import os
+import signal
 import sys
+import threading
 
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, as_options, warn
-from lampest.files.applications import applications
-from lampest.files.errors import InputError, extra
-from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
+# Until `main` notes signals, Ctrl-C ends the process at once, without a traceback of an import.
+_EARLY = threading.current_thread() is threading.main_thread()
+_EARLY = _EARLY and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+if _EARLY:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+from lampest.cli.screen import (  # noqa: E402
+    INTERRUPTED,
+    WRONG_INPUT,
+    as_options,
+    end_of_output,
+    usable_streams,
+    warn,
+)
+from lampest.files.applications import applications  # noqa: E402
+from lampest.files.errors import InputError, extra  # noqa: E402
+from lampest.files.process import (  # noqa: E402
+    ONE_THREAD,
+    ending_signals,
+    interrupted,
+    libraries_to_the_log,
+)
+
+if _EARLY:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+del _EARLY
 
 NO_THREAD = "can't start new thread"  # the words of Python's RuntimeError
+KEPT = "interrupted; what was finished is kept"
 
 
 def main() -> None:
@@ -17,15 +43,24 @@ def main() -> None:
     Input errors end with code 2 and one sentence, Ctrl-C and similar signals with 130.
     """
     os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
+    usable_streams()
     try:
         with ending_signals(), libraries_to_the_log(), extra():
             from lampest.cli.program import program
 
             for objection in applications().objections:
                 warn(objection)
-            program()()
+            try:
+                program()()
+            finally:
+                sys.stdout.flush()
     except InputError as error:
         warn(as_options(str(error)))
+        sys.exit(WRONG_INPUT)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            raise
+        warn(end_of_output(error))
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
         message = " ".join(str(error).split()) or "no details"
@@ -41,5 +76,10 @@ def main() -> None:
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:
-            warn("interrupted; what was finished is kept")
+            warn(KEPT)
         raise
+    except (KeyboardInterrupt, ImportError) as error:  # while libraries are loaded
+        if not interrupted(error):
+            raise
+        warn(KEPT)
+        sys.exit(INTERRUPTED)

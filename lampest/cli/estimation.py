@@ -1,6 +1,8 @@
 """Commands that write starter files and recordings, and estimate cells."""
 
 from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -73,6 +75,7 @@ def run(
     jobs: Annotated[int | None, screen.option(min=1)] = None,
     fresh: bool = False,
     yes: bool = False,
+    no_check: bool = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run file; finished cases are skipped.
 
@@ -88,12 +91,16 @@ def run(
         Solve finished cases again.
     yes
         Also solve panels whose first frame takes minutes or more memory than there is.
+    no_check
+        Leave out whether the circuits explain their readings.
     """
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
     from lampest.runs.executors import local
 
     cases = read_run(config, tuple(assign or ()))
+    if no_check:
+        cases = replace(cases, check="none")
     if not yes:
         refuse_large(cases.cases)
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
@@ -104,7 +111,12 @@ def run(
         executor = local(jobs, len(cases.cases), separate=limited)
     with screen.progress("frames", counted=True) as on_frames:
         report = run_batch(
-            cases, out or Path("results") / config.stem, executor, fresh=fresh, on_frames=on_frames
+            cases,
+            out or Path("results") / config.stem,
+            executor,
+            fresh=fresh,
+            on_frames=on_frames,
+            on_checks=partial(on_frames, step="checks"),
         )
     counts = (
         f"{counted(report.done, 'case')} solved, {report.skipped} were done before, "

@@ -1,11 +1,13 @@
 """Options, messages, progress bar, tables and exit codes of all commands."""
 
 import inspect
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
+from io import TextIOWrapper
 from itertools import chain, groupby
 from pathlib import Path
 from shutil import get_terminal_size
@@ -147,7 +149,33 @@ def written(path: Path, *, replaced: bool) -> str:
 
 def warn(sentence: object) -> None:
     """Print a sentence on stderr, after the program's name."""
-    print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+    with suppress(OSError):  # nothing can be said on a full disk
+        print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+
+
+def usable_streams() -> None:
+    r"""Open closed standard streams on the null device, and let them write any character.
+
+    Characters that an encoding lacks are written as escapes, such as \xb1 in ASCII.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number
+            if descriptor != number:
+                os.dup2(descriptor, number)
+                os.close(descriptor)
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def end_of_output(error: OSError) -> str:
+    """Return a sentence on an error of the standard output, which leads nowhere from now on."""
+    descriptor = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(descriptor, sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    os.close(descriptor)
+    return f"standard output cannot be written ({error.strerror or error})"
 
 
 def as_options(sentence: str) -> str:
@@ -184,8 +212,8 @@ def print_notes(notes: Iterable[str]) -> None:
 def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., None]]:
     """Show a progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
 
-    Yields a function that takes the number of finished parts, their total, and a text for the
-    label.
+    Yields a function that takes the number of finished parts, their total, a text for the label,
+    and the name of a further step with a bar of its own.
 
     Parameters
     ----------
@@ -204,11 +232,16 @@ def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., Non
         *[MofNCompleteColumn()] * counted,
     )
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(label, total=None)
+        tasks = {label: bar.add_task(label, total=None)}
 
-        def show(done: int, total: int | None, text: str | None = None) -> None:
+        def show(done: int, total: int | None, text: str | None = None, step: str = label) -> None:
+            if step not in tasks:
+                tasks[step] = bar.add_task(step, total=None)
             bar.update(
-                task, completed=done, total=total, description=text and escape(printable(text))
+                tasks[step],
+                completed=done,
+                total=total,
+                description=text and escape(printable(text)),
             )
 
         yield show

@@ -53,6 +53,11 @@ class Data:
         Number that differs between simultaneous solves of many panels: compiled functions store
         their arguments.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> background = lampest.cost.given.Background(recording.scene)
     >>> data = found.estimator.data(recording.readings()[2], background)
     """

@@ -43,6 +43,7 @@ class State(Given):
 
     All other fields are those that `Given` declares; None where they are not known.
 
+    >>> import dataclasses
     >>> [field.name for field in dataclasses.fields(lampest.State)][:2]
     ['measured', 'sigma']
     """

@@ -181,6 +181,11 @@ class Estimates:
     automatic : bool
         Whether the data chose a weight.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
     (True, (2, 2, 3))
     """
@@ -421,8 +426,18 @@ class Estimates:
 
         They are on failed frames, weights, roles and units, circuit, noise.
         """
+        return (*self._own_doubts, *self.prepared.warnings)
+
+    @property
+    def checks_without_circuit(self) -> tuple[str, ...]:
+        """The doubts that need no check of the circuit, one line each."""
+        return (*self._own_doubts, *self.prepared.warnings_without_check)
+
+    @property
+    def _own_doubts(self) -> tuple[str, ...]:
+        """Doubts about these estimates alone: failed frames, and penalties that overrule data."""
         failed = unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings)))
+        return tuple(filter(None, (failed, self._overruled)))
 
     @property
     def _is_part(self) -> bool:

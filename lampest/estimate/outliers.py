@@ -185,8 +185,8 @@ def _impossible_bounds(circuit: Readout, readings: Readings) -> NDArray[np.bool_
     Noise of that value counts. If more than MAX_SHARE of a frame's readings are, none is flagged.
     """
     bound = (readings.side == AT_LEAST) & (readings.seen > 0)
-    if not bound.any():
-        return bound
+    if not np.any(bound):
+        return np.zeros(bound.shape, dtype=bool)
     plain = np.where(readings.plain, readings.value, np.inf)
     allowed = circuit.largest_possible(plain)
     if readings.sigma is not None:

@@ -63,6 +63,10 @@ class OwnProgram(CasadiOwner):
     circuits : tuple of Circuit
     settings : Settings
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
     >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
     >>> program = lampest.program(recording, terms, frames=[2, 3])
     >>> program.cells(1).shape
@@ -142,6 +146,10 @@ class OwnSolution(CasadiOwner):
     interface : Interface
     result : ProgramResult
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
     >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
     >>> solved = lampest.program(recording, terms).solve()
     >>> solved.status
@@ -329,6 +337,10 @@ def program(
 
     Examples
     --------
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
     >>> terms = [lampest.Misfit(), lampest.Gradient(weight=1e-3)]
     >>> program = lampest.program(recording, terms)
     >>> program.subject_to("equal", program.cells()[0, 0] - program.cells()[1, 2]).solve().solved

@@ -245,3 +245,8 @@ class Prepared:
     def warnings(self) -> tuple[str, ...]:
         """Contradictions of the scene and pitfalls, one line each."""
         return warnings_of(self.recording, self.noise, self.check)
+
+    @cached_property
+    def warnings_without_check(self) -> tuple[str, ...]:
+        """The warnings that need no check of the circuit, one line each."""
+        return warnings_of(self.recording, self.noise, None)

@@ -43,6 +43,11 @@ class Step:
     verification : Verification or None
         Comparison with a second solve by IPOPT; None where none was requested.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
     ((2, 3), 'optimum verified')

@@ -24,11 +24,21 @@ MAX_NOISE_FACTOR = 10.0
 
 
 @np.errstate(all="ignore")
-def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -> tuple[str, ...]:
+def warnings_of(
+    recording: Recording, noise: NoiseEstimate, check: ModelCheck | None
+) -> tuple[str, ...]:
     """Return the warnings of a recording, the simplest first.
 
     Raises InputError as `Readings.of`.
+
+    Parameters
+    ----------
+    recording : Recording
+    noise : NoiseEstimate
+    check : ModelCheck or None
+        Check of the circuit; None: it is left out, and there are no warnings about the circuit.
     """
+    check = check or ModelCheck(explains=True, sentence="")
     readings = recording.readings()
     lesser_load = "" if check.better else _less_load(recording, readings)
     frames = (

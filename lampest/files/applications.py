@@ -71,6 +71,7 @@ class Application:
     answers : mapping of str to str
         Answers to questions of the core, by name.
 
+    >>> from lampest.files.applications import Application
     >>> Application(name="midi", about="notes of pressed cells").commands
     {}
     """

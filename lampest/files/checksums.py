@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ DIGEST = "sha256"  # attribute with the digest of one text or, of a text in olde
 BLOCKS = f"blocks_{DIGEST}"
 # Attribute of the root: digest of the paths and the blocks of all datasets.
 DATASETS = f"datasets_{DIGEST}"
+# Chunks of a dataset: a day at 100 frames a second has half a million while it is recorded.
+MAX_CHUNKS = 10_000_000
 MAX_ATTRIBUTE_BYTES = 4_000  # HDF5 may store larger ones without a checksum
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file,
 # root, checksum.
@@ -178,11 +181,24 @@ def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
     return values[begin - start : max(end, begin) - start]
 
 
+def check_chunks(dataset: h5py.Dataset) -> None:
+    """Raise ValueError if a dataset declares more than MAX_CHUNKS chunks.
+
+    HDF5 would visit all of them.
+    """
+    if dataset.chunks:
+        sizes = zip(dataset.shape, dataset.chunks, strict=True)
+        count = prod(-(-size // part) for size, part in sizes)
+        if count > MAX_CHUNKS:
+            raise ValueError(f"it declares {count} chunks; more than {MAX_CHUNKS} are not read")
+
+
 def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
     """Yield all values of a dataset by blocks, with their place.
 
-    Raises ValueError if they differ from a digest.
+    Raises ValueError if they differ from a digest, or are in too many chunks.
     """
+    check_chunks(dataset)
     if dataset.shape and BLOCKS in dataset.attrs:
         for first, last in pairwise([*_entries(dataset), len(dataset)]):
             yield slice(first, last), read_verified(dataset, slice(first, last))
@@ -230,6 +246,27 @@ def _add_dataset(total: Any, path: bytes, entries: NDArray[Any]) -> None:
     total.update(path + b" " + entries.tobytes())
 
 
+def check_datasets(file: h5py.File) -> None:
+    """Raise InputError if datasets were exchanged or removed, as by the header of another file.
+
+    No values are read. Files of older versions have no digest of all datasets.
+    """
+    with located(file, f"/@{DATASETS}"):
+        expected = file.attrs.get(DATASETS)
+    if expected is None:
+        return
+    total = hashlib.sha256()
+    for path, node in nodes_below(file, "/"):
+        with located(file, path):
+            entries = attribute(node.id, BLOCKS) if isinstance(node, h5py.Dataset) else None
+        if entries is not None:
+            _add_dataset(total, path.encode("utf-8", "surrogateescape"), entries)
+    if expected != total.hexdigest().encode():
+        raise InputError(
+            f"{file.filename}: datasets were added, removed or exchanged after the file was written"
+        )
+
+
 def read_through(file: h5py.File) -> Integrity:
     """Read and verify all values of a file.
 
@@ -239,7 +276,6 @@ def read_through(file: h5py.File) -> Integrity:
     datasets = 0
     without_digest = list[str]()
     without_checksum = list[str]()
-    total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
             for name, value in node.attrs.items():
@@ -249,18 +285,12 @@ def read_through(file: h5py.File) -> Integrity:
                 datasets += 1
                 for _ in verified_blocks(node):
                     pass
-                if BLOCKS in node.attrs:
-                    name = path.encode("utf-8", "surrogateescape")
-                    _add_dataset(total, name, node.attrs[BLOCKS])
-                else:
+                if BLOCKS not in node.attrs:
                     without_digest.append(path)
                 protected &= _has_checksum(node)
             if not protected:
                 without_checksum.append(path)
-    if DATASETS in file.attrs and file.attrs[DATASETS] != total.hexdigest().encode():
-        raise InputError(
-            f"{file.filename}: datasets were added, removed or exchanged after the file was written"
-        )
+    check_datasets(file)
     return Integrity(datasets, tuple(without_digest), tuple(without_checksum))
 
 

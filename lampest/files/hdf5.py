@@ -410,6 +410,7 @@ def read_array(
             f"{file.filename}: {path} claims {size} values; more than {MAX_VALUES} are not read"
         )
     # a part is of a whole
+    checksums.check_chunks(dataset)
     stored = dataset.id.get_storage_size()
     claimed = dataset.size * dataset.dtype.itemsize
     # Deflate compresses to a 1032nd at best; a larger claim has no stored values behind it.

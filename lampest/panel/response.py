@@ -208,6 +208,7 @@ class PowerResponse(Response):
 
     Example: {kind: power, exponent: 0.8, scale_kpa: 1.5}
 
+    >>> import numpy as np
     >>> lampest.PowerResponse(exponent=1.0, scale_kpa=1.0).pressure(np.log(0.5)).round(6)
     np.float64(1.0)
     """
@@ -269,6 +270,7 @@ class PublishedResponse(Response):
 
     Example: {kind: published}
 
+    >>> import numpy as np
     >>> np.exp(lampest.PublishedResponse().logarithm(2.5)).round(6)
     np.float64(0.52)
     """

@@ -21,6 +21,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
     `assigned` overrides entries by texts PATH=VALUE, such as readout.noise_lsb=1.2. Raises
     InputError with line and column.
 
+    >>> from pathlib import Path
     >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
     >>> lampest.read_scene("scene.yaml").panel.shape
     (2, 3)

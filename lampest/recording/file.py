@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
+from lampest.files.checksums import check_datasets
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
@@ -46,6 +47,7 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
     with hdf5.existing_file(path) as file:
         if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
+        check_datasets(file)
         scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
         if hdf5.read_attribute(file, "/", "lampest_format") == FIRST_FORMAT:
             scene = _with_middle_of_codes(scene)
@@ -117,7 +119,7 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
             hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
         )
     if "raw_sums" in held:
-        held["raw_readings"] = int(hdf5.read_number(file, "/entry/raw", "readings", 0))
+        held["raw_readings"] = read_raw_readings(file)
     frames = len(held["recorded"])
     acquisition = Acquisition.read(file, chosen)
     if acquisition is not None and held["start_time"] is None and frames and "time" in held:
@@ -127,6 +129,21 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
     held.setdefault("time", number.astype(float))
     held["number"] = None if part == hdf5.ALL else number
     return held
+
+
+def read_raw_readings(file: h5py.File) -> int:
+    """Return the number of codes in each sum; 0 without it.
+
+    Raises InputError unless it is a whole number of 16 bits.
+    """
+    number = hdf5.read_number(file, "/entry/raw", "readings", 0)
+    most = np.iinfo(np.uint16).max
+    if not (0 <= number <= most and float(number).is_integer()):
+        raise InputError(
+            f"{file.filename}: /entry/raw@readings must be a whole number from 0 to {most}, not "
+            f"{number:g}"
+        )
+    return int(number)
 
 
 def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:

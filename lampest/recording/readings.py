@@ -111,6 +111,10 @@ class Readings:
     seen : array
         1, or 0 for a missing reading.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
     >>> lampest.Readings.of(recording.scene, recording.recorded).value.shape
     (4, 2, 3)
     """

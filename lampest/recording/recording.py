@@ -76,6 +76,10 @@ class Recording(Validated):
 
     Raises InputError if shapes disagree, times decrease, or a standard deviation is not positive.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
     >>> recording
     Recording(mine: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)
     """
@@ -323,6 +327,7 @@ class Recording(Validated):
         InputError
             If dimensions are not recognised, or a value is impossible in this unit and scene.
 
+        >>> import numpy as np
         >>> import xarray
         >>> values = np.full((2, 3, 4), 500.0)
         >>> axes = ("row", "column", "time")

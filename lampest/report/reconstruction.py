@@ -40,6 +40,11 @@ class Reconstruction(Estimates):
     + gradient`), and `columns`, your own columns. They raise InputError for an unfit name and for
     values that do not fit their column.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> found
     Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
     """
@@ -88,6 +93,11 @@ class Reconstruction(Estimates):
 
         They are computed when asked.
 
+        >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+        >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+        >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+        >>> recording = lampest.simulate(of_rod, "mine")
+        >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
         >>> found.advice
         ()
         """
@@ -105,6 +115,11 @@ class Reconstruction(Estimates):
         Statistics are medians over the solved frames. χ² is the sum of squared residuals over their
         variances; its reduced value is near 1 where the scene and its noise explain the readings.
 
+        >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+        >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+        >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+        >>> recording = lampest.simulate(of_rod, "mine")
+        >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
         >>> print(found.fit_report().splitlines()[0])
         [[Model]]
         """

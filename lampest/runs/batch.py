@@ -38,6 +38,7 @@ from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import StoredCase
+from lampest.runs.checks import Checks, CheckTask, RecordingCheck, without_check
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
@@ -54,6 +55,7 @@ CASES = "cases"
 CARRIED = "carried/3"
 # Between two counts of finished frames; least time between two files of these frames.
 EVERY_SECONDS = 1.0
+MAX_RECORDINGS = 2  # prepared ones that a process keeps, for checks that follow all cases
 KEPT_SHARE = 0.05  # largest share of a case's time for these files
 
 
@@ -92,10 +94,11 @@ class Report:
 
 @dataclass(frozen=True)
 class Task:
-    """A case and the folder that takes its result."""
+    """A case, the folder that takes its result, and whether a long recording is checked with it."""
 
     case: Case
     folder: Path
+    checked: bool = True
 
     @property
     def file(self) -> Path:
@@ -164,7 +167,9 @@ class Task:
         """Write parts as they are solved; yield their numbers."""
         for number, estimates, carried in solved:
             write_carried(self.carried(number), carried)
-            write_results(self.part(number), [case_result(self.case, estimates)])
+            write_results(
+                self.part(number), [case_result(self.case, estimates, checked=self.checked)]
+            )
             yield number
 
     def clear_parts(self) -> None:
@@ -183,11 +188,13 @@ def run_batch(
     *,
     fresh: bool = False,
     on_frames: Callable[[int, int], None] = lambda done, frames: None,
+    on_checks: Callable[[int, int], None] = lambda done, checks: None,
 ) -> Report:
     """Solve the cases without a result in `folder`, then write results.h5 with all results.
 
     Failed cases do not affect other cases. An interruption keeps finished cases, and finished
-    frames of running ones.
+    frames of running ones. Circuits are checked last, once a recording, unless an earlier run in
+    this folder did; a recording that is too long for memory is checked with its cases.
 
     Parameters
     ----------
@@ -198,6 +205,8 @@ def run_batch(
         Whether finished cases are solved again.
     on_frames : callable
         Receives the numbers of solved and of all frames every second, from another thread.
+    on_checks : callable
+        Receives the numbers of finished and of all checks.
 
     Raises
     ------
@@ -209,16 +218,26 @@ def run_batch(
     with exclusive(folder), sparing({case.path for case in run.cases}):
         own(folder / RESULTS)
         own(folder / CASES)
-        tasks = [Task(case, folder.absolute()) for case in run.cases]
+        tasks = [Task(case, folder.absolute(), run.check == "all") for case in run.cases]
+        checks = _checks(tasks)
         _clear(folder, tasks, fresh=fresh)
+        for check in checks if fresh else ():
+            remove_own(check.file)
+        checked = {check.recording: check.kept() for check in checks}
+        to_check = [check for check in checks if checked[check.recording] is None]
         finished = _results(tasks)
         waiting = [task for task in tasks if task.file not in finished]
         failed: list[tuple[str, str]] = []
         lost = ""
         try:
-            with _counted(waiting, on_frames), closing(_outcomes(executor, waiting)) as outcomes:
+            outcomes = _outcomes(executor, waiting, to_check)
+            with _counted(waiting, on_frames), closing(outcomes):
                 for task, outcome in outcomes:
-                    if isinstance(outcome, BaseException):
+                    if isinstance(task, CheckTask):
+                        checked[task.recording] = outcome
+                        unfinished = sum(check is None for check in checked.values())
+                        on_checks(len(to_check) - unfinished, len(to_check))
+                    elif isinstance(outcome, BaseException):
                         failed.append(_failure(task, outcome))
                     else:
                         finished[task.file] = outcome
@@ -226,7 +245,7 @@ def run_batch(
             lost = str(error)
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
-            cases = _with_unfinished(tasks, finished)
+            cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
             aside = _write_all(folder / RESULTS, cases, run.published)
             _clear(folder, tasks, fresh=False)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
@@ -238,7 +257,7 @@ def run_batch(
             aside=aside,
             not_run=not_run,
             lost=lost,
-            warnings=_different_lines(cases, "warnings"),
+            warnings=(*_different_lines(cases, "warnings"), *_unchecked(checked)),
             advice=_different_lines(cases, "advice"),
             estimated=about_recordings(
                 (case.recording, read_case_scene(case).estimated)
@@ -255,6 +274,41 @@ def _with_unfinished(
     unfinished = _results([task for task in tasks if task.file not in finished], unfinished=True)
     results = {**finished, **unfinished}
     return [results[task.file] for task in tasks if task.file in results]
+
+
+def _checks(tasks: Sequence[Task]) -> list[CheckTask]:
+    """Return the checks of the recordings that fit into memory and can be read."""
+    checks = {
+        task.case.recording: CheckTask(
+            task.case.path, task.case.sha256, task.case.recording, task.folder / CASES
+        )
+        for task in tasks
+        if task.checked and task.case.stored is None and task.case.frames
+    }
+    return list(checks.values())
+
+
+def _with_checks(
+    cases: Sequence[StoredCase],
+    checked: Mapping[str, RecordingCheck | BaseException | None],
+    which: Checks,
+) -> list[StoredCase]:
+    """Return the results with the checks of their recordings, as far as these are finished."""
+    if which == "none":
+        return [without_check(case) for case in cases]
+    results: list[StoredCase] = []
+    for case in cases:
+        check = checked.get(case.recording)
+        results.append(check.apply_to(case) if isinstance(check, RecordingCheck) else case)
+    return results
+
+
+def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> Iterator[str]:
+    """Yield warnings of checks that failed."""
+    for recording, outcome in checked.items():
+        if isinstance(outcome, BaseException) and not isinstance(outcome, InputError):
+            reason = logged_reason(outcome, recording)
+            yield f"{recording}: the circuit was not checked: {reason}"
 
 
 def _write_all(
@@ -315,8 +369,8 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
         report()
 
 
-def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
-    """Return the outcomes of all cases.
+def _outcomes(executor: Executor, waiting: Sequence[Task], checks: Sequence[CheckTask]) -> Pairs:
+    """Return the outcomes of all cases, then those of the checks.
 
     The parts of cases that exceed the memory are solved first.
     """
@@ -326,7 +380,19 @@ def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
             parts += [(task, number) for number in parts_to_solve(task)]
         if parts:  # failures of parts show when their cases are joined
             deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
-        yield from stack.enter_context(closing(executor.results(solve_case, waiting)))
+        tasks = [*waiting, *checks]
+        yield from stack.enter_context(closing(executor.results(solve_task, tasks)))
+
+
+def solve_task(task: Task | CheckTask) -> StoredCase | RecordingCheck:
+    """Solve a case, or check a recording and keep the outcome."""
+    if isinstance(task, Task):
+        return solve_case(task)
+    prepared = _recording(task.path, task.sha256)
+    assert isinstance(prepared, Prepared)
+    check = RecordingCheck.of(prepared)
+    task.keep(check)
+    return check
 
 
 def _put_aside(path: Path, done: Sequence[StoredCase]) -> Path | None:
@@ -460,9 +526,9 @@ def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | No
     return on_frame
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=MAX_RECORDINGS)
 def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
-    """Read and prepare a recording once for successive cases.
+    """Read and prepare a recording once for its cases and its check.
 
     Raises InputError if it was replaced meanwhile.
     """

@@ -108,6 +108,11 @@ class CaseResult(Content):
 
     Examples
     --------
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> found.result().estimator
     'misfit'
     """
@@ -352,6 +357,9 @@ class StoredCase:
         Numbers of its frames, and of the cells of a frame.
     case_id, warnings, advice : str
         Attributes of the case, see `CaseResult`.
+    verdict : (str, str) or None
+        Mark and sentence on the circuit, which results have with `warnings` and `advice` in place
+        of those in the file; None: those in the file.
     """
 
     path: Path
@@ -362,6 +370,7 @@ class StoredCase:
     case_id: str = ""
     warnings: str = ""
     advice: str = ""
+    verdict: tuple[str, str] | None = None
 
     @classmethod
     def of(cls, case: CaseResult, path: Path) -> StoredCase:

@@ -110,6 +110,11 @@ class Column(Validated):
 
     Raises InputError where the name, the axes or a flag's word are invalid.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> taken = lambda estimates: estimates.time
     >>> force = lampest.Column("force", ("time",), "newton", "total force", value=taken)
     >>> found.result(columns=[force]).extra["force"].shape

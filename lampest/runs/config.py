@@ -103,6 +103,7 @@ class RunFile(Choices):
     recordings: list[str]
     estimators: dict[str, EstimatorEntry]
     executor: AnyExecutor | None = None
+    check: Literal["all", "none"] = "all"
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
 
@@ -162,12 +163,15 @@ class Run:
         Executor, if the file names one.
     assumed : tuple of (str, str)
         Recordings and the values that are assumed for missing entries of their scenes.
+    check : str
+        Of which recordings the circuit is checked: 'all' or 'none'.
     """
 
     cases: tuple[Case, ...]
     published: dict[str, PublishedFigures]
     executor: Executor | None = None
     assumed: tuple[tuple[str, str], ...] = ()
+    check: Literal["all", "none"] = "all"
 
 
 @typed
@@ -177,6 +181,12 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     Raises InputError for any fault before the first solve. An unreadable recording among several is
     no fault here: its cases fail later, without effect on the others.
 
+    >>> from pathlib import Path
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> recording.save("mine.h5")
     >>> estimators = "{LSM: {terms: {misfit: {}}}}"
     >>> text = f"{{schema: 1, recordings: [mine.h5], estimators: {estimators}}}"
     >>> _ = Path("run.yaml").write_text(text)
@@ -189,12 +199,17 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
-    fixed = {"executor": "where cases run changes no result, so it cannot be swept"}
+    fixed = {
+        "executor": "where cases run changes no result, so it cannot be swept",
+        "check": "a recording is checked once, so it cannot be swept",
+    }
+    check: Literal["all", "none"] = "all"
     for point in sweep.combinations(
         document, lambda varied: validated(varied, RunFile), "estimators", fixed
     ):
         run: RunFile = point.value
         published |= run.published or {}
+        check = run.check
         executor = (
             run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
         )
@@ -221,9 +236,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     order = {case.recording: None for case in cases}
     unique = {case.case_id: case for case in cases}.values()
     distinct = tuple(case for name in order for case in unique if case.recording == name)
-    return Run(
-        distinct, published, executor, tuple((name, text) for name, text in scenes.items() if text)
-    )
+    assumed = tuple((name, text) for name, text in scenes.items() if text)
+    return Run(distinct, published, executor, assumed, check)
 
 
 def _refuse_unknown(path: Path, document: Document, settings: tuple[str, ...]) -> None:

@@ -33,10 +33,17 @@ NOISE = {
 }
 
 
-def case_result(case: Case, estimates: Estimates) -> CaseResult:
+def case_result(case: Case, estimates: Estimates, *, checked: bool = False) -> CaseResult:
     """Return the result of a run's case, with all columns that its estimates provide.
 
     Raises InputError where the values of a column have a wrong shape or are impossible.
+
+    Parameters
+    ----------
+    case : Case
+    estimates : Estimates
+    checked : bool
+        Whether the circuit is checked for it; else the check is a task of its own.
     """
     names = {
         "recording": case.recording,
@@ -46,7 +53,7 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
     }
     if case.swept:
         names["swept_json"] = json.dumps(case.swept)
-    return _filled(estimates, (), names)
+    return _filled(estimates, (), names, checked=checked)
 
 
 def named_result(
@@ -71,11 +78,18 @@ def named_result(
     content = names | {"readings_sha256": hashlib.sha256(recording.recorded.tobytes()).hexdigest()}
     resolved = to_yaml(content | plain_content(recording.scene) | plain_content(estimator))
     return _filled(
-        estimates, columns, names | {"case_id": hash_of(resolved), "case_yaml": resolved}
+        estimates,
+        columns,
+        names | {"case_id": hash_of(resolved), "case_yaml": resolved},
+        checked=True,
     )
 
 
-def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, str]) -> CaseResult:
+def _filled(
+    estimates: Estimates, columns: Sequence[Column], names: dict[str, str], *, checked: bool
+) -> CaseResult:
+    unchecked = {} if checked else {"warnings": "\n".join(estimates.checks_without_circuit)}
+    left_out = () if checked else ("model_mark", "model_sentence", "advice", "warnings")
     table = all_columns(columns)
     values = {column.name: column.filled(estimates) for column in table}
     result = CaseResult.of(
@@ -88,8 +102,9 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
         **{
             item.name: item.metadata["value"](estimates)
             for item in fields(Content)
-            if item.metadata.get("value")
+            if item.metadata.get("value") and item.name not in left_out
         },
+        **unchecked,
         **{folder.name: folder.value(estimates) for folder in FIGURES},
     )
     result.check(table)

@@ -80,6 +80,11 @@ class PublishedFigures(Configuration):
 class Results:
     """Cases of a file in their order, and published figures by estimator.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> lampest.Results((found.result("LSM"),)).estimators()
     ('LSM',)
     """
@@ -159,6 +164,11 @@ def write_results(
         For repeated cases, different recordings of one name, an extra without column or unfit
         values, and a place that cannot be written.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> lampest.write_results("results.h5", [found.result("LSM")])
     """
     table = all_columns(columns)
@@ -184,6 +194,7 @@ def write_results(
             for number, case in enumerate(held):
                 if isinstance(case, StoredCase):
                     _copy_case(group, case, with_measurement=not number)
+                    _replace_check(group[case.estimator], case)
                 else:
                     _write_case(group, case, table, with_measurement=not number)
                 hdf5.set_attributes(group[case.estimator], order=number)
@@ -260,6 +271,22 @@ def _write_case(
     )
 
 
+def _replace_check(estimate: h5py.Group, case: StoredCase) -> None:
+    """Write the attributes of a check that was made after the case."""
+    if case.verdict is None:
+        return
+    mark, sentence = case.verdict
+    texts = {
+        "model_explains": mark,
+        "model_check": sentence,
+        "advice": case.advice,
+        "warnings": case.warnings,
+    }
+    hdf5.set_attributes(estimate, **{name: text for name, text in texts.items() if text})
+    for name in [name for name, text in texts.items() if not text and name in estimate.attrs]:
+        del estimate.attrs[name]
+
+
 def _copy_case(group: h5py.Group, case: StoredCase, *, with_measurement: bool) -> None:
     """Copy an estimate of a file and, with the first case of a recording, the measurement.
 
@@ -330,6 +357,12 @@ def read_results(
 
     Examples
     --------
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> found.save("results.h5", "LSM")
     >>> lampest.read_results("results.h5").recordings()
     ('mine',)
     """
@@ -368,12 +401,13 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
         cases = []
         for recording in _in_order(file, "/entry"):
             for name in _estimators(file, recording):
-                texts = (
+                case_id, warnings, advice = (
                     str(hdf5.read_attribute(file, f"/entry/{recording}/{name}", text) or "")
                     for text in ("case_id", "warnings", "advice")
                 )
-                sizes = _sizes(file, recording)
-                cases.append(StoredCase(path, recording, name, *sizes, *texts))
+                frames, cells = _sizes(file, recording)
+                stored = StoredCase(path, recording, name, frames, cells, case_id, warnings, advice)
+                cases.append(stored)
         return tuple(cases)
 
 

@@ -36,6 +36,11 @@ SMOOTHING_WIDTH = 1e-8
 class Status(Enum):
     """Status of a solve, as a sentence; only the first six statuses come with an estimate.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> found.steps[0].solution.status.value
     'optimum verified'
     """
@@ -161,6 +166,12 @@ class Outcome:
     at : Evaluation or None
         Evaluation at these cells or near them.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> import numpy as np
     >>> cells, dual = found.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
     1
@@ -213,6 +224,11 @@ class Solution:
     solver : str
         Name of the solver.
 
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
     >>> found.steps[0].solution.solved
     True
     """
@@ -346,8 +362,10 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
         return failure(cost, data, Status.SADDLE, residual, outcome)
     if not verdict.settled:
         return solution_at(at, residual, outcome, UNSETTLED[verdict.definiteness])
-    status = Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM
-    return solution_at(at, residual, outcome, Status.MISSED if misses_many(at) else status)
+    if misses_many(at):
+        return solution_at(at, residual, outcome, Status.MISSED)
+    held = bounds_matter(at, gradient, dual)
+    return solution_at(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
 
 
 def misses_many(at: Evaluation) -> bool:

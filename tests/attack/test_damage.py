@@ -142,13 +142,18 @@ def _place(node: h5py.Dataset) -> int:
     return Path(node.file.filename).read_bytes().index(node[()].tobytes(), header)
 
 
-def _long_recording(path: Path, rng: Rng, shape: tuple[int, int, int]) -> Path:
+def _long_recording(
+    path: Path, rng: Rng, shape: tuple[int, int, int], series_ohm: float = 0.0
+) -> Path:
     """A recording of several chunks; smooth readings are packed, noisy ones are not."""
     role = np.ones(shape[0], dtype=np.uint8)
     role[:3] = 0
     values = rng.uniform(500, 5000, shape).round(9 * (shape[1] % 2))
     Recording(
-        Scene(Panel(*shape[1:]), TwoPointReadout()), values, np.arange(float(shape[0])), role
+        Scene(Panel(*shape[1:]), TwoPointReadout(), series_ohm),
+        values,
+        np.arange(float(shape[0])),
+        role,
     ).save(path)
     return path
 
@@ -239,6 +244,74 @@ def test_check_notices_exchanged_and_foreign_datasets(
                 del group["resistance"]
                 foreign.copy("entry/two_point/resistance", group)
         yield called("check", path).refused("datasets were added, removed or exchanged")
+
+
+def test_the_header_of_another_recording_is_refused_by_every_reader(tmp_path: Path) -> None:
+    """A sector of 512 bytes has the scene; a run took that of the other recording."""
+    path, other = (
+        _long_recording(tmp_path / f"{name}.h5", np.random.default_rng(SEED), (20, 3, 4), series)
+        for name, series in (("a", 100.0), ("b", 200.0))
+    )
+    content = path.read_bytes()
+    foreign = other.read_bytes()
+    assert len(content) == len(foreign)
+    refused = 0
+    for first in range(0, 4096, 512):
+        path.write_bytes(content[:first] + foreign[first : first + 512] + content[first + 512 :])
+        try:
+            assert np.all(Recording.load(path).scene.series_ohm == 100.0), first
+        except InputError as error:
+            assert "datasets were added, removed or exchanged" in str(error)
+            assert called("info", path).code == 2
+            refused += 1
+    assert refused
+
+
+def test_the_documented_edit_of_values_leaves_a_file_that_check_accepts(tmp_path: Path) -> None:
+    path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
+    with h5py.File(path, "r+") as file:
+        dataset = file["entry/two_point/resistance"]
+        dataset[0, 0, 0] = 1234.5
+        del dataset.attrs[BLOCKS], file.attrs[DATASETS]
+    completed = called("check", path)
+    assert completed.code == 0 and "/entry/two_point/resistance" in completed.out
+    assert Recording.load(path).recorded[0, 0, 0] == 1234.5
+
+
+@pytest.mark.parametrize("growing", [{}, {"maxshape": (None,)}])
+def test_check_does_not_visit_a_billion_declared_chunks(
+    tmp_path: Path, growing: dict[str, Any]
+) -> None:
+    """HDF5 counted them for minutes, and Python for hours."""
+    path = _long_recording(tmp_path / "a.h5", np.random.default_rng(SEED), (20, 3, 4))
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file["entry"].create_dataset("mine", (10**9,), "f8", chunks=(1,), **growing)
+    completed = called("check", path)
+    assert completed.code == 2 and "/entry/mine is damaged (it declares 1000000000 chunks" in (
+        completed.err
+    )
+
+
+@pytest.mark.parametrize("readings", [-20, 1e9, 2.5])
+def test_an_impossible_number_of_readings_is_refused(tmp_path: Path, readings: float) -> None:
+    """A traceback where the recording was written again."""
+    sums = np.full((4, 3, 4), 9000, dtype=np.uint16)
+    recording = Recording(
+        Scene(Panel(3, 4), TwoPointReadout(readings=20), 140.0),
+        np.full((4, 3, 4), 700.0),
+        np.arange(4.0),
+        np.array([0, 1, 1, 1], dtype=np.uint8),
+        raw_sums=sums,
+        raw_readings=20,
+    )
+    path = tmp_path / "a.h5"
+    recording.save(path)
+    with h5py.File(path, "r+") as file:
+        file["entry/raw"].attrs["readings"] = readings
+    for words in (("info", path), ("tare", path, "--frames", "0:1", "--out", tmp_path / "b.h5")):
+        completed = called(*words)
+        assert completed.code == 2 and "/entry/raw@readings must be a whole number" in completed.err
+    assert not (tmp_path / "b.h5").exists()
 
 
 def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> None:

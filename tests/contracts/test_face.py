@@ -4,8 +4,8 @@ Wrong use is one sentence; defaults are here, too.
 """
 
 import ast
-import dataclasses
 import doctest
+import inspect
 import os
 import re
 import subprocess
@@ -337,48 +337,33 @@ def test_errors_name_the_kind_of_a_file_and_a_missing_library(
         estimate.to_xarray()
 
 
-@pytest.fixture(scope="module")
-def example_names() -> dict[str, object]:
-    """What examples may take without a word.
-
-    It is a small recording, also as mine.h5, and what was found of it.
-    """
-    scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
-    load = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
-    simulation = lampest.Simulation(
-        schema=1, seed=1, scene=scene, baseline_frames=2, frames=2, loads=(load,)
-    )
-    recording = replace(lampest.simulate(simulation), name="mine")
-    examples = {"recording": recording, "found": lampest.reconstruct(recording, [Misfit()])}
-    return {"lampest": lampest, "np": np, "dataclasses": dataclasses, "Path": Path} | examples
-
-
 @pytest.mark.parametrize(
     "name",
     [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")],
 )
-def test_examples_in_docstrings_run(
-    name: str, example_names: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_example_in_a_docstring_runs_after_import_lampest_alone(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Each in a namespace of its own, as it is pasted, methods included."""
     monkeypatch.chdir(tmp_path)
-    if name in ("read_run", "read_results", "export_results", "plot_results", "comparison"):
-        example_names["recording"].save("mine.h5")
-        example_names["found"].save("results.h5", "LSM")
-    examples = doctest.DocTestFinder(recurse=False).find(
-        getattr(lampest, name), name, globs=dict(example_names)
-    )
-    assert examples and examples[0].examples, f"{name} has no example"
+    public = getattr(lampest, name)
+    examples = doctest.DocTestFinder(recurse=inspect.isclass(public)).find(public, name)
+    whole = next(example for example in examples if example.name == name)
+    assert whole.examples, f"{name} has no example"
     for example in examples:
+        example.globs = {"lampest": lampest}
         assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
 
 
-def test_progress_counts_all_frames(example_names: dict[str, object]) -> None:
+def test_progress_counts_all_frames() -> None:
+    scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    recording = lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=scene, frames=2))
     progress: list[tuple[int, int]] = []
     estimate = lampest.reconstruct(
-        example_names["recording"], [Misfit()], progress=lambda *frames: progress.append(frames)
+        recording, [Misfit()], progress=lambda *frames: progress.append(frames)
     )
     assert progress == [(1, 2), (2, 2)] and estimate.solved.all()
-    assert lampest.reconstruct(example_names["recording"], [Misfit()], progress=True).solved.all()
+    assert lampest.reconstruct(recording, [Misfit()], progress=True).solved.all()
 
 
 @pytest.fixture(scope="module")

@@ -562,7 +562,7 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
         noise = Prepared(recording).noise
         assert (
             noise.estimated["systematic.reading_error"][0] < 5 * ABSENT
-            and not noise.possible_errors.in_sigma > 0.001
+            and not noise.possible_errors.in_sigma > ABSENT
         )
 
 

@@ -29,7 +29,7 @@ from lampest.files.whole import check_output, folder_beside, is_locked, locked, 
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, group_of
-from lampest.recording.file import recording_file
+from lampest.recording.file import read_raw_readings, recording_file
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, save_parts
 
@@ -338,7 +338,7 @@ def repair(path: Path) -> tuple[int, int]:
             intact = rows.undamaged(file)
             if len(intact) and not intact.any():
                 raise InputError(f"{path}: every frame is damaged")
-            readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
+            readings = read_raw_readings(file)
             estimates = rows != Rows.of_frames(scene.circuit)
             with Journal.create(
                 folder / path.name, scene, readings, estimates=estimates

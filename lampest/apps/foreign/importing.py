@@ -117,6 +117,7 @@ def import_file(  # noqa: PLR0913 # the options of a command
     InputError
         With file and place, if anything does not fit.
 
+    >>> from pathlib import Path
     >>> _ = Path("mine.csv").write_text("500,510,490\n505,515,250\n")
     >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3, unit="ohm")
     >>> mine.recorded[1]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Frames, Index, Shape
 from lampest.apps.foreign.beside import described, with_one_clock
+from lampest.apps.foreign.breaks import WholeFrames, whole_parts
 from lampest.apps.foreign.table import ReadingsTable, kind_of
 from lampest.apps.foreign.words import COLUMN, ROW, cell_of, line_of, role_of
 from lampest.files.errors import InputError, counted
@@ -77,7 +78,7 @@ def _begins_with_a_separator(table: ReadingsTable, shape: Shape) -> bool:
 def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
     """Return the frames of a table with one number a line, row by row."""
     cells = shape[0] * shape[1]
-    frame, cell, begins, left_out, title = _blocks(table, cells)
+    frame, cell, begins, left_out, title = _blocks(table, cells, [0])
     row, column = np.divmod(cell, shape[1])
     note = f"one number a line, {cells} lines a frame; row by row{left_out}"
     at = (frame[:, None], row[:, None], column[:, None])
@@ -376,7 +377,7 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
     title = None
     left_out = ""
     if labels is None:
-        frame, row, begins, left_out, title = _blocks(table, shape[0])
+        frame, row, begins, left_out, title = _blocks(table, shape[0], fields)
     else:
         often = Counter(kind for kinds in table.kinds for kind in kinds)
         frames = int(np.bincount(labels).max())
@@ -442,8 +443,13 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
     return [number - first for number in numbers], f"columns by their names from {first}"
 
 
-def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], str, str | None]:
+def _blocks(
+    table: ReadingsTable, rows: int, fields: Sequence[int]
+) -> tuple[Index, Index, list[int], str, str | None]:
     """Return the assignment of lines without row names to frames and rows.
+
+    `fields` are those with readings. Without marks between frames the readings show whether lines
+    are lost or doubled; raises InputError if lines are, and the readings do not show which.
 
     Returns
     -------
@@ -457,11 +463,36 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
         Kind of the titles between frames.
     """
     groups, title = _grouped(table, rows)
+    parts = whole_parts(table.values[:, fields], rows) if len(groups) == 1 else ()
+    if parts is None:
+        raise InputError(
+            f"{table.source.source}: {counted(len(table.lines), 'line')} are no whole number of "
+            f"frames of {rows} lines, and the readings do not show which are lost, doubled or of a "
+            "cut frame; leave the lines before the first whole frame and behind the last one out"
+        )
     frame = np.full(len(table.lines), -1)
     row = np.zeros(len(table.lines), dtype=np.intp)
     begins: list[int] = []
     notes: list[str] = []
-    for number, lines in enumerate(groups):
+
+    def take(lines: range) -> None:
+        frame[lines] = len(begins) + np.arange(len(lines)) // rows
+        row[lines] = np.arange(len(lines)) % rows
+        begins.extend(lines[::rows])
+
+    for passed, part in pairwise([WholeFrames(0, 0), *parts]) if len(groups) == 1 else ():
+        first, last = (table.source.called(int(table.lines[at])) for at in (passed.end, part.begin))
+        if passed.end:
+            notes.append(
+                f"lines are lost or doubled between {first} and {last}: a frame is missing"
+            )
+            begins.append(passed.end)
+        elif part.begin:
+            notes.append(f"the lines before {last} are of a cut frame, and left out")
+        take(range(part.begin, part.end))
+    if len(groups) == 1 and (rest := (parts[-1].end - parts[-1].begin) % rows):
+        notes.append(f"the last frame has {rest} of {rows} lines")
+    for number, lines in enumerate(groups) if len(groups) > 1 else ():
         place = table.source.called(int(table.lines[lines[0]]))
         cut = len(lines) % rows
         if number == 0 and len(groups) > 1 and len(lines) < rows:
@@ -470,9 +501,7 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
             notes.append(f"the block at {place} has {len(lines)} of {rows} lines and is missing")
             begins.append(lines[0])
         else:
-            frame[lines] = len(begins) + np.arange(len(lines)) // rows
-            row[lines] = np.arange(len(lines)) % rows
-            begins += lines[::rows]
+            take(lines)
     skipped: list[str] = []
     if title is not None:
         for before in table.before[1:]:

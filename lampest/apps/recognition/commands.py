@@ -25,6 +25,7 @@ def detect(
     threshold: Annotated[float, screen.option(min=0.5, max=1.0)] = 0.9,
     estimator: str | None = None,
     frames: screen.FramesNamed = None,
+    no_check: bool = False,
 ) -> None:
     """Detect contacts: since when, where, how large, and whether one sucks.
 
@@ -49,6 +50,8 @@ def detect(
         Probability from which something is called a lamprey or a suction cup. Default: 0.9.
     estimator
         Estimator whose force and area are printed, such as LSM. Default: the first.
+    no_check
+        Leave out whether the circuits of recordings explain their readings.
     """
     from lampest.apps.recognition.detect.detection import (
         detect_recording,
@@ -77,7 +80,10 @@ def detect(
                     results.named("estimator", (estimator or results.estimators()[0],))
                 )
             else:
-                answers.append(detect_recording(source, patch, named, threshold, on_case))
+                answer = detect_recording(
+                    source, patch, named, threshold, on_case, check=not no_check
+                )
+                answers.append(answer)
     answers = named_apart(answers)
     if json_:
         content = [answer.content() for answer in answers]

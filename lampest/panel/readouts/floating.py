@@ -358,6 +358,7 @@ def two_point_resistance(cell_resistance: Array) -> Array:
     `exact_two_point_resistance`. Raises ValueError if a cell is negative or NaN. Source: paper,
     equations (5)-(10).
 
+    >>> import numpy as np
     >>> lampest.two_point_resistance(np.full((2, 2), 1000.0)).round(6)
     array([[750., 750.],
            [750., 750.]])

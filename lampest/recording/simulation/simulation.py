@@ -184,7 +184,8 @@ class Simulation(Configuration):
     output : str, or None
         Path of the recording, relative to the simulation's file.
 
-    >>> lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2).frames
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> lampest.Simulation(schema=1, seed=1, scene=scene, frames=2).frames
     2
     """
 
@@ -267,7 +268,8 @@ def simulate(
 
     Raises ValueError if a cell's or a measured resistance is out of range.
 
-    >>> two = lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> two = lampest.Simulation(schema=1, seed=1, scene=scene, frames=2)
     >>> lampest.simulate(two).recorded.shape
     (5, 2, 3)
     """
@@ -479,6 +481,7 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
     The output path is as in the file. `settings` are entries PATH=VALUE that override those of the
     file. Raises InputError with line and column.
 
+    >>> from pathlib import Path
     >>> text = "{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}"
     >>> _ = Path("simulation.yaml").write_text(text)
     >>> len(lampest.read_simulations(Path("simulation.yaml")))

@@ -79,6 +79,12 @@ def export_results(
 
     Examples
     --------
+    >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
+    >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
+    >>> of_rod = lampest.Simulation(1, 1, scene, baseline_frames=2, frames=2, loads=(rod,))
+    >>> recording = lampest.simulate(of_rod, "mine")
+    >>> found = lampest.reconstruct(recording, [lampest.Misfit()])
+    >>> found.save("results.h5", "LSM")
     >>> lampest.export_results("results.h5", "mat")[0].name
     'results.mat'
     """

@@ -256,3 +256,21 @@ def test_detect_refuses_files_other_than_recordings_and_results(tmp_path: Path) 
         file["x"] = 1
     with pytest.raises(InputError, match=r"other\.h5"):
         detect_recording(tmp_path / "other.h5")
+
+
+def test_detection_without_a_check_says_so_and_computes_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene(Panel(5, 5, 10.0), TwoPointReadout())
+    load = Rod(centre_mm=(20.0, 20.0), diameter_mm=20, mass_g=500)
+    recording = simulate(Simulation(1, 3, scene, frames=3, loads=(load,)))
+    recording.save(tmp_path / "rod.h5")
+
+    def refused(prepared: Prepared) -> None:
+        raise AssertionError("checked")
+
+    monkeypatch.setattr(Prepared, "check", property(refused))
+    answer = detect_recording(tmp_path / "rod.h5", check=False)
+    assert any("the circuit was not checked" in line for line in answer.warnings)
+    with pytest.raises(AssertionError, match="checked"):
+        detect_recording(tmp_path / "rod.h5")

@@ -44,6 +44,7 @@ NO_RESPONSE = (
     "no pressures and forces, since the scene names no response; shapes are fitted with "
     "the published one"
 )
+NOT_CHECKED = "the circuit was not checked: --no-check leaves it out"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
 # Of the change to a bound: the cell is pressed at least so much, how much more is unknown.
 BOUND_SHARE = 0.1
@@ -332,6 +333,8 @@ def detect_recording(
     frames: range | None = None,
     threshold: float = MIN_PROBABILITY,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    check: bool = True,
 ) -> Detected:
     """Return the answer to a recording, which is read part by part.
 
@@ -348,6 +351,9 @@ def detect_recording(
         Probability from which an attachment is called a lamprey, or a suction cup.
     on_frame : callable
         Receives the numbers of watched and of all frames.
+    check : bool
+        Whether the circuit is checked; otherwise it is taken to explain the readings, and a note
+        says so.
     """
     stored = StoredRecording.of(path)
     part = stored.part(stored.blocks[0])
@@ -355,8 +361,10 @@ def detect_recording(
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    watched = known_of(head, patch_mm)
-    doubts = warnings_of(head.recording, recognition_noise(head), head.check)
+    watched = known_of(head, patch_mm, check=check)
+    doubts = warnings_of(head.recording, recognition_noise(head), head.check if check else None)
+    if not check:
+        doubts = (*doubts, NOT_CHECKED)
     messages = tuple(doubt for doubt in doubts if not doubt.startswith((TOUCHED, UNEVENLY)))
     if isinstance(watched, Detected):
         return replace(watched, warnings=messages, start_time=stored.start_time)
@@ -375,10 +383,13 @@ def detect_recording(
     return replace(watched.answer(looked_at()), warnings=messages)
 
 
-def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
+def known_of(
+    prepared: Prepared, patch_mm: float | None = None, *, check: bool = True
+) -> "Known | Detected":
     """Return the knowledge from the first frames of a recording, or an answer.
 
-    The answer has the reason why there is none.
+    The answer has the reason why there is none. Without `check` the circuit is taken to explain the
+    readings.
     """
     head = prepared.recording
     readings = head.readings()
@@ -420,7 +431,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
         notes,
         patch_mm,
     )
-    explained = prepared.check.explains is not False
+    explained = not check or prepared.check.explains is not False
     known = Known(head.name, scene, *before, besides, explained)
     side = np.where(resting.seen > 0, resting.side, 0.0)
     if not side.any():

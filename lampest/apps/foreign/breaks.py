@@ -1,0 +1,136 @@
+"""Frames of files without marks between them: lines that are lost or doubled, and cut frames.
+
+The rows of a panel differ from each other more than a row differs from itself a frame later. Where
+s lines are too many (or too few, s < 0), the lines x before have their equals s lines farther on:
+
+    D_s(b) = Σ_l |x_(l + rows + s) − x_l|,   l over the lines of one frame before the break b
+
+is small there, and D_0 is large. Where a load changes, both are large.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lampest.panel.panel import Array
+
+MIN_FRAMES = 4  # fewer show nothing: they are taken from the first line on
+MAX_SHIFT = 3  # lines too many or too few at one place
+MIN_LIKENESS = 1.5  # D_0/D_s at a break; without one the film makes it less than 1
+MAX_MISFIT = 0.98  # mean distance from the rows' medians, over that without breaks
+MIN_STEP = 3.0  # times the second largest step between neighbouring lines: the end of a frame
+
+
+class WholeFrames(NamedTuple):
+    """Whole frames between breaks: lines from `begin` to `end`, without the latter."""
+
+    begin: int
+    end: int
+
+
+class Break(NamedTuple):
+    """Lines too many (positive) or too few at a place, which is between two lines."""
+
+    first: int
+    last: int
+    shift: int
+
+
+def whole_parts(values: Array, rows: int) -> tuple[WholeFrames, ...] | None:
+    """Return the parts of whole frames in lines without marks, (lines, columns).
+
+    The last part may end with a cut frame. None if the lines are no whole number of frames, and the
+    readings do not show why.
+    """
+    surplus = len(values) % rows
+    breaks = _breaks(values, rows)
+    if sum(found.shift for found in breaks) % rows != surplus:  # they do not account for all lines
+        alone = [found for found in breaks if found.shift % rows == surplus]
+        if surplus == 0 or len(values) < MIN_FRAMES * rows:
+            breaks = []
+        elif len(alone) == 1:
+            breaks = alone
+        else:
+            begin = None if breaks else _first_row(values, rows)
+            return None if begin is None else (WholeFrames(begin, len(values)),)
+    parts = _between(breaks, len(values), rows)
+    plain = (WholeFrames(0, len(values)),)
+    if not breaks or _misfit(values, rows, parts) < MAX_MISFIT * _misfit(values, rows, plain):
+        return parts
+    return None if surplus else plain
+
+
+def _between(breaks: list[Break], lines: int, rows: int) -> tuple[WholeFrames, ...]:
+    """Return the parts of whole frames between breaks."""
+    parts = list[WholeFrames]()
+    begin = 0
+    displacement = 0
+    for first, last, shift in breaks:
+        displacement += shift
+        parts.append(WholeFrames(begin, max(begin + (first - begin) // rows * rows, begin)))
+        begin = last + max(shift, 0)
+        begin += (displacement - begin) % rows
+    return (*parts, WholeFrames(begin, lines))
+
+
+def _misfit(values: Array, rows: int, parts: tuple[WholeFrames, ...]) -> float:
+    """Return the mean distance of all lines of whole frames from the median of their row."""
+    frames = np.concatenate(
+        [
+            values[begin : begin + (end - begin) // rows * rows].reshape(-1, rows, values.shape[1])
+            for begin, end in parts
+        ]
+    )
+    return float(np.nan_to_num(np.abs(frames - np.median(frames, axis=0))).mean())
+
+
+def _breaks(values: Array, rows: int) -> list[Break]:
+    """Return the breaks that the lines show, in their order."""
+    found = list[tuple[float, Break]]()
+    own = _distances(values, rows)
+    most = min(MAX_SHIFT, rows // 3)
+    for shift in range(-most, most + 1):
+        length = rows + min(shift, 0)  # lines of a frame whose equals stand behind the break
+        if shift == 0 or len(values) < MIN_FRAMES * rows:
+            continue
+        other = _distances(values, rows + shift)
+        size = min(len(own), len(other))
+        before, after = _sums(own[:size], length), _sums(other[:size], length)
+        contrast = np.where(before > MIN_LIKENESS * after, before - after, 0.0)
+        while contrast.any():
+            at = int(np.argmax(contrast))
+            near = slice(max(at - rows, 0), at + rows + 1)
+            # Places at which no line, but for one that is like its neighbour, speaks against it.
+            likely = near.start + np.flatnonzero(contrast[near] >= (1 - 1 / rows) * contrast[at])
+            place = Break(int(likely[0]) + length, int(likely[-1]) + length, shift)
+            found.append((float(contrast[at]) / length, place))
+            contrast[max(at - 2 * rows, 0) : at + 2 * rows + 1] = 0.0
+    chosen = list[Break]()
+    for _, place in sorted(found, reverse=True):
+        if all(abs(place.first - other.first) >= 2 * rows for other in chosen):
+            chosen.append(place)
+    return sorted(chosen)
+
+
+def _first_row(values: Array, rows: int) -> int | None:
+    """Return the first line of the first whole frame, by the largest step between lines.
+
+    The last row and the first one of the next frame are no neighbours. None if no step is clearly
+    the largest.
+    """
+    steps = _distances(values, 1)
+    usual = np.array([np.median(steps[(row - 1) % rows :: rows]) for row in range(rows)])
+    order = np.argsort(usual)
+    clear = rows > 2 and usual[order[-1]] > MIN_STEP * usual[order[-2]]
+    return int(order[-1]) if clear else None
+
+
+def _distances(values: Array, lag: int) -> Array:
+    """Return the mean distance of each line from the one `lag` lines later; missing ones have 0."""
+    return np.asarray(np.nan_to_num(np.abs(values[lag:] - values[:-lag])).mean(axis=1))
+
+
+def _sums(values: Array, length: int) -> Array:
+    """Return the sums of so many successive values."""
+    total = np.cumsum(np.concatenate([[0.0], values]))
+    return np.asarray(total[length:] - total[:-length])

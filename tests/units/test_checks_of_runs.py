@@ -1,0 +1,149 @@
+"""A run checks the circuit of a recording once, after its estimates, and keeps the outcome."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import lampest
+from lampest.runs import batch
+from lampest.runs.batch import Report, run_batch
+from lampest.runs.checks import NOT_CHECKED, RecordingCheck
+from lampest.runs.config import read_run
+from lampest.runs.executors import Serial
+from lampest.runs.results import read_results
+
+RUN = """
+schema: 1
+recordings: [mine.h5]
+estimators:
+  LSM: {terms: {misfit: {}}}
+  smooth: {terms: {misfit: {}, log_gradient: {weight: 1}}}
+formulation: reduced
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a recording of 4 × 4 cells and its run file."""
+    scene = lampest.Scene(lampest.Panel(4, 4, 10.0), lampest.TwoPointReadout())
+    load = lampest.Rod(centre_mm=(15.0, 15.0), diameter_mm=15, mass_g=400)
+    recording = lampest.simulate(lampest.Simulation(1, 2, scene, frames=3, loads=(load,)))
+    recording.save(tmp_path / "mine.h5")
+    (tmp_path / "run.yaml").write_text(RUN)
+    return tmp_path
+
+
+@pytest.fixture
+def checked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return the list of recordings that are checked from now on."""
+    names: list[str] = []
+    of = RecordingCheck.of
+
+    def counted(prepared: Any) -> RecordingCheck:
+        names.append(prepared.recording.name)
+        return of(prepared)
+
+    monkeypatch.setattr(RecordingCheck, "of", counted)
+    return names
+
+
+def run(folder: Path, text: str = RUN, **options: Any) -> Report:
+    """Run the file of a folder with this text."""
+    (folder / "run.yaml").write_text(text)
+    return run_batch(read_run(folder / "run.yaml"), folder / "out", Serial(), **options)
+
+
+def test_all_estimators_share_one_check_which_is_that_of_reconstruct(
+    folder: Path, checked: list[str]
+) -> None:
+    run(folder)
+    assert checked == ["mine"]
+    found = lampest.reconstruct(lampest.Recording.load(folder / "mine.h5"), [lampest.Misfit()])
+    for case in read_results(folder / "out" / "results.h5").cases:
+        assert case.model_mark == found.model_check.mark
+        assert case.model_sentence == found.model_check.sentence
+        assert case.advice == "\n".join(found.advice)
+        assert sorted(filter(None, case.warnings.split("\n"))) == sorted(found.checks)
+
+
+def test_a_recording_that_has_not_changed_is_not_checked_again(
+    folder: Path, checked: list[str]
+) -> None:
+    run(folder)
+    before = read_results(folder / "out" / "results.h5").cases[0]
+    run(folder, RUN.replace("weight: 1", "weight: 2"))
+    assert checked == ["mine"]
+    after = read_results(folder / "out" / "results.h5").cases
+    assert {case.model_sentence for case in after} == {before.model_sentence}
+    assert {case.warnings for case in after} == {before.warnings}
+    run(folder, fresh=True)
+    assert checked == ["mine", "mine"]
+
+
+def test_a_recording_that_has_changed_and_a_damaged_check_are_checked_again(
+    folder: Path, checked: list[str]
+) -> None:
+    run(folder)
+    [kept] = (folder / "out" / "cases").glob("*.check.json")
+    for text in ("", "[]", "{}", json.dumps(json.loads(kept.read_text()) | {"mark": 1})):
+        kept.write_text(text)
+        run(folder)
+    assert checked == ["mine"] * 5
+    recording = lampest.Recording.load(folder / "mine.h5")
+    recording.recorded[0] *= 1.001
+    recording.save(folder / "mine.h5")
+    run(folder)
+    assert checked == ["mine"] * 6
+
+
+def test_checks_come_after_all_estimates_and_count_as_a_step_of_their_own(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+    solve = batch.solve_task
+
+    def noted(task: Any) -> Any:
+        order.append(type(task).__name__)
+        return solve(task)
+
+    monkeypatch.setattr(batch, "solve_task", noted)
+    frames: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
+    run(
+        folder,
+        on_frames=lambda *numbers: frames.append(numbers),
+        on_checks=lambda *numbers: steps.append(numbers),
+    )
+    assert order == ["Task", "Task", "CheckTask"]
+    measured = len(lampest.Recording.load(folder / "mine.h5").measured_frames())
+    assert frames[-1] == (2 * measured, 2 * measured)
+    assert steps == [(1, 1)]
+
+
+def test_a_run_without_checks_says_so_and_computes_none(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(prepared: Any) -> None:
+        raise AssertionError("checked")
+
+    monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
+    run(folder, f"{RUN}check: none\n")
+    for case in read_results(folder / "out" / "results.h5").cases:
+        assert case.model_mark == NOT_CHECKED
+        assert "not checked" in case.model_sentence
+        assert not case.advice
+
+
+def test_a_check_that_fails_costs_no_estimate(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(prepared: Any) -> RecordingCheck:
+        raise ArithmeticError("a bug")
+
+    monkeypatch.setattr(RecordingCheck, "of", broken)
+    report = run(folder)
+    assert (report.done, report.failed) == (2, ())
+    assert any("the circuit was not checked" in line for line in report.warnings)
+    assert len(read_results(folder / "out" / "results.h5").cases) == 2
