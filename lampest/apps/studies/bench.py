@@ -445,7 +445,7 @@ COMMANDS_SCREEN: Columns = {
     "panel": "{rows} × {columns}",
     "processor s": "{seconds:.2f}",
     "solves s": "{solves_s:.2f}",
-    "ratio": lambda row: text_of(row.ratio, ".3g"),
+    "ratio": "{ratio:.3g}",
 }
 
 
@@ -454,6 +454,7 @@ def sheets(bench: Bench) -> list[study.Sheet]:
     rows = bench_rows(bench.frames)
     totals = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
+    commands = [study.Row(**study.named_values(time, *COMMANDS_CSV)) for time in bench.commands]
     shared = {title: of for title, of in SCREEN.items() if title not in ("method", "quartiles")}
     titled: list[study.Sheet] = [
         ("solvers: all methods together", totals, shared),
@@ -463,7 +464,7 @@ def sheets(bench: Bench) -> list[study.Sheet]:
             {title: of for title, of in SCREEN.items() if title != "solver"},
         ),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
-        ("commands: whole, in fresh processes", bench.commands, COMMANDS_SCREEN),
+        ("commands: whole, in fresh processes", commands, COMMANDS_SCREEN),
     ]
     return [sheet for sheet in titled if sheet[1]]
 
