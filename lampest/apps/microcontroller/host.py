@@ -130,8 +130,11 @@ class Host:
 
 
 @contextmanager
-def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
-    """Compile the library with constants. Raises InputError without a compiler."""
+def compiled(constants: Constants, *flags: str, program: str = "") -> Iterator[Host]:
+    """Compile the library with constants, and with C text of its caller.
+
+    Raises InputError without a compiler.
+    """
     command = compiler()
     if command is None:
         raise InputError(
@@ -140,7 +143,7 @@ def compiled(constants: Constants, *flags: str) -> Iterator[Host]:
     with tempfile.TemporaryDirectory(prefix="lampest-") as name:
         place = Path(name)
         (place / "panel_constants.h").write_text(header(constants, "panel", ()), encoding="ascii")
-        (place / "host.c").write_text(HOST, encoding="ascii")
+        (place / "host.c").write_text(HOST + program, encoding="ascii")
         files = [str(path) for path in sources() if path.suffix == ".c"]
         build = [command, *FLAGS, *flags, f"-I{library_folder()}", str(place / "host.c"), *files]
         try:

@@ -12,7 +12,9 @@
 
 #include "lampest_estimate.h"
 
+#ifndef KEYS_FALL
 #define KEYS_FALL 0.4f       /* of ln r: a third of the resistance at rest; set it by the lightest touch that counts */
+#endif
 #define KEYS_DEVIATIONS 5.0f /* standard deviations: one ghost in three million keys */
 #define KEYS_RELEASE 0.5f    /* share of the fall that is still a press: keys do not flutter */
 #define KEYS_PRODUCTS 30     /* of a standard deviation */
@@ -52,7 +54,7 @@ static inline uint16_t keys_update(lampest_panel *panel, const float *change, ui
     return count;
 }
 
-/* Estimate a scan and look at its keys, unless it does not settle. */
+/* Estimate a scan and look at its keys, unless it does not settle. The baseline follows the film while no key is down. */
 static inline lampest_status keys_scan(lampest_panel *panel, const uint32_t *sums, float *change, uint8_t *pressed,
                                        keys_event event) {
     lampest_status status;
@@ -61,6 +63,7 @@ static inline lampest_status keys_scan(lampest_panel *panel, const uint32_t *sum
         status = lampest_frame(panel, sums, change);
     } while (status.outcome == LAMPEST_FINE && !status.settled && --calls);
     if (status.outcome == LAMPEST_FINE && status.settled) keys_update(panel, change, pressed, event);
+    lampest_follow(panel);
     return status;
 }
 
