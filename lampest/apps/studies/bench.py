@@ -445,7 +445,7 @@ COMMANDS_SCREEN: Columns = {
     "panel": "{rows} × {columns}",
     "processor s": "{seconds:.2f}",
     "solves s": "{solves_s:.2f}",
-    "ratio": "{ratio:.3g}",
+    "ratio": lambda row: text_of(row.ratio, ".3g"),
 }
 
 

@@ -29,9 +29,9 @@ OPEN_OHM = 20_000.0
 PRESSED_OHM = 900.0
 PRESSED = (slice(3, 7), slice(10, 16))
 NEAR_RAIL = 0.5  # relative: an open cell reads a dozen codes of 8 bits
-# Of a pressed cell, relative: codes of 8 bits; measured 0.17, once 0.2002 on a busy machine. The
-# divider without the circuit errs by more than 1.
-MAX_ERROR = 0.2
+# Of a pressed cell, relative: codes of 8 bits; measured 0.21, and 0.58 where the scene does not say
+# that the firmware cuts off two bits. The divider without the circuit errs by more than 1.
+MAX_ERROR = 0.25
 MAX_SECONDS = 0.03  # 15 ms on an idle core; the machine of a test may be busy
 
 
@@ -50,8 +50,9 @@ def codes(scene: lampest.Scene, cells: np.ndarray, seed: int) -> np.ndarray:
     readout = scene.readout
     assert readout is not None
     volt = scene.circuit.exact_reading(cells)
-    noise = np.random.default_rng(seed).normal(0, 0.5, volt.shape)
-    return np.clip(np.floor(volt / readout.full_scale_volt * 256 + noise), 0, 255).astype(np.uint8)
+    noise = np.random.default_rng(seed).normal(0, 2.0, volt.shape)
+    read = np.clip(np.rint(volt / readout.full_scale_volt * 1024 + noise), 0, 1023)
+    return (read.astype(np.int64) >> 2).astype(np.uint8)
 
 
 @pytest.fixture
