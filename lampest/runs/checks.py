@@ -114,4 +114,5 @@ class CheckTask:
 def without_check(case: StoredCase) -> StoredCase:
     """Return a case of a run that leaves the check out."""
     sentence = "the circuit was not checked: the run leaves it out"
-    return replace(case, verdict=(NOT_CHECKED, sentence), advice="")
+    warnings = "\n".join(filter(None, [*case.warnings.split("\n"), sentence]))
+    return replace(case, verdict=(NOT_CHECKED, sentence), advice="", warnings=warnings)

@@ -129,7 +129,10 @@ def test_a_run_without_checks_says_so_and_computes_none(
         raise AssertionError("checked")
 
     monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
-    run(folder, f"{RUN}check: none\n")
+    report = run(folder, f"{RUN}check: none\n")
+    assert [line for line in report.warnings if "not checked" in line] == [
+        "mine: the circuit was not checked: the run leaves it out"
+    ]
     for case in read_results(folder / "out" / "results.h5").cases:
         assert case.model_mark == NOT_CHECKED
         assert "not checked" in case.model_sentence
