@@ -1,6 +1,6 @@
 """Ghosts and misses of the example `keyboard` where the board is not what its constants say.
 
-    python -m tests.apps.microcontroller.wrong_circuits [CHORDS]
+    python -m tests.apps.microcontroller.wrong_circuits [CHORDS [SEED]]
 
 prints a table: chords of three and four keys on 8 × 12 keys, with constants of the nominal circuit.
 """
@@ -33,7 +33,13 @@ BUDGET = Budget(3, 12, 0.05)
 BASELINES = 8  # frames that the example takes at its start
 SCANS = 3  # of a chord, and of no key after it
 PRESSED = 1  # KEYS_DOWN
-FALLS = (0.4, 1.0)  # KEYS_FALL: that of the example, and half of the lightest press
+FALLS = (
+    0.4,
+    0.5,
+    0.6,
+    0.7,
+    1.0,
+)  # KEYS_FALL, from that of the example to half of the lightest press
 NOISE_LSB = 0.7
 READINGS = 4
 BITS = 12
@@ -221,12 +227,13 @@ class Keyboard:
 def main() -> None:
     """Print the table."""
     chords = int(sys.argv[1]) if len(sys.argv) > 1 else 40
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
     print("| board | circuit | threshold | presses | misses | ghosts | stuck |")
     print("|---|---|---|---|---|---|---|")
     for kind in BOARDS:
         for circuit in CIRCUITS:
             for fall in FALLS:
-                numbers = " | ".join(map(str, errors_of(circuit, kind, chords, 0, fall)))
+                numbers = " | ".join(map(str, errors_of(circuit, kind, chords, seed, fall)))
                 print(f"| {kind} | `{circuit}` | {fall} | {numbers} |", flush=True)
 
 

@@ -54,7 +54,8 @@ static inline uint16_t keys_update(lampest_panel *panel, const float *change, ui
     return count;
 }
 
-/* Estimate a scan and look at its keys, unless it does not settle. The baseline follows the film while no key is down. */
+/* Estimate a scan and look at its keys, unless it does not settle. Behind a dead line cells that no reading determines never
+ * settle: there the keys' standard deviations decide alone. The baseline follows the film while no key is down. */
 static inline lampest_status keys_scan(lampest_panel *panel, const uint32_t *sums, float *change, uint8_t *pressed,
                                        keys_event event) {
     lampest_status status;
@@ -62,7 +63,7 @@ static inline lampest_status keys_scan(lampest_panel *panel, const uint32_t *sum
     do {
         status = lampest_frame(panel, sums, change);
     } while (status.outcome == LAMPEST_FINE && !status.settled && --calls);
-    if (status.outcome == LAMPEST_FINE && status.settled) keys_update(panel, change, pressed, event);
+    if (status.outcome == LAMPEST_FINE && (status.settled || status.dead_line)) keys_update(panel, change, pressed, event);
     lampest_follow(panel);
     return status;
 }
