@@ -183,7 +183,7 @@ def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     assert abs(attachment.place[0] - mouth.centres_mm[0][0]) == pytest.approx(
         15, abs=2.5 * attachment.x_mm[1]
     )
-    assert attachment.x_mm[1] < 1.2
+    assert attachment.x_mm[1] < 1
 
 
 @pytest.mark.slow
@@ -194,7 +194,7 @@ def test_error_bars_of_suction_and_breath_contain_unmeasured_films(curve: str) -
         [(answer.suction - answer.true_suction) / answer.suction_sd for answer in watched]
     )
     depth = np.array([(answer.seen_depth - answer.depth) / answer.depth_sd for answer in watched])
-    assert np.abs(suction).max() < 2.5 and np.abs(depth).max() < 2.5
+    assert np.abs(suction).max() < 2.3 and np.abs(depth).max() < 2.3
 
 
 def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
