@@ -90,7 +90,8 @@ def with_lines(
 
 def same_values(scene: Scene, changed: Scene) -> bool:
     """Return whether recorded values stand for the same voltages in two scenes."""
-    first, second = scene.circuit, changed.circuit
+    first = scene.circuit
+    second = changed.circuit
     if first.unit != second.unit or (scene.readout is None) != (changed.readout is None):
         return False
     least, most = first.range_volt

@@ -10,13 +10,11 @@ from lampest.audit.health import Health
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
-from lampest.panel.readouts import LoadedColumnsReadout
 from lampest.panel.readouts.unseen import unseen_sentence
 from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
-HALF = 0.5  # of the supply
 WHOLE = 1e-3  # distance of a code from a whole number
 # By the readings alone, of the panel that is taken, against one that reads alike.
 CLEAR_LOG_ODDS = math.log(1000)
@@ -45,7 +43,6 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     yield from (finding.what for finding in unnamed_effects(prepared))
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
-    yield from _loads_at_half_the_supply(prepared)
     yield from _fewer_bits(prepared)
     yield from _another_panel(prepared)
     try:
@@ -53,24 +50,6 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     except InputError:
         return
     yield from (finding.what for finding in shown.findings if finding.room in OF_CIRCUIT)
-
-
-def _loads_at_half_the_supply(prepared: Prepared) -> Iterator[str]:
-    """Yield the doubt that loads end at another potential than the ground of the scene.
-
-    No reading of a panel lies in the half of the range where those of open cells would.
-    """
-    recording = prepared.recording
-    circuit = recording.scene.circuit
-    if not isinstance(circuit, LoadedColumnsReadout) or circuit.load_volt is not None:
-        return
-    known = prepared.noise.readings.plain
-    shown = prepared.noise.readings.value[known]
-    if shown.size and shown.min() > HALF * circuit.driving_volt:
-        yield (
-            f"no reading is within {100 * HALF:.0f} % of the supply of where the loads end: do "
-            "they end at another potential (load_volt)?"
-        )
 
 
 def _fewer_bits(prepared: Prepared) -> Iterator[str]:

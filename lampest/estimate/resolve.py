@@ -27,6 +27,7 @@ from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
 from lampest.panel.panel import as_panels_have
+from lampest.panel.readouts.characteristic import MAX_VOLT
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
 from lampest.panel.systematic import (
@@ -372,6 +373,11 @@ def _allowed(scene: Scene, key: str, number: float) -> float:
     name = key.rpartition(".")[2]
     if name == "noise_lsb" and scene.readout is not None:
         return min(max(_limited(number), 0.0), 2.0**scene.readout.adc_bits)
+    if key == ZERO and scene.readout is not None:
+        # A zero farther off would leave less than half of the range, or a range beyond MAX_VOLT.
+        full_scale = scene.readout.full_scale_volt
+        most = min(full_scale / 2, MAX_VOLT - full_scale)
+        return min(max(_limited(number), -most), most)
     return within_limits(name, number) if name in LIMITS else _limited(number)
 
 

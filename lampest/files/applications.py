@@ -90,7 +90,7 @@ class Application:
 
 @dataclass(frozen=True)
 class Applications:
-    """What is installed.
+    """Installed applications.
 
     Attributes
     ----------

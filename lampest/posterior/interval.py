@@ -5,7 +5,7 @@ The intervals are two-sided or truncated at a bound.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtrc, gammaincc, log_ndtr, ndtr, ndtri, ndtri_exp, stdtrit
+from scipy.special import bdtrc, gammaincc, gammaincinv, log_ndtr, ndtr, ndtri, ndtri_exp, stdtrit
 
 from lampest.panel.panel import Array
 
@@ -41,6 +41,11 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
     """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom. Any shape."""
     return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+
+
+def chi_square_median(degrees: float) -> float:
+    """Return the median of χ² with positive, possibly fractional degrees of freedom."""
+    return float(2 * gammaincinv(degrees / 2, 0.5))
 
 
 def binomial_tail(count: int, trials: int, chance: float) -> float:

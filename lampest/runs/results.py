@@ -19,6 +19,7 @@ from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.scene_file import scene_text
+from lampest.recording import stored
 from lampest.runs.case import (
     ATTRIBUTES,
     FIGURES,
@@ -36,7 +37,6 @@ from lampest.runs.case import CaseResult as CaseResult
 from lampest.runs.columns import FRAMES, MAPS, Column, Series
 
 FORMAT = "results/1"
-MAX_BYTES_IN_MEMORY = 100_000_000  # of stored cases; the file of more is built on the disk
 POSITIONS = "y x"  # attribute `coordinates` of the CF conventions, which xarray reads
 
 
@@ -177,8 +177,10 @@ def write_results(
         recordings.setdefault(case.recording, []).append(case)
     for held in recordings.values():
         _check_together([case for case in held if isinstance(case, CaseResult)], columns)
-    size = sum(case.path.stat().st_size for case in cases if isinstance(case, StoredCase))
-    large = size > MAX_BYTES_IN_MEMORY
+    held_in_files = [case for case in cases if isinstance(case, StoredCase)]
+    size = sum(case.path.stat().st_size for case in held_in_files)
+    # As many readings as a recording in memory has; the file of more is built on the disk.
+    large = sum(case.frames * case.cells for case in held_in_files) > stored.MAX_READINGS
     with hdf5.new_large_file(Path(path), size) if large else hdf5.new_file(Path(path)) as file:
         entry = _begun(file, next(iter(recordings), ""))
         if published:
@@ -406,8 +408,9 @@ def stored_cases(path: Path) -> tuple[StoredCase, ...]:
                     for text in ("case_id", "warnings", "advice")
                 )
                 frames, cells = _sizes(file, recording)
-                stored = StoredCase(path, recording, name, frames, cells, case_id, warnings, advice)
-                cases.append(stored)
+                cases.append(
+                    StoredCase(path, recording, name, frames, cells, case_id, warnings, advice)
+                )
         return tuple(cases)
 
 
@@ -457,10 +460,10 @@ def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
 
 def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
     """Return the slice of the stored frames that belong to a range; None if it is empty."""
-    stored = hdf5.read_array(
+    numbers = hdf5.read_array(
         file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1
     )
-    begin, end = np.searchsorted(stored, (frames.start, frames.stop))
+    begin, end = np.searchsorted(numbers, (frames.start, frames.stop))
     return slice(int(begin), int(end)) if begin < end else None
 
 

@@ -19,6 +19,7 @@ from lampest import Panel, Recording, Scene, TwoPointReadout, two_point_resistan
 from lampest.files.checksums import BLOCKS, DATASETS
 from tests.small_files import COMMAND
 
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
 VICTIMS = ("command", "all", "worker")
 TIMES = ("solve_time", "error_bar_time", "baseline_solve_time_s")
 RUN = """\
@@ -31,6 +32,16 @@ estimators:
 """
 
 
+def default_signals() -> None:
+    """As a terminal starts a program, whatever started the tests.
+
+    Children inherit ignored signals: shells start background jobs without Ctrl-C, nohup ignores
+    SIGHUP.
+    """
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+
+
 @dataclass(frozen=True)
 class Batch:
     """A run's file and the count of its cases."""
@@ -39,10 +50,7 @@ class Batch:
     count: int
 
     def start(self, out: Path, jobs: int | None = None) -> subprocess.Popen[str]:
-        """Start the command as the leader of a session, so that its processes are known.
-
-        Shells start background jobs with Ctrl-C ignored, and children inherit that.
-        """
+        """Start the command as the leader of a session, so that its processes are known."""
         command = [
             COMMAND,
             "run",
@@ -57,7 +65,7 @@ class Batch:
             "text": True,
             "start_new_session": True,
         }
-        options |= {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
+        options |= {"preexec_fn": default_signals}
         return subprocess.Popen(command, **options)
 
     def finish(self, out: Path, jobs: int = 1) -> dict[str, Any]:

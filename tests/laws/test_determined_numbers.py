@@ -26,6 +26,8 @@ def scene_that_asks_for(key: str) -> lampest.Scene:
     readout = lampest.TwoPointReadout(noise_lsb=0.7)
     scene = lampest.Scene(lampest.Panel(*SHAPE), readout)
     entry: dict[str, Any] = {name: ESTIMATED}
+    if section == "readout.converter":
+        return replace(scene, readout=replace(readout, converter=lampest.Characteristic(**entry)))
     if section == "readout":
         return replace(scene, readout=replace(readout, **entry))
     if section == "systematic":

@@ -27,7 +27,8 @@ import pytest
 from lampest import CaseResult, InputError, read_results
 from lampest.files import process
 from lampest.runs import batch, executors
-from lampest.runs.batch import Task, run_batch, solve_case
+from lampest.runs.batch import Task, run_batch, solve_task
+from lampest.runs.checks import CheckTask
 from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, LostError, Processes, Serial, Tls
 
@@ -52,15 +53,15 @@ CHILD_SECONDS = 60.0  # life of a child that holds the pipe of its dead parent o
 HANG_SECONDS = 600.0  # of a task that is to be ended long before
 
 
-def dying_once(task: Task) -> Any:
-    """Solves a case, but the first process that meets LSR-CR dies in the middle of writing."""
+def dying_once(task: Task | CheckTask) -> Any:
+    """Does a task, but the first process that meets LSR-CR dies in the middle of writing."""
     mark = task.folder / "died"
-    if task.case.name == "LSR-CR" and not mark.exists():
+    if isinstance(task, Task) and task.case.name == "LSR-CR" and not mark.exists():
         task.file.parent.mkdir(exist_ok=True)
         mark.touch()
         task.file.with_name(f".{task.file.name}.1.part").write_text("half")
         os.kill(os.getpid(), signal.SIGKILL)
-    return solve_case(task)
+    return solve_task(task)
 
 
 def test_ctrl_c_during_a_hand_over_leaves_no_busy_worker(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,7 +90,7 @@ def test_results_equal_those_of_serial_even_if_a_worker_dies(
     )
     run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
     reference = run_batch(run, disk.folder / "one", Serial())
-    monkeypatch.setattr("lampest.runs.batch.solve_case", dying_once)
+    monkeypatch.setattr("lampest.runs.batch.solve_task", dying_once)
     report = run_batch(run, disk.folder / "two", executor)
     assert (disk.folder / "two" / "died").exists()
     assert (report.done, report.skipped, report.failed) == (6, 0, ())

@@ -90,7 +90,7 @@ def test_the_place_of_a_large_file_is_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int
 ) -> None:
     references = stored(tmp_path, [invented_case(name) for name in METHODS[:2]])
-    monkeypatch.setattr("lampest.runs.results.MAX_BYTES_IN_MEMORY", limit)
+    monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", limit)
     monkeypatch.setattr(hdf5, "new_large_file" if limit else "new_file", None)
     write_results(tmp_path / "r.h5", references)
     assert read_results(tmp_path / "r.h5").estimators() == tuple(METHODS[:2])

@@ -86,7 +86,7 @@ CASES = {
     ),
     "reading of zero": Case(SOUND_SCENE, Faults(shorted=((5, 1),)), least=1 / 72),
     "readings at a rail": Case(
-        replace(SOUND_SCENE, readout=TwoPointReadout(reference_ohm=0.75)), least=0.1
+        replace(SOUND_SCENE, readout=TwoPointReadout(reference_ohm=0.375)), least=0.1
     ),
     "systematic errors": Case(
         replace(SOUND_SCENE, systematic=Systematic(0.02, 3.0)), estimator=ARRIVAL

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from fuzz.batches import batch, finished, without_progress
+from fuzz.batches import SIGNALS, batch, default_signals, finished, without_progress
 from support import until
 from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
@@ -16,15 +16,8 @@ from lampest import Recording
 from lampest.files.process import ending_signals
 from tests.small_files import COMMAND
 
-SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 Running = subprocess.Popen[str]
-
-
-def default_signals() -> None:
-    """As a terminal starts a program, whatever started the tests."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_DFL)
 
 
 def started(*words: object, preexec_fn: Callable[[], None] | None = default_signals) -> Running:

@@ -71,13 +71,6 @@ def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
     assert np.all((lower <= cells()) & (cells() <= upper))
 
 
-def test_loads_at_half_the_supply_are_asked_for() -> None:
-    built = LoadedColumnsReadout(load_ohm=1e5, load_volt=2.5, adc_bits=12, readings=1)
-    scene = LoadedColumnsReadout(load_ohm=1e5, adc_bits=12, readings=1)
-    assert "(load_volt)" in verdict(EXPLAINED, Prepared(recording(scene, built))).sentence
-    assert "(load_volt)" not in verdict(EXPLAINED, Prepared(recording(built, built))).sentence
-
-
 def test_codes_of_fewer_bits_are_asked_for() -> None:
     built = LoadedColumnsReadout(load_ohm=3e4, adc_bits=10, readings=1)
     scene = LoadedColumnsReadout(load_ohm=3e4, adc_bits=12, readings=1)

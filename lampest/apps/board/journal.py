@@ -33,6 +33,7 @@ from lampest.recording.file import read_raw_readings, recording_file
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, save_parts
 
+SWMR_FORMAT = ("v110", "v110")  # the first format that other programs may read as it grows
 PATIENCE_SECONDS = 10.0  # s for which samples wait for a disk that takes none (tests/attack)
 ADDRESS_BYTES = 16_384  # of a block of chunk addresses: that of 500,000 chunks has 8,200
 NO_SPACE = "no space"  # labels of events
@@ -111,7 +112,7 @@ class Journal:
                 path.unlink()
                 raise InputError(f"{path}: cannot be made ({_reason(storage)})")
             with delayed_interrupt():
-                file = stack.enter_context(h5py.File(storage, "w", libver=hdf5.FORMAT))
+                file = stack.enter_context(h5py.File(storage, "w", libver=SWMR_FORMAT))
                 _lay_out(file, scene, readings, rows)
                 file.flush()
                 sync_folder(path.parent)

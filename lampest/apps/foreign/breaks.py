@@ -95,7 +95,8 @@ def _breaks(values: Array, rows: int) -> list[Break]:
             continue
         other = _distances(values, rows + shift)
         size = min(len(own), len(other))
-        before, after = _sums(own[:size], length), _sums(other[:size], length)
+        before = _sums(own[:size], length)
+        after = _sums(other[:size], length)
         contrast = np.where(before > MIN_LIKENESS * after, before - after, 0.0)
         while contrast.any():
             at = int(np.argmax(contrast))

@@ -163,14 +163,23 @@ class CircuitLines:
         conductance += conductance.T
         impedance = np.linalg.inv(np.diag(conductance.sum(axis=0) + self.tie) - conductance)
         own = np.diag(impedance)
-        of_rows, of_columns, mutual = own[:rows, None], own[None, rows:], impedance[:rows, rows:]
+        of_rows = own[:rows, None]
+        of_columns = own[None, rows:]
+        mutual = impedance[:rows, rows:]
         if driven == "rows":
-            drive, release = self.drive[:, None], self.release[:, None]
-            load, gain, own_driven, own_sensed = self.load, self.gain, of_rows, of_columns
+            drive = self.drive[:, None]
+            release = self.release[:, None]
+            load = self.load
+            gain = self.gain
+            own_driven = of_rows
+            own_sensed = of_columns
         else:
-            drive, release = self.drive, self.release
-            load, gain = self.load[:, None], self.gain[:, None]
-            own_driven, own_sensed = of_columns, of_rows
+            drive = self.drive
+            release = self.release
+            load = self.load[:, None]
+            gain = self.gain[:, None]
+            own_driven = of_columns
+            own_sensed = of_rows
         path = (drive + release * own_driven) * (1 + load * own_sensed)
         return np.asarray(gain * mutual / (path - release * load * mutual**2))
 

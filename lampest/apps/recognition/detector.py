@@ -406,6 +406,8 @@ class Detector:
         explained = [
             verdict.best.change != 0,
             *(under(frame.panel, disc) for disc in verdict.best.discs),
+            # the field spreads errors of the readings and changes of a load over other cells
+            np.abs(frame.free_map) <= SIGNIFICANT * frame.free_sd,
         ]
         # states 2 and 3 of the field outside the loads: changes of a few kPa and more
         unexplained = np.where(np.any(explained, axis=0), 0.0, field.change)

@@ -231,4 +231,4 @@ def test_noise_free_readings_of_any_size_are_exact_to_the_converter(
         )
     recording = Recording.load(tmp_path / "r.h5")
     assert recording.raw_readings == readings
-    np.testing.assert_array_equal(recording.raw_sums, readings * np.floor(1024 * volts / 5))
+    np.testing.assert_array_equal(recording.raw_sums, readings * np.floor(1024 * volts / 5 + 0.5))

@@ -70,8 +70,10 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
     log = (tmp_path / "log").read_bytes()
     sent = [(frame, unharmed) for frame, unharmed in logged_frames(log) if frame.sequence <= last]
     by_number = {frame.sequence: frame for frame, _ in sent}
+    identity = sent[-1][0].identity
     wrong = sum(
-        frame_body(by_number[number]) != frame_body(Frame(20, number, device_ms, missed, sums))
+        frame_body(by_number[number])
+        != frame_body(Frame(20, number, device_ms, missed, sums, identity=identity))
         for number, device_ms, missed, sums in zip(
             accepted,
             recording.acquisition.device_ms,

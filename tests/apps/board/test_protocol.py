@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from lampest import InputError
 from lampest.apps.board import port, protocol
 from lampest.apps.board.protocol import (
+    OUTCOMES,
     Answer,
     Estimate,
     Frame,
@@ -194,7 +195,7 @@ def test_estimates_are_decoded_and_impossible_ones_are_garbage() -> None:
         body + b"\0",
         body[:2] + b"\x0f" + body[3:],
         body[:2] + bytes(2) + body[4:9],
-        body[:4] + b"\5" + body[5:],
+        body[:4] + bytes([len(OUTCOMES)]) + body[5:],
     ):
         assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
 

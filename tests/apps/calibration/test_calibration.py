@@ -119,7 +119,7 @@ def recording(
     draws = volt / readout.lsb_volt + noise * rng.standard_normal(
         (readout.readings, frames, *volt.shape)
     )
-    codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
+    codes = np.clip(np.floor(draws + 0.5), 0, 2**readout.adc_bits - 1).astype(int)
     return recording_of(
         scene, readout.recorded_from_sums(codes.sum(axis=0), readout.readings), name="r"
     )

@@ -206,7 +206,7 @@ class Known:
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """Return the values and σ of one frame, (rows, columns).
 
-        σ is infinite where a reading is no value and says nothing of a change; see
+        σ is infinite where a reading is no value and does not bound a change; see
         `with_bounds_counted`.
         """
         sigma = self.sigma if readings.sigma is None else readings.sigma
