@@ -106,8 +106,8 @@ class Explanation:
             if near is not None:
                 explanation = explanation.like(near)
             elif specified is not None and rival.order is None:
-                rough = explanation.like(specified)
-                explanation = rough if rough.score > specified.score + FAR else explanation
+                coarse = explanation.like(specified)
+                explanation = coarse if coarse.score > specified.score + FAR else explanation
             return explanation if np.isfinite(explanation.score) else None
         return None
 
