@@ -145,6 +145,7 @@ def _audit(recording: Recording) -> Iterator[Sentence]:
     Warnings and advice follow.
     """
     from lampest.audit.advice import Audit  # with all of the estimate, which results do without
+    from lampest.audit.widths import widths_of
     from lampest.estimate.prepared import Prepared
 
     with suppress(InputError):  # an estimate raises it; a description of the file does not
@@ -161,6 +162,8 @@ def _audit(recording: Recording) -> Iterator[Sentence]:
             ("warning", warning) for warning in audit.prepared.warnings if warning not in sentence
         )
         yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
+        for number, width in enumerate(widths_of(audit.prepared)):
+            yield "" if number else "width", width.sentence
         yield from (("advice", finding.text) for finding in audit.advice)
 
 
