@@ -60,8 +60,8 @@ class Width:
 def widths_of(prepared: Prepared) -> tuple[Width, ...]:
     """Return the widths of cells and of changes, as the strongest frame shows them.
 
-    Empty where no fit has explained the frames, for modules, and for panels too large for dense
-    matrices.
+    Empty where the scene names no errors, or no fit has explained the frames, for modules, and for
+    panels too large for dense matrices.
 
     Parameters
     ----------
@@ -73,10 +73,10 @@ def widths_of(prepared: Prepared) -> tuple[Width, ...]:
     with suppress(*BROKEN), np.errstate(all="ignore"):
         explanation = prepared.question.explanation
         pair = None if explanation is None else explanation.pair
-        if pair is not None:
-            possible = prepared.noise.possible_errors
-            sizes = systematic_of(prepared.recording.scene) if possible is None else possible.sizes
-            return widths_at(*pair.frames, sizes or Systematic(), pair.moved)
+        possible = prepared.noise.possible_errors
+        sizes = systematic_of(prepared.recording.scene) if possible is None else possible.sizes
+        if pair is not None and sizes is not None:
+            return widths_at(*pair.frames, sizes, pair.moved)
     return ()
 
 
