@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from support import until
 
-from lampest.files.errors import InputError
+from lampest import InputError
 
 ROOT = Path(__file__).parents[2]
 MAX_KPA = 40.0  # where the response's curve ends
