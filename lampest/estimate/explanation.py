@@ -377,7 +377,7 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
         return explanation
-    if not _may_gain(explanation, _response_to_memory(explanation, frames)):
+    if not may_gain_by_memory(explanation, frames):
         return explanation
     search = _ParameterSearch(rival.with_memory, frames, explanation)
     coarse = min(MEMORIES, key=search.score)
@@ -386,6 +386,11 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
     fraction = search.best.rival.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+
+
+def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
+    """Return whether a memory of the converter may gain what it costs, by linear theory."""
+    return _may_gain(explanation, _response_to_memory(explanation, frames))
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
