@@ -22,7 +22,6 @@ from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of
 from lampest.files.errors import BROKEN, InputError
-from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.branches import branch
 
@@ -161,7 +160,7 @@ def _fits(
         # of two panels that read alike the one that continues the unloaded panel is meant
         if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
-        if fit is None or (not patient and fit.tail < SIGNIFICANCE):
+        if fit is None or not (patient or fit.within_noise):
             return ()
         fits.append(fit)
     return tuple(fits)

@@ -159,7 +159,7 @@ def _fit_and_changes(
 ) -> "tuple[CellsFit | None, SharedChanges | None]":
     """Return the fit of the unloaded panel, and the changes to the loaded frame; None without."""
     fit = fitted(scene, resting, patient=True)
-    if fit is None or loaded is None or fit.tail < SIGNIFICANCE:
+    if fit is None or loaded is None or not fit.within_noise:
         return fit, None
     prior = systematic_of(scene) or Systematic()
     return fit, shared_changes(scene, fit, loaded, prior, noise)
