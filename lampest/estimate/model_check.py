@@ -247,9 +247,7 @@ class Question(ComparedFrames):
             pairs += [] if latest is None else [(question.loaded, FittedPair((resting, latest)))]
         lies_on = applications().provided("recognition", "a load on unloaded cells")
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
-        loaded = (
-            lies_on is not None and resting.within_noise and lies_on(scene.panel, intact)
-        )
+        loaded = lies_on is not None and resting.within_noise and lies_on(scene.panel, intact)
         return replace(find_effects(pairs, kinds), loaded_at_rest=loaded)
 
 
