@@ -152,13 +152,17 @@ def _fits(
     """Return the fits of the frames, see `Explanation.of`; () where one is not explained."""
     readings = frames.readings(rival)
     fits: list[CellsFit] = []
+    chosen = frames.panels if rival is frames.specified else None
     for number, frame in enumerate(readings):
         start = None if near is None else near.fits[number].cells
+        if start is None and chosen is not None:
+            start = (chosen.resting, chosen.loaded)[number]
         if start is None and fits and not patient:
             start = fits[0].cells
         fit = fitted(rival.scene, frame, start, patient=patient)
         # of two panels that read alike the one that continues the unloaded panel is meant
-        if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
+        elsewhere = chosen is None and fit is not None and bool(fits)
+        if elsewhere and fit and branch(fit.network) != branch(fits[0].network):
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
         if fit is None or not (patient or fit.within_noise):
             return ()

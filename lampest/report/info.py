@@ -20,9 +20,15 @@ from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.processed import processing_of
-from lampest.recording.recording import MEASURED, UNLOADED, UNREFERENCED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
-from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
+from lampest.report.strongest import (
+    as_recorded,
+    mean_reading,
+    reference_words,
+    strongest_index,
+    strongest_readings,
+)
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
@@ -301,11 +307,9 @@ def _results_lines(results: Results) -> list[str]:
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        against = "the unloaded panel"
-        if UNREFERENCED in case.warnings:
-            against = "the first measured frame"
         lines.append(
-            f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:"
+            f"cells of {case.recording} × {case.estimator} in {where}, change against "
+            f"{reference_words(case)}:"
         )
         lines += shaded_map(case.relative_change[place])
     return lines

@@ -320,7 +320,7 @@ def page_row() -> dict[str, Any]:
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
         "frames": page.frames_text([3, 5, 6, 7, 9]),
         "between": [
-            compared.between(compared.Interval(2.131, 1.95, 2.361), "%", "+"),
+            compared.between(compared.Interval(2.131, 1.95, 2.361), "%"),
             compared.between(compared.Interval(123.4, 123.39, 123.42)),
             weights_of(invented()[:2]),
         ],

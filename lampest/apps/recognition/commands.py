@@ -32,16 +32,16 @@ def detect(
     """Detect contacts: since when, where, how large, and whether one sucks.
 
     The output is one sentence per recording, then events. Writes detections.h5, visits.csv with one
-    row for each visit, visits.png and a timeline of each recording; of results with pressures also
-    pressed.csv with every frame.
+    row for each visit, visits.png unless all panels are mats, and a timeline of each recording; of
+    results with pressures also pressed.csv with every frame.
 
     Parameters
     ----------
     files
         Recordings, results files, or folders of recordings.
     out
-        Output folder. Default: results/<recording>, of several results/visits, or beside the
-        results.
+        Output folder. Default: results/<recording>, of several results/visits (of mats
+        results/contacts), or beside the results.
     json_
         Print the answers as JSON, and write no files.
     all_
@@ -96,7 +96,7 @@ def detect(
         screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
         return
     if out is None:
-        out = _folder_of_answers(sources, is_results=is_results[0])
+        out = _folder_of_answers(sources, answers, is_results=is_results[0])
     _tell(answers, loads, out, everything=all_)
 
 
@@ -110,13 +110,15 @@ def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") 
     return checked
 
 
-def _folder_of_answers(sources: "Sequence[Path]", *, is_results: bool) -> Path:
+def _folder_of_answers(
+    sources: "Sequence[Path]", answers: "Sequence[Detected]", *, is_results: bool
+) -> Path:
     """Return the default folder of the answers of some files.
 
     `is_results` states whether the first file is one of results.
     """
     if len(sources) > 1:
-        return Path("results") / "visits"
+        return Path("results") / ("contacts" if all(answer.mat for answer in answers) else "visits")
     return sources[0].parent if is_results else Path("results") / sources[0].stem
 
 
@@ -153,6 +155,9 @@ def _tell(
     from lampest.files.whole import refuse_inputs
 
     season = visits.visits_of(answers)
+    # days and nights, and hours, are counted for animals alone
+    animals = [answer for answer in answers if not answer.mat]
+    counted = visits.visits_of(animals)
     files = [folder / FILE, folder / visits.FILE]
     if loads:
         files.append(folder / PRESSED)
@@ -163,12 +168,12 @@ def _tell(
         write_pressed(folder / PRESSED, loads)
     drawing = find_spec("matplotlib") is not None
     if drawing:
-        files += _draw(answers, season, folder)
+        files += _draw(answers, counted, folder)
     for answer in answers:
         screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
     screen.print_table(event_table(answers))
-    if len(season) > 1:
-        screen.print_table(visits.count_table(answers, season))
+    if len(counted) > 1:
+        screen.print_table(visits.count_table(animals, counted))
     if everything:
         screen.print_table(load_table(answers))
         screen.print_table(pressed_table(loads))

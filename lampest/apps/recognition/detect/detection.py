@@ -201,6 +201,7 @@ class Known:
             "course": course,
             "change": watch.change,
             "panel": self.scene.panel,
+            "mat": self.scene.purpose == "mat",
         }
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         detected = Detected.of(self.name, attachments, rate, **about)
