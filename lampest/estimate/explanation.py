@@ -22,7 +22,6 @@ from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of
 from lampest.files.errors import BROKEN, InputError
-from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.branches import branch
 
@@ -165,7 +164,7 @@ def _fits(
         elsewhere = chosen is None and fit is not None and bool(fits)
         if elsewhere and fit and branch(fit.network) != branch(fits[0].network):
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
-        if fit is None or (not patient and fit.tail < SIGNIFICANCE):
+        if fit is None or not (patient or fit.within_noise):
             return ()
         fits.append(fit)
     return tuple(fits)
@@ -381,7 +380,7 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
         return explanation
-    if not _may_gain(explanation, _response_to_memory(explanation, frames)):
+    if not may_gain_by_memory(explanation, frames):
         return explanation
     search = _ParameterSearch(rival.with_memory, frames, explanation)
     coarse = min(MEMORIES, key=search.score)
@@ -390,6 +389,11 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
     fraction = search.best.rival.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+
+
+def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
+    """Return whether a memory of the converter may gain what it costs, by linear theory."""
+    return _may_gain(explanation, _response_to_memory(explanation, frames))
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:
