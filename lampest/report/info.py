@@ -171,31 +171,6 @@ def _health(audit: "Audit") -> Iterator[Sentence]:
         yield "" if number else "health", line
     yield "noise", audit.prepared.frame_noise.summary
 
-<<<<<<< HEAD
-    Warnings and advice follow.
-    """
-    from lampest.audit.advice import Audit  # with all of the estimate, which results do without
-    from lampest.audit.widths import widths_of
-    from lampest.estimate.prepared import Prepared
-
-    with suppress(InputError):  # an estimate raises it; a description of the file does not
-        audit = Audit(Prepared(recording))
-        yield from (
-            ("health" if not number else "", line) for number, line in enumerate(audit.health.lines)
-        )
-        yield "noise", audit.prepared.frame_noise.summary
-        yield "model", f"{audit.verdict.mark}: {audit.verdict.sentence}"
-        sentence = audit.verdict.sentence
-        if (reason := _processing(recording)) and recording.scene.baseline is None:
-            yield "warning", f"these are no readings as the converter gives them: {reason}"
-        yield from (
-            ("warning", warning) for warning in audit.prepared.warnings if warning not in sentence
-        )
-        yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
-        for number, width in enumerate(widths_of(audit.prepared)):
-            yield "" if number else "width", width.sentence
-        yield from (("advice", finding.text) for finding in audit.advice)
-=======
 
 def _estimated(audit: "Audit") -> Iterator[Sentence]:
     """Yield what firmware did to the readings, and the numbers that the scene calls estimated."""
@@ -206,7 +181,8 @@ def _estimated(audit: "Audit") -> Iterator[Sentence]:
 
 
 def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence]:
-    """Yield the warnings, the verdict on the circuit, and advice; see `_recording_lines`."""
+    """Yield warnings, the verdict on the circuit, widths and advice; see `_recording_lines`."""
+    from lampest.audit.widths import widths_of
     from lampest.runs.checks import RecordingCheck
 
     without = audit.prepared.warnings_without_check
@@ -216,8 +192,9 @@ def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence
     for warning in check.warnings.split("\n"):
         if warning not in without and warning not in check.sentence:
             yield "warning", warning
+    for number, width in enumerate(widths_of(audit.prepared)):
+        yield "" if number else "width", width.sentence
     yield from (("advice", line) for line in check.advice.split("\n"))
->>>>>>> main
 
 
 def apply_advice(path: str | Path) -> list[str]:
