@@ -288,7 +288,9 @@ class _Frame:
         # A = K_f U_f − K_b U_b of errors of one, the same in both frames.
         of_readings = frame.gain * own_errors(frame.readings.value, frame.scene, 1.0).ravel()
         of_readings -= resting.gain * own_errors(resting.readings.value, resting.scene, 1.0).ravel()
-        of_unloaded = np.linalg.cholesky(resting.covariance + ASSUMED.creep**2 * np.eye(len(weight)))
+        of_unloaded = np.linalg.cholesky(
+            resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
+        )
         explained = {}
         exact = {}
         starts = usual_starts(changes.change)

@@ -28,7 +28,7 @@ from lampest.files.process import deaf, delayed_interrupt
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, group_of
+from lampest.recording.acquisition import EVENTS, FILE_ATTRIBUTES, SALT, Rows, blocks, group_of
 from lampest.recording.file import read_raw_readings, recording_file
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, save_parts
@@ -292,13 +292,7 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> 
         hdf5.set_attributes(dataset, units=units, long_name=long_name)
     for rows in series:
         hdf5.set_attributes(entry[rows.checksum[0]], **{SALT: salt})
-    hdf5.set_attributes(
-        file,
-        NX_class="NXroot",
-        default="entry",
-        lampest_format=FORMAT,
-        lampest_unfinished=np.uint8(1),
-    )
+    hdf5.set_attributes(file, **FILE_ATTRIBUTES, lampest_unfinished=np.uint8(1))
     hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
     hdf5.set_attributes(
         entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"]
@@ -351,14 +345,25 @@ def repair(path: Path) -> tuple[int, int]:
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
     """Rewrite the journal at `path`, or another one, as a recording at `path`.
 
-    Return scene, frames and noise.
+    Return scene, frames and noise. Raises InputError without room for the rewriting: the file at
+    `path` is unchanged then, and can be repaired later.
     """
     own(path)
     with deaf():
         recording = StoredRecording.of(journal or path)
         overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
         noise = noise_from_repeats(recording.part(part) for part in overlapping)
-        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
+        parts = (_with_sigma(recording.part(part), noise) for part in recording.blocks)
+        try:
+            save_parts(path, parts)
+        except InputError as error:
+            cause = error.__cause__
+            reason = cause.strerror if isinstance(cause, OSError) else None
+            raise InputError(
+                f"{path}: {counted(recording.frames, 'frame')} kept, but the file cannot be "
+                f"completed ({reason or str(error).removeprefix(f'{path}: ')}); "
+                f"lampest check --repair {path} completes it once there is room"
+            ) from error
         return recording.scene, recording.frames, noise
 
 
