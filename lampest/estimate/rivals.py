@@ -10,6 +10,7 @@ is inverted.
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import product
 from math import inf
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -110,13 +111,13 @@ class Rival:
         """Return the rival with another resistance in series, ohm."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
-    def readings(self, frames: NDArray[np.intp] | slice = slice(None)) -> Readings:
-        """Return the readings of these frames.
+    @cached_property
+    def readings(self) -> Readings:
+        """Readings of all frames.
 
         Raises InputError where the circuit cannot have recorded the values.
         """
-        sigma = self.sigma if self.sigma is None or self.sigma.ndim == 2 else self.sigma[frames]
-        return Readings.of(self.scene, self.recorded[frames], sigma)
+        return Readings.of(self.scene, self.recorded, self.sigma)
 
     def nearly_gaussian(self, frames: int) -> Array:
         """Return 1 where the noise of a recorded value is nearly Gaussian, else 0.
@@ -129,7 +130,7 @@ class Rival:
         frames : int
             Number of frames that are averaged.
         """
-        sigma = self.readings().sigma
+        sigma = self.readings.sigma
         if self.scene.circuit.unit != "ohm" or sigma is None:
             return np.ones(self.recorded.shape)
         # The curvature shifts a mean by about (σ/R)² R, which is √n σ/R standard deviations of a
