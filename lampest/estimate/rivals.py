@@ -10,7 +10,7 @@ is inverted.
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 from math import inf
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -238,12 +238,18 @@ def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
             yield _changed(specified, groups=blocks)
 
 
+@cache
+def _types_of(kind: type[Readout]) -> dict[str, Any]:
+    """Return the types of a kind's settings by their names."""
+    return get_type_hints(kind)
+
+
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have.
 
     The first setting is its name.
     """
-    types = get_type_hints(kind)
+    types = _types_of(kind)
     names = [field.name for field in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
@@ -258,7 +264,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         yield from _held_at_ground(specified)
         return
     words = choices(kind)
-    types = get_type_hints(kind)
+    types = _types_of(kind)
     names = {field.name for field in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
