@@ -305,7 +305,6 @@ class ByKind:
         return getattr(value, "kind", None)
 
 
-@cache
 def kinds_of(member: Any) -> tuple[str, ...]:
     """Return the values of a class's `kind: Literal[...]`; () without such a field."""
     return typing.get_args(typing.get_type_hints(member).get("kind"))
