@@ -183,15 +183,16 @@ def create_frames_group(
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
-    """Return (axes, values, unit, long name) of the coordinates row, column, y and x, by name.
+    """Return (axes, values, unit, long name) of the coordinates row, column, y, x and z, by name.
 
-    y depends on the row and x on the column. For listed cells both depend on the cell, with NaN
-    without a cell.
+    y depends on the row and x on the column. Of listed cells both, and z in space, depend on the
+    cell, with NaN without a cell.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
     axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
     if panel.cells is not None:
-        places = zip("xy", panel.places_mm, strict=True)
+        height = panel.heights_mm
+        places = zip("xyz", [*panel.places_mm, *([] if height is None else [height])], strict=False)
         return axes | {
             name: (("row", "column"), at, "mm", "position of the cell") for name, at in places
         }

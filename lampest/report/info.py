@@ -181,7 +181,8 @@ def _estimated(audit: "Audit") -> Iterator[Sentence]:
 
 
 def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence]:
-    """Yield the warnings, the verdict on the circuit, and advice; see `_recording_lines`."""
+    """Yield warnings, the verdict on the circuit, widths and advice; see `_recording_lines`."""
+    from lampest.audit.widths import widths_of
     from lampest.runs.checks import RecordingCheck
 
     without = audit.prepared.warnings_without_check
@@ -191,6 +192,8 @@ def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence
     for warning in check.warnings.split("\n"):
         if warning not in without and warning not in check.sentence:
             yield "warning", warning
+    for number, width in enumerate(widths_of(audit.prepared)):
+        yield "" if number else "width", width.sentence
     yield from (("advice", line) for line in check.advice.split("\n"))
 
 
