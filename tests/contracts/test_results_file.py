@@ -34,6 +34,7 @@ from lampest import (
     read_results,
     write_results,
 )
+from lampest.runs.results import read_each
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
@@ -254,3 +255,22 @@ def test_damaged_values_and_long_texts_are_detected(tmp_path: Path) -> None:
     path.write_bytes(content[:place] + bytes([content[place] ^ 255]) + content[place + 1 :])
     with pytest.raises(InputError, match="/entry/mouth/LSM/cell_resistance is damaged"):
         read_results(path)
+
+
+def test_a_case_of_other_results_in_its_place_is_refused_by_everything_that_reads(
+    tmp_path: Path,
+) -> None:
+    """Each of its values agrees with its own digest."""
+    path = tmp_path / "r.h5"
+    other = tmp_path / "other.h5"
+    write_results(path, [invented_case("LSM")])
+    write_results(other, [invented_case("LSR-CR")])
+    with h5py.File(path, "a") as file, h5py.File(other) as source:
+        del file["entry/mouth/LSM"]
+        source.copy("entry/mouth/LSR-CR", file["entry/mouth"], "LSM")
+    for read in (read_results, lambda path: list(read_each(path, 1000))):
+        with pytest.raises(InputError, match="datasets were added, removed or exchanged"):
+            read(path)
+    with h5py.File(path, "a") as file:
+        del file.attrs["datasets_sha256"]
+    assert len(read_results(path).cases) == 1, "as the page says of deliberate changes"
