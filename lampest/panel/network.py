@@ -383,8 +383,9 @@ class SecondOrder:
             every = np.empty((len(change), *shape))
             for number, part in enumerate(change):
                 every[number] = part
-            return list((weighted * every).sum(axis=1))
-        changes = [np.zeros(shape) for _ in change]
+            summed: Array = (weighted * every).sum(axis=1)
+            return [summed[number] for number in range(len(change))]
+        changes: list[Array] = [np.zeros(shape) for _ in change]
         for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
             curvature = weighted[of, by]
             changes[of] += (
