@@ -285,10 +285,10 @@ class WeightSearch:
             weight * ratio if n in self.open_terms else weight
             for n, weight in enumerate(near.weights)
         ]
-        moved = np.zeros(len(weights))
-        previous = np.zeros(len(weights))
-        low = np.full(len(weights), -np.inf)
-        high = np.full(len(weights), np.inf)
+        moved: Array = np.zeros(len(weights))
+        previous: Array = np.zeros(len(weights))
+        low: Array = np.full(len(weights), -np.inf)
+        high: Array = np.full(len(weights), np.inf)
         for _ in range(MAX_SOLVES):
             near = self._solved(weights, near.cells, scale)
             place = np.log(weights)
