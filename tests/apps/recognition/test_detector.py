@@ -35,6 +35,7 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import (
     SD,
     Verdict,
+    along_diameter,
     field_fit,
     potts_cost,
     prior,
@@ -237,6 +238,31 @@ def test_static_errors_of_readings_are_allowed_for(reading_error: float) -> None
         assert disc_of(verdict).diameter_mm == pytest.approx(MOUTH.diameter_mm, abs=3)
     else:
         assert verdict.goodness > MAX_MEAN_SQUARE or verdict.sucks_at(None) < 0.5
+
+
+def test_unloaded_readings_do_not_differ_from_their_baseline() -> None:
+    """However much they are off: squares of errors of 5 % would be many times the noise."""
+    recording = recorded(unmodelled=Unmodelled(reading_error=0.05), frames=1)
+    resting = recording.readings()[[0, 1, 2]].mean()
+    errors = ModelErrors(reading_error=0.05)
+    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, errors)
+    frame = Observation(resting.value, resting.sigma, baseline, np.zeros(PANEL.shape))
+    assert np.all(np.abs(frame.residual()) < 0.2 * resting.sigma.ravel())
+
+
+@pytest.mark.parametrize("away", [-0.3, -0.15, 0.15, 0.3])
+def test_a_profile_leads_a_fit_out_of_a_shallower_valley(away: float) -> None:
+    detector = Detector(6.0)
+    verdict = detector.verdict(frames_of(recorded(MOUTH))[-1])
+    fitting = detector.fitting(verdict.best.candidate, verdict.frame)
+    whitening = fitting.errors(verdict.best, verdict.best.scatter)
+    best = fitting.best(verdict.best.parameters, whitening)
+    start = best.parameters + away * (np.arange(len(best.parameters)) == 2)
+    held = fitting.best(start, whitening, held=2)
+    assert held.cost > best.cost + 10
+    found = along_diameter(fitting, held, fitting.about(held.parameters, whitening))
+    assert found.cost < best.cost + 1
+    assert found.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
 
 
 @pytest.mark.slow
