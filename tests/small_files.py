@@ -75,7 +75,8 @@ def write_recording(
         "role": (np.arange(shape[0]) > 0).astype(np.uint8),
     } | changes
     with h5py.File(path, "w") as file:
-        file.attrs["lampest_format"] = np.bytes_("recording/2")
+        file.attrs["lampest_format"] = np.bytes_("recording/1")
+        file.attrs["code_offset_steps"] = 0.0
         file["entry/scene"] = np.bytes_(scene)
         for name, values in datasets.items():
             if values is not None:

@@ -11,6 +11,8 @@
 #define TAIL 3              /* iterations whose decreases tell how much the next ones would gain */
 #define REACH 3.0f          /* standard deviations: a two-point reading that is so small is a bound */
 #define FAR 25.0f           /* misfit of a cell: readings that are five standard deviations off */
+#define ROUNDED 1e-5f       /* of a reading: smaller noise is lost in the rounding of the model's readings */
+#define LEAST_OWN 1e-3f     /* of what lines share: with less of its own a cell leaves no digit to the preconditioner */
 #define RESOLVED 1e-3f      /* of the cost: single precision tells whether a step lowers it by that share */
 #define BISECTIONS 16       /* of the range of changes, on the way to their median */
 #define LARGEST_OHM 1e9f
@@ -174,7 +176,7 @@ static bool read_sums(workspace *w, const uint32_t *sums, lampest_status *status
             }
             w->side[cell] = side;
             w->measured[cell] = reading;
-            w->precision[cell] = 1 / (c->plain_sigma > 0 ? c->plain_sigma : sigma);
+            w->precision[cell] = 1 / larger(c->plain_sigma > 0 ? c->plain_sigma : sigma, ROUNDED * fabsf(reading));
         }
     }
     uint16_t lines = 0;
@@ -265,9 +267,10 @@ static float dot(const float *a, const float *b, uint16_t count) {
  *
  * M = D + G U S U' G approximates J' W J + penalties: D has each reading's response to its own cell and the diagonal of
  * the penalties, S what readings share along their lines (`network_line_responses`). By Woodbury's formula
- * M^-1 = D^-1 - V T V', V = D^-1 G U, T = (S^-1 + U' G D^-1 G U)^-1. Held cells have no place in it: D^-1 is 0.
+ * M^-1 = D^-1 - V T V', V = D^-1 G U, T = (S^-1 + U' G D^-1 G U)^-1. Held cells have no place in it: D^-1 is 0. A cell
+ * without a reading has only its penalties in D, which may be 10^14 times smaller than S; it gets a small part of S.
  * T^-1 = [E, C; C', F] with E and F diagonal: the longer side is eliminated, as in the network. `lines` has 1/E, and
- * `coarse` (F - C' C / E)^-1. */
+ * `coarse` (F - C' C / E)^-1, whose rows have the sums S_k^-1 + sum_i C_ik S_i^-1 / E_i. */
 static bool linearise(workspace *w) {
     float *gradient = w->gradient, *diagonal = w->diagonal, *weight = w->x;
     const float *g = w->net.conductance;
@@ -288,23 +291,25 @@ static bool linearise(workspace *w) {
         const float ohm = 1 / g[cell];
         const bool held = (ohm <= least && gradient[cell] > 0) || (ohm >= largest && gradient[cell] < 0);
         const bool none = (w->view.absent && w->absent[cell]) || held || !(diagonal[cell] > 0);
-        diagonal[cell] = none ? 0 : 1 / diagonal[cell];
+        const float shared = g[cell] * g[cell] * (w->lines[cell / n] + w->lines[m + cell % n]);
+        diagonal[cell] = none ? 0 : 1 / larger(diagonal[cell], LEAST_OWN * shared);
     }
-    float *const lines = w->lines, *const coarse = w->coarse;
+    float *const lines = w->lines, *const coarse = w->coarse, *const excess = w->net.x_short;
     for (uint8_t line = 0; line < m + n; line++) lines[line] = lines[line] > SMALLEST ? 1 / lines[line] : 1 / SMALLEST;
     for (uint16_t cell = 0; cell < w->cells; cell++) w->x[cell] = g[cell] * g[cell] * diagonal[cell]; /* C */
     memset(coarse, 0, n * n * sizeof(float));
+    memcpy(excess, lines + m, n * sizeof(float));
     for (uint8_t i = 0; i < m; i++) {
-        const float *c = w->x + i * n;
-        for (uint8_t k = 0; k < n; k++) lines[i] += c[k], lines[m + k] += c[k];
+        const float *c = w->x + i * n, tie = lines[i];
+        for (uint8_t k = 0; k < n; k++) lines[i] += c[k];
         lines[i] = 1 / lines[i];
         for (uint8_t k = 0; k < n; k++) {
             const float factor = -c[k] * lines[i];
+            excess[k] = FUSED(-factor, tie, excess[k]);
             for (uint8_t l = 0; l < n; l++) coarse[k * n + l] = FUSED(factor, c[l], coarse[k * n + l]);
         }
     }
-    for (uint8_t k = 0; k < n; k++) coarse[k * n + k] += lines[m + k];
-    return invert(coarse, n);
+    return invert(coarse, excess, n);
 }
 
 /* p = M^-1 r + turn p, the turn being the present r' M^-1 r, which is returned, times `turn_by_slope`. */

@@ -61,10 +61,11 @@ static void multiply_transposed(const float *a, const float *b, float *out, uint
     multiply_strided(a, 1, n, b, out, n, m, n, false);
 }
 
-bool invert(float *s, uint8_t n) {
+bool invert(float *s, float *excess, uint8_t n) {
     for (uint8_t p = 0; p < n; p++) {
         float *pivot_row = s + p * n;
-        const float pivot = pivot_row[p];
+        float pivot = excess[p];
+        for (uint8_t k = p + 1; k < n; k++) pivot -= pivot_row[k];
         if (!(pivot > 0) || !isfinite(pivot)) return false;
         const float scale = 1 / pivot;
         for (uint8_t i = 0; i < n; i++) {
@@ -73,6 +74,7 @@ bool invert(float *s, uint8_t n) {
             const float factor = row[p] * scale;
             for (uint8_t k = 0; k < n; k++) row[k] = FUSED(-factor, pivot_row[k], row[k]);
             row[p] = -factor;
+            if (i > p) excess[i] = FUSED(-factor, excess[p], excess[i]);
         }
         for (uint8_t k = 0; k < n; k++) pivot_row[k] *= scale;
         pivot_row[p] = scale;
@@ -106,20 +108,15 @@ bool network_solve(network *net) {
         const float inverse = 1 / sum;
         for (uint8_t k = 0; k < n; k++) net->share[i * n + k] = g[k] * inverse;
     }
-    /* S without subtraction: off the diagonal -G'H, and on it what leads to ground less the rest of the row. */
+    /* S by what its rows have off the diagonal, -G'H, and by what leads to ground. */
     multiply_transposed(net->share, net->conductance, net->inverse, m, n);
+    for (uint16_t entry = 0; entry < n * n; entry++) net->inverse[entry] = -net->inverse[entry];
+    float *const to_ground = net->x_short;
     for (uint8_t k = 0; k < n; k++) {
-        float diagonal = net->tie[m + k];
-        for (uint8_t i = 0; i < m; i++) diagonal += net->share[i * n + k] * net->tie[i];
-        float *row = net->inverse + k * n;
-        for (uint8_t l = 0; l < n; l++) {
-            if (l == k) continue;
-            diagonal += row[l];
-            row[l] = -row[l];
-        }
-        row[k] = diagonal;
+        to_ground[k] = net->tie[m + k];
+        for (uint8_t i = 0; i < m; i++) to_ground[k] += net->share[i * n + k] * net->tie[i];
     }
-    if (!invert(net->inverse, n)) return false;
+    if (!invert(net->inverse, to_ground, n)) return false;
     multiply(net->share, net->inverse, net->mutual, m, n, n, false);
     for (uint8_t i = 0; i < m; i++) {
         float own = 1 / net->total[i];

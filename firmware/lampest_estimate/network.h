@@ -56,7 +56,11 @@ void network_adjoint(network *net, const float *w, float *cells);
  * (Entries w alpha beta between i and k save no iteration.) */
 void network_line_responses(const network *net, const float *weight, float *s);
 
-/* Invert a symmetric positive definite matrix in place, by sweeps of Gauss and Jordan; false at a pivot that is none. */
-bool invert(float *s, uint8_t n);
+/* Invert in place a symmetric matrix whose entries off the diagonal are not positive, by sweeps of Gauss and Jordan; false at
+ * a pivot that is none.
+ *
+ * The diagonal is not read: it follows from `excess` >= 0, the sums of the rows, which is lost. Nothing is subtracted, so that
+ * each entry keeps its digits however far the matrix's numbers are apart (Grassmann, Taksar and Heyman 1985). */
+bool invert(float *s, float *excess, uint8_t n);
 
 #endif

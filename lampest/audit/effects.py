@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
 from lampest.estimate.memory import estimated_memory, memory_gain
-from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN, CircuitEffects
+from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.resolve import specified
 from lampest.estimate.saturation import saturated
 from lampest.estimate.scan_motion import share_of_motion
-from lampest.estimate.still_cells import shared_errors
+from lampest.estimate.still_cells import significant_reading_error
 from lampest.estimate.variance_components import unloaded_scatter
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
@@ -40,19 +39,20 @@ class Gathered:
 
     Attributes
     ----------
-    recording : Recording
-        Without outliers.
-    noise : NoiseEstimate
-        With readings of all frames.
-    check : ModelCheck
-    effects : CircuitEffects
-        Effects beside the circuit.
+    prepared : Prepared
     """
 
-    recording: Recording
-    noise: NoiseEstimate
-    check: ModelCheck
-    effects: CircuitEffects
+    prepared: Prepared
+
+    @property
+    def recording(self) -> Recording:
+        """The recording without outliers."""
+        return self.prepared.cleaned.recording
+
+    @property
+    def noise(self) -> NoiseEstimate:
+        """The noise, with readings of all frames."""
+        return self.prepared.noise
 
     @property
     def scene(self) -> Scene:
@@ -83,9 +83,7 @@ def unnamed_effects(prepared: Prepared) -> tuple[Finding, ...]:
     if prepared.layout is None:
         if prepared.cleaned.readings.sigma is None:
             return ()
-        return searched(
-            Gathered(prepared.cleaned.recording, prepared.noise, prepared.check, prepared.effects)
-        )
+        return searched(Gathered(prepared))
     findings = dict[str, Finding]()
     for number, part in enumerate(prepared.modules):
         for finding in () if part is None else unnamed_effects(part):
@@ -147,8 +145,12 @@ def _frame_errors(evidence: Gathered) -> Iterator[Finding]:
 
 def _besides(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on leaks, contacts and a common change of all cells."""
-    besides = evidence.effects
-    if besides.name and evidence.check.by_effect and evidence.names_none("leaks", "contacts"):
+    besides = evidence.prepared.effects
+    if (
+        besides.name
+        and evidence.prepared.check.by_effect
+        and evidence.names_none("leaks", "contacts")
+    ):
         key = "leaks" if "leak" in besides.name else "contacts"
         sentence = f"{besides.name} explains the readings better: {besides.reason}"
         yield _finding(sentence, key, ESTIMATED)
@@ -160,7 +162,8 @@ def _memory(evidence: Gathered) -> Iterator[Finding]:
     """Yield advice on a converter that remembers the channel before."""
     if not evidence.names_none("converter_memory"):
         return
-    if not memory_gain(evidence.recording) > MIN_EVIDENCE_GAIN:
+    question = evidence.prepared.question
+    if not memory_gain(question, question.explanation) > MIN_EVIDENCE_GAIN:
         return
     estimate = estimated_memory(evidence.recording)
     if not isinstance(estimate, str):
@@ -197,9 +200,9 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if len(evidence.measured):
         strongest = strongest_frame(readings.plain_values, resting.value, evidence.measured)
         loaded = readings[strongest]
-    errors = shared_errors(estimating, resting, loaded, noise.frame)
-    if errors.no_reading_error < SIGNIFICANCE:
-        mean, deviation = errors.sizes["reading_error"]
+    error = significant_reading_error(estimating, resting, loaded, noise.frame)
+    if error is not None:
+        mean, deviation = error
         yield _finding(
             f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in "
             "all frames: cells are "

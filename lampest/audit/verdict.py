@@ -74,6 +74,9 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
 def _another_panel(prepared: Prepared) -> Iterator[str]:
     """Yield the doubt that cells of quite another size give the unloaded readings, too."""
     recording = prepared.recording
+    if prepared.panels is not None:
+        yield prepared.panels.sentence
+        return
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     chosen = unloaded if unloaded.size else np.array([0])
     resting = prepared.noise.readings[chosen].mean().value

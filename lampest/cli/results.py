@@ -173,7 +173,8 @@ def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None
     """Describe a file and draw the frame with the strongest change as a small map.
 
     Of a recording also the health of the panel, the verdict on its circuit, and advice: what the
-    recording suggests beyond its scene, with the evidence and the line to add.
+    recording suggests beyond its scene, with the evidence and the line to add. The verdict comes
+    last. It is that of a run below `results`, where one has checked the same recording.
 
     Parameters
     ----------
@@ -186,9 +187,7 @@ def info(file: Path, picture: screen.Output = None, apply: bool = False) -> None
     """
     from lampest.report.info import apply_advice, describe
 
-    with screen.progress("reading"):
-        lines = apply_advice(file) if apply else describe(file)
-    for line in lines:
+    for line in apply_advice(file) if apply else describe(file):
         screen.say(line)
     if picture is not None:
         from lampest.report.plots import plot_file

@@ -19,6 +19,7 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.state import UNKNOWN_SD
 from lampest.files.errors import BROKEN
+from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.effects import Effect, effect_on_readings, with_effects
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
@@ -152,6 +153,12 @@ class CellsFit(SumOfSquares):
     def tail(self) -> float:
         """P(χ²_degrees ≥ chi_square), the tail probability of the misfit under noise alone."""
         return float(chi_square_tail(self.chi_square, self.degrees))
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether noise alone may give the misfit, `tail` ≥ SIGNIFICANCE."""
+        # χ² of at least one degree of freedom exceeds 1 in a third of all cases.
+        return self.chi_square <= 1 or self.tail >= SIGNIFICANCE
 
     @cached_property
     def covariance(self) -> Array:

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.alike import PanelChoice
 from lampest.estimate.rivals import Rival, standing_frames
 from lampest.estimate.variance_components import noted_excess
 from lampest.files.levels import SIGNIFICANCE
@@ -87,6 +88,18 @@ class ComparedFrames:
         read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
         resting = read[:count].mean()
         return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
+
+    @cached_property
+    def panels(self) -> PanelChoice | None:
+        """Panels of the frames under the scene's circuit, where several give their readings.
+
+        None where one does, and without a loaded frame.
+        """
+        scene = self.specified.scene
+        if not scene.circuit.several_panels or scene.wiring is not None or not len(self.standing):
+            return None
+        resting, loaded = self.readings(self.specified)
+        return PanelChoice.of(scene.circuit, resting, loaded)
 
     @cached_property
     def _usable(self) -> Array:

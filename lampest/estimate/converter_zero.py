@@ -15,7 +15,6 @@ from lampest.panel.sizes import ESTIMATED
 from lampest.recording.recording import UNLOADED, Recording
 
 ZERO = "readout.converter.zero_volt"
-FULL = "readout.converter.full_volt"
 MIN_OPEN = 6  # channels at the lowest code
 TOGETHER = 1.0  # steps within which they stand
 
@@ -31,16 +30,11 @@ def with_converter_ends(
     converter = None if readout is None else readout.converter
     if readout is None or not isinstance(converter, Characteristic):
         return recording, None
-    if ESTIMATED not in (converter.zero_volt, converter.full_volt):
+    if converter.zero_volt != ESTIMATED:
         return recording, None
-    zero = _zero_of_open_cells(recording) if converter.zero_volt == ESTIMATED else None
-    full = readout.full_scale_volt if converter.full_volt == ESTIMATED else converter.full_volt
-    ends = replace(
-        converter,
-        zero_volt=readout.zero_volt if zero is None else zero[0],
-        full_volt=full,
-    )
-    if zero is not None and converter.full_volt in (None, ESTIMATED):
+    zero = _zero_of_open_cells(recording)
+    ends = replace(converter, zero_volt=readout.zero_volt if zero is None else zero[0])
+    if zero is not None and converter.full_volt is None:
         # An offset moves both ends
         ends = replace(ends, full_volt=readout.full_scale_volt + zero[0])
     known = replace(readout, converter=ends)

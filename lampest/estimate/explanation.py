@@ -22,7 +22,6 @@ from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
 from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of
 from lampest.files.errors import BROKEN, InputError
-from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.branches import branch
 
@@ -153,15 +152,19 @@ def _fits(
     """Return the fits of the frames, see `Explanation.of`; () where one is not explained."""
     readings = frames.readings(rival)
     fits: list[CellsFit] = []
+    chosen = frames.panels if rival is frames.specified else None
     for number, frame in enumerate(readings):
         start = None if near is None else near.fits[number].cells
+        if start is None and chosen is not None:
+            start = (chosen.resting, chosen.loaded)[number]
         if start is None and fits and not patient:
             start = fits[0].cells
         fit = fitted(rival.scene, frame, start, patient=patient)
         # of two panels that read alike the one that continues the unloaded panel is meant
-        if fit is not None and fits and branch(fit.network) != branch(fits[0].network):
+        elsewhere = chosen is None and fit is not None and bool(fits)
+        if elsewhere and fit and branch(fit.network) != branch(fits[0].network):
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
-        if fit is None or (not patient and fit.tail < SIGNIFICANCE):
+        if fit is None or not (patient or fit.within_noise):
             return ()
         fits.append(fit)
     return tuple(fits)
@@ -377,7 +380,7 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
         return explanation
-    if not _may_gain(explanation, _response_to_memory(explanation, frames)):
+    if not may_gain_by_memory(explanation, frames):
         return explanation
     search = _ParameterSearch(rival.with_memory, frames, explanation)
     coarse = min(MEMORIES, key=search.score)
@@ -386,6 +389,11 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     search.between(coarse / 2, 2 * coarse, MEMORY_ACCURACY * coarse)
     fraction = search.best.rival.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
+
+
+def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
+    """Return whether a memory of the converter may gain what it costs, by linear theory."""
+    return _may_gain(explanation, _response_to_memory(explanation, frames))
 
 
 def _may_gain(explanation: Explanation, response: Array | None) -> bool:

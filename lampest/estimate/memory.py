@@ -12,7 +12,8 @@ import numpy as np
 
 from lampest.estimate.changed_cells import PARAMETER_COST
 from lampest.estimate.compared_frames import ComparedFrames
-from lampest.estimate.explanation import Explanation
+from lampest.estimate.explanation import MEMORIES as TRIED
+from lampest.estimate.explanation import Explanation, may_gain_by_memory
 from lampest.panel.panel import Array
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
@@ -21,8 +22,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 KEY = "converter_memory"
 MEMORIES = np.linspace(0.0, 0.3, 16)
 FINER = 9  # points between the neighbours of the most probable one
-# Shares against none: one of them is near enough to the best one to show it.
-TRIED = (0.01, 0.02, 0.04, 0.08, 0.16)
 MAX_DEVIATION = 0.05  # of the share: with more, the recording does not determine it
 
 
@@ -59,19 +58,26 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     return max(float(shares[middle]) - slope / curvature, 0.0), deviation
 
 
-def memory_gain(recording: Recording) -> float:
+def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     """Return the decrease of −2 ln evidence by the best of the memories TRIED against none.
 
     It is relative to the misfit of still cells, which errors that the scene does not name increase.
     The edge of a load looks like a memory: the result is 0 unless cells that touch no moved ones
-    show the memory, too.
+    show the memory, too. It is also 0 where linear theory promises no gain, and no share is tried.
+
+    Parameters
+    ----------
+    frames : ComparedFrames
+        Of a recording whose scene names no memory.
+    without : Explanation or None
+        Explanation of these frames without a memory.
     """
-    small = recording.scene.panel.crossings <= MAX_CELLS
-    if recording.scene.readout is None or not small or len(set(recording.role.tolist())) < 2:
+    if frames.specified.scene.readout is None or without is None or without.pair is None:
         return 0.0
-    without, *explanations = _explanations(recording, np.array([0.0, *TRIED]))
-    best = min(explanations, key=_cost)
-    if without is None or without.pair is None or best is None or best.pair is None:
+    if not may_gain_by_memory(without, frames):
+        return 0.0
+    best = min(_explanations(frames, np.array(TRIED), without), key=_cost)
+    if best is None or best.pair is None:
         return 0.0
     shown = without.pair.gain_apart(best.pair) > PARAMETER_COST * best.pair.excess
     return (_cost(without) - _cost(best)) / best.pair.excess if shown else 0.0
@@ -82,16 +88,27 @@ def _costs(recording: Recording, shares: Array) -> Array:
 
     It is infinite without a fit.
     """
-    return np.array([_cost(explanation) for explanation in _explanations(recording, shares)])
-
-
-def _explanations(recording: Recording, shares: Array) -> list[Explanation | None]:
-    """Return the explanations of the check's frames with each share; None without a fit."""
     plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
     frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
+    return np.array([_cost(explanation) for explanation in _explanations(frames, shares)])
+
+
+def _explanations(
+    frames: ComparedFrames, shares: Array, near: Explanation | None = None
+) -> list[Explanation | None]:
+    """Return the explanations of frames with each share; None without a fit.
+
+    Each fit begins at the cells of the share before, the first at those of `near`.
+    """
+    explanations = list[Explanation | None]()
     with np.errstate(all="ignore"):
-        rivals = [frames.specified.with_memory(share) for share in shares.tolist()]
-        return [Explanation.of(rival, frames, patient=True) for rival in rivals]
+        for share in shares.tolist():
+            rival = frames.specified.with_memory(share)
+            explanation = Explanation.of(rival, frames, near, patient=True)
+            near = explanation or near
+            # Channels and moved cells are of this share, not of the one before.
+            explanations.append(explanation and explanation.final)
+    return explanations
 
 
 def _cost(explanation: Explanation | None) -> float:

@@ -247,9 +247,7 @@ class Question(ComparedFrames):
             pairs += [] if latest is None else [(question.loaded, FittedPair((resting, latest)))]
         lies_on = applications().provided("recognition", "a load on unloaded cells")
         intact = np.where(scene.broken, np.nan, np.log(resting.cells))
-        loaded = (
-            lies_on is not None and resting.tail >= SIGNIFICANCE and lies_on(scene.panel, intact)
-        )
+        loaded = lies_on is not None and resting.within_noise and lies_on(scene.panel, intact)
         return replace(find_effects(pairs, kinds), loaded_at_rest=loaded)
 
 
@@ -336,11 +334,11 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
 
 def _unexplained(explanation: "Explanation", question: Question) -> str:
     """Return the significant misfit of the explanation in words; '' where there is none."""
+    if all(fit.within_noise for fit in explanation.fits):
+        return ""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
     fit = explanation.fits[worst]
     place = question.loaded if worst else "the unloaded panel"
-    if fit.tail >= SIGNIFICANCE:
-        return ""
     squares = fit.residual.reshape(fit.cells.shape) ** 2
     rows = squares.sum(axis=1)
     columns = squares.sum(axis=0)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.alike import PanelChoice
 from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
 from lampest.estimate.scan_motion import Share, displacement
@@ -79,6 +80,8 @@ class NoiseEstimate:
     estimated : dict
         Key of the scene → (number, standard deviation) of each effect that the recording
         determined.
+    panels : PanelChoice or None
+        Cells of the unloaded and of a loaded frame, where several panels give their readings.
     """
 
     outliers: NDArray[np.bool_]
@@ -94,6 +97,7 @@ class NoiseEstimate:
     corrected_effects: CircuitEffects | None = None
     model_factor: float = 1.0
     estimated: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    panels: PanelChoice | None = None
 
     @property
     def sentence(self) -> str:

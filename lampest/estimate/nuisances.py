@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.fitted_pair import FittedPair, without_late
-from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
+from lampest.files.levels import SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect, LooseContact
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
@@ -141,7 +141,7 @@ def find_effects(
         if off_by_one < grown.evidence.score + MIN_EVIDENCE_GAIN or pair.gain_apart(grown) <= 0:
             continue
         largest_gain = gain
-        fits_noise = min(fit.tail for fit in grown.frames) >= SIGNIFICANCE
+        fits_noise = all(fit.within_noise for fit in grown.frames)
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in grown.effects)
         counts = (int(grown.moved.sum()), int(pair.moved.sum()))
         taken_off = bool(certain.effects) and fits_noise

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.alike import PanelChoice
 from lampest.estimate.memory import with_estimated_memory
 from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
 from lampest.estimate.module_noise import noise_of_modules
@@ -229,9 +230,24 @@ class Prepared:
         if self.layout is not None:
             estimates = [None if module is None else module.noise for module in self.modules]
             return noise_of_modules(self.recording, self.layout, estimates)
-        return resolved(
+        noise = resolved(
             self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
         )
+        return replace(noise, panels=self.panels)
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def panels(self) -> PanelChoice | None:
+        """Cells of a single network, where several panels read alike; None elsewhere.
+
+        A part of a longer recording has those of the whole.
+        """
+        if self.whole_recording is not None:
+            return self.whole_recording.panels
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.recording.scene.circuit.several_panels:
+                return self.question.panels
+        return None
 
     @cached_property
     def resolved(self) -> Recording:

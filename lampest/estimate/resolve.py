@@ -16,7 +16,7 @@ import numpy as np
 from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import fitted
 from lampest.estimate.changed_cells import mostly_still
-from lampest.estimate.converter_zero import FULL, ZERO, with_converter_ends
+from lampest.estimate.converter_zero import ZERO, with_converter_ends
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import BROKE_DOWN, NoiseEstimate, without_effects
@@ -231,7 +231,7 @@ ENTRIES = (
 )
 PASSES = "readout.passes_volt"
 # Resolved with the frames' noise.
-FRAME_KEYS = ("readout.noise_lsb", PASSES, ZERO, FULL, "converter_memory", "gain", "ripple")
+FRAME_KEYS = ("readout.noise_lsb", PASSES, ZERO, "converter_memory", "gain", "ripple")
 
 
 def with_resolved_electronics(
@@ -260,8 +260,6 @@ def with_resolved_electronics(
             )
         else:
             noise = noise.determined(ZERO, zero)
-    if specified(recording.scene, FULL) == ESTIMATED:
-        noise = noise.undetermined(FULL, "no reading shows it: measure a known voltage")
     if specified(recording.scene, PASSES) == ESTIMATED:
         passes = specified(cleaned.scene, PASSES)
         if passes is None:
@@ -355,15 +353,11 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
         if PASSES in estimated:
             passes = passed_range(estimated[PASSES], readout.range_volt)
         readout = replace(readout, passes_volt=passes)
-    if ESTIMATED in (specified(scene, ZERO), specified(scene, FULL)):
+    if specified(scene, ZERO) == ESTIMATED:
         ends = readout.converter
-        if ends.full_volt == ESTIMATED:
-            ends = replace(ends, full_volt=None)
-        if ends.zero_volt == ESTIMATED:
-            zero = numbers.get(ZERO, 0.0)
-            full = readout.full_scale_volt + zero if ends.full_volt is None else ends.full_volt
-            ends = replace(ends, zero_volt=zero, full_volt=full)
-        readout = replace(readout, converter=ends)
+        zero = numbers.get(ZERO, 0.0)
+        full = readout.full_scale_volt + zero if ends.full_volt is None else ends.full_volt
+        readout = replace(readout, converter=replace(ends, zero_volt=zero, full_volt=full))
     own: dict[str, Any] = {key: numbers.get(key) for key in requested if "." not in key}
     return replace(scene, readout=readout, systematic=systematic, estimated=estimated, **own)
 

@@ -215,6 +215,7 @@ def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Ar
     smooth = displaced.smooth.ravel()
     costs = []
     exact = []
+    starts = usual_starts(changes.change)
     for share in SHARES:
         # variance of the mean with the neighbouring frame, over that of the reading
         remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
@@ -222,9 +223,11 @@ def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Ar
         doubt = share * frame.gain * smooth
         exact.append(replace(changes, change=changes.change - share * moved))
         doubted = replace(exact[-1], noise=changes.noise - averaged @ averaged.T + doubt @ doubt.T)
-        cost, cells_moved = doubted.selected(usual_starts(doubted.change))
+        cost, cells_moved = doubted.selected(starts)
+        # A share moves few cells beyond those of the share before it.
+        starts = [cells_moved, np.zeros_like(cells_moved)]
         # Moved cells are free, and take as many readings out of the density.
         counted = 1 - np.mean(cells_moved)
         costs.append(cost - 2 * counted * np.sum(np.log(1 - share * weight)))
     best = exact[int(np.argmin(costs))]
-    return np.array(costs), mostly_still(best.selected(usual_starts(best.change))[1])
+    return np.array(costs), mostly_still(best.selected(starts)[1])

@@ -6,6 +6,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from lampest.cost.given import Background
+from lampest.estimate.alike import PanelChoice
 from lampest.estimate.objective import Objective
 from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
@@ -131,6 +132,8 @@ class SequenceState:
         Whether no measured frame was solved yet.
     frame_noise : FrameNoise or None
         Random errors that the readings of a frame share.
+    panels : PanelChoice or None
+        Panels of two of the frames, where several give their readings.
     """
 
     estimator: Objective
@@ -143,6 +146,7 @@ class SequenceState:
     track: Track | None = None
     first: bool = True
     frame_noise: FrameNoise | None = None
+    panels: PanelChoice | None = None
 
     @property
     def background(self) -> Background:

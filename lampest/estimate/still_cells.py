@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
@@ -49,6 +50,13 @@ READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))
 PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
 # Of log r: the second order of a larger error moves cells by more than one per cent.
 LINEAR_LIMIT = 0.15
+# Numbers of the tried values: those at which cells between rest and a load are selected, and those
+# that show whether a finer scan is worth its time. Neighbours differ by a factor of 2.6. Below the
+# most probable error −2 ln p falls with e², so that the smaller neighbour of one that counts keeps
+# a quarter of its gain, and that is more than COARSE_GAIN.
+EVERY_SECOND = np.arange(0, len(READING_ERRORS), 2)
+COARSE = np.append(0, np.arange(1, len(READING_ERRORS), 4))
+COARSE_GAIN = 3.0
 # Tried scatters s of unloaded cells, and the logarithms of their prior probabilities. Steps are a
 # tenth, because a hundred cells show their scatter to some percent: where crosstalk is small an
 # error e would fill a gap between two of them.
@@ -74,14 +82,11 @@ class SharedErrors:
     undetermined : str
         The reason why the other estimated errors keep their prior, in words; '' where all are
         determined.
-    no_reading_error : float
-        Posterior probability that no reading has an error of its own; 1 where that is not asked.
     """
 
     possible: Possible
     sizes: dict[str, tuple[float, float]]
     undetermined: str = ""
-    no_reading_error: float = 1.0
 
 
 def shared_errors(
@@ -110,16 +115,11 @@ def shared_errors(
     if resting.value.size > MAX_CELLS:
         reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
         return SharedErrors(possible, {}, reason)
-    fit = fitted(scene, resting, patient=True)
-    moves = None
-    if fit is not None and loaded is not None and fit.tail >= SIGNIFICANCE:
-        moves = shared_changes(scene, fit, loaded, prior, noise)
+    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
-        unloaded = _unloaded_costs(scene, resting, 0.0 if fit is None else fit.chi_square)
-        # Skirts of loads are no errors of the readings.
-        moved = 0.0 if moves is None else _error_costs(moves, _smooth_loads(scene.panel.shape))
-        own = _own_errors(_odds(unloaded + moved), prior)
+        costs = _unloaded_costs(scene, resting, fit, READING_ERRORS)
+        own = _own_errors(_odds(costs + _error_costs(scene, moves, EVERY_SECOND)), prior)
     if moves is not None:
         return _with_common_errors(own, moves, prior, scene)
     if loaded is None:
@@ -127,13 +127,49 @@ def shared_errors(
     return _undetermined(own, "no cells explain the unloaded frames or the loaded ones", scene)
 
 
+def significant_reading_error(
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+) -> tuple[float, float] | None:
+    """Return each reading's own error and its standard deviation; None where it is insignificant.
+
+    Every fourth value of e comes first. The others are tried where one of these is more probable
+    than none.
+
+    Parameters
+    ----------
+    scene : Scene
+        Calls the error `estimated`.
+    resting, loaded, noise
+        As those of `shared_errors`.
+    """
+    if resting.sigma is None or resting.value.size > MAX_CELLS:
+        return None
+    fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    coarse = _unloaded_costs(scene, resting, fit, READING_ERRORS[COARSE])
+    coarse = coarse + _error_costs(scene, moves, COARSE)[COARSE]
+    if coarse[0] - coarse.min() < COARSE_GAIN:
+        return None
+    costs = _unloaded_costs(scene, resting, fit, READING_ERRORS)
+    odds = _odds(costs + _error_costs(scene, moves, EVERY_SECOND))
+    return _moments(odds) if odds[0] < SIGNIFICANCE else None
+
+
+def _fit_and_changes(
+    scene: Scene, resting: Readings, loaded: Readings | None, noise: FrameNoise | None
+) -> "tuple[CellsFit | None, SharedChanges | None]":
+    """Return the fit of the unloaded panel, and the changes to the loaded frame; None without."""
+    fit = fitted(scene, resting, patient=True)
+    if fit is None or loaded is None or not fit.within_noise:
+        return fit, None
+    prior = systematic_of(scene) or Systematic()
+    return fit, shared_changes(scene, fit, loaded, prior, noise)
+
+
 def _own_errors(odds: Array, prior: Systematic) -> SharedErrors:
     """Return each reading's own error, given the probabilities of READING_ERRORS."""
     size = _root_mean_square(odds)
     possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
-    return SharedErrors(
-        possible, {READING_ERROR.setting: _moments(odds)}, no_reading_error=float(odds[0])
-    )
+    return SharedErrors(possible, {READING_ERROR.setting: _moments(odds)})
 
 
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
@@ -358,24 +394,25 @@ def _smooth_loads(shape: tuple[int, ...]) -> Array:
     return np.asarray(np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
-def _error_costs(moves: SharedChanges, loads: Array) -> Array:
-    """Return −2 ln evidence of READING_ERRORS, (errors,).
+def _error_costs(scene: Scene, moves: SharedChanges | None, numbers: NDArray[np.intp]) -> Array:
+    """Return −2 ln evidence of READING_ERRORS by the changes to a loaded frame, (errors,).
 
-    It is averaged over SKIRTS, which are equally probable. Every second error is computed, and the
-    others are interpolated; each search begins with the still cells of the error before, because
-    these change little. Beyond LINEAR_LIMIT the last value holds.
+    It is averaged over SKIRTS, which are equally probable: skirts of loads are no errors of the
+    readings. Each search begins with the still cells of the error before, because these change
+    little. Beyond LINEAR_LIMIT the last value holds.
 
     Parameters
     ----------
-    moves : SharedChanges
-    loads : array, shape (cells, cells)
-        Covariance of the changes in the skirt of a load of unit size.
+    scene : Scene
+    moves : SharedChanges or None
+        None: the evidence is 0.
+    numbers : integer array
+        Numbers of the errors that are computed; the others are interpolated.
     """
-    tried = [
-        n
-        for n in range(0, len(READING_ERRORS), 2)
-        if READING_ERRORS[n] * moves.reach <= LINEAR_LIMIT
-    ]
+    if moves is None:
+        return np.zeros(len(READING_ERRORS))
+    loads = _smooth_loads(scene.panel.shape)
+    tried = numbers[READING_ERRORS[numbers] * moves.reach <= LINEAR_LIMIT]
     costs = np.zeros((len(SKIRTS), len(tried)))
     for skirt, of_skirt in zip(SKIRTS, costs, strict=True):
         smoothed = replace(moves, noise=moves.noise + skirt**2 * loads)
@@ -440,8 +477,8 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     )
 
 
-def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
-    """Return −2 ln likelihood of READING_ERRORS, up to a constant.
+def _unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
+    """Return −2 ln likelihood of errors of the readings, up to a constant, (errors,).
 
     It holds if the unloaded cells are log r ~ N(μ, s²). The readings are linearised at the most
     probable log cells u, with t = y − f(u) + J u. Let τ² = σ² + (e y')², where y' is the derivative
@@ -461,8 +498,10 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
     scene : Scene
     resting : Readings
         Mean of the unloaded frames, (rows, columns).
-    least : float
-        χ², the least Σ ((f(r) − y)/σ)² of any cells.
+    fit : CellsFit or None
+        Fit of the unloaded panel: no cells have a smaller χ². None: without this limit.
+    tried : array, shape (errors,)
+        Values of e.
 
     Raises
     ------
@@ -474,9 +513,10 @@ def _unloaded_costs(scene: Scene, resting: Readings, least: float) -> Array:
     cells = np.log(data.uniform_start[0])
     costs = np.zeros((1, len(SCATTERS)))
     few_errors = READING_ERRORS[1::4]
+    least = 0.0 if fit is None else fit.chi_square
     for errors, previous_errors in (
         (few_errors, READING_ERRORS[-1:]),
-        (READING_ERRORS, few_errors),
+        (tried, few_errors),
     ):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(

@@ -131,7 +131,8 @@ class Stream(SequenceState):
             if estimator.has_error_bars(resting)
             else None
         )
-        return cls(estimator, scene, period, resting, track=track, frame_noise=frame)
+        panels = None if noise is None else noise.panels
+        return cls(estimator, scene, period, resting, track=track, frame_noise=frame, panels=panels)
 
     @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> Self:

@@ -160,9 +160,9 @@ class LevenbergMarquardt:
 
     def _damped_step(self, point: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
         """Return −(JᵀJ + μ diag(JᵀJ))⁻¹ Jᵀ f of the free unknowns, shortened to `longest`."""
-        normal = point.normal[free][:, free]
-        scale = normal.diagonal()
-        damped = normal + damping * np.diag(np.where(scale > 0, scale, 1.0))
+        damped = point.normal.copy() if free.all() else point.normal[np.ix_(free, free)]
+        scale = damped.diagonal()
+        damped[np.diag_indices(len(damped))] += damping * np.where(scale > 0, scale, 1.0)
         step = np.zeros(len(free))
         step[free] = -np.linalg.solve(damped, point.gradient[free])
         share = float(np.min(self.longest / np.maximum(np.abs(step), MIN_LENGTH)))

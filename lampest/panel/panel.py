@@ -19,7 +19,8 @@ MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
 # lines: matrices over fewer lines fit into 100 MB, and memory is not checked
 MAX_UNCHECKED_LINES = 2000
 PLACE_TOLERANCE = 1.01  # factor on squared distances: positions are written with three digits
-CellPlace = tuple[int, int, float, float]
+# (row, column, x_mm, y_mm), or with z_mm
+CellPlace = tuple[int, int, float, float] | tuple[int, int, float, float, float]
 
 
 def check_line_memory(rows: int, columns: int, matrices: int = 3) -> None:
@@ -121,9 +122,9 @@ class Panel(Configuration):
     pitch_mm : float
         Distance between neighbouring cells in millimetre, for positions and pictures; no equation
         uses it.
-    cells : tuple of (row, column, x_mm, y_mm), or None
-        Crossings with a cell, and their positions. In a YAML file also the name of a table of
-        these. None: every crossing has a cell, at the pitch.
+    cells : tuple of (row, column, x_mm, y_mm) or (row, column, x_mm, y_mm, z_mm), or None
+        Crossings with a cell, and their positions on a plane or in space. In a YAML file also the
+        name of a table of these. None: every crossing has a cell, at the pitch.
     modules : Modules, or None
         Modules of which this panel is an image; they determine rows, columns and pitch. None: a
         panel of one network.
@@ -163,15 +164,17 @@ class Panel(Configuration):
 
     def _check_cells(self, cells: tuple[CellPlace, ...]) -> None:
         """Raise ValueError unless the list has cells of the panel, each crossing and place once."""
-        for row, column, x, y in cells:
+        for row, column, *place in cells:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(f"cells: there is no crossing [{row}, {column}]")
-            if not max(abs(x), abs(y)) <= MAX_PITCH_MM:
+            if not all(abs(at) <= MAX_PITCH_MM for at in place):
                 raise ValueError(
                     f"cells: [{row}, {column}] must lie within {MAX_PITCH_MM:g} mm of the origin"
                 )
         if not cells:
             raise ValueError("cells: a panel needs at least one cell")
+        if len({len(cell) for cell in cells}) > 1:
+            raise ValueError("cells: all have a z_mm, or none has one")
         if len({cell[:2] for cell in cells}) < len(cells):
             raise ValueError("cells: a crossing is listed twice")
         if len({cell[2:] for cell in cells}) < len(cells):
@@ -238,17 +241,30 @@ class Panel(Configuration):
         if self.cells is None:
             return np.stack(np.meshgrid(*self.centres_mm()))
         places = np.full((2, *self.shape), np.nan)
-        for row, column, x, y in self.cells:
+        for row, column, x, y, *_ in self.cells:
             places[:, row, column] = x, y
         return places
+
+    @cached_property
+    def heights_mm(self) -> Array | None:
+        """Position z of every cell in mm, (rows, columns); None for a panel on a plane.
+
+        NaN at crossings without a cell.
+        """
+        if self.cells is None or len(self.cells[0]) < 5:
+            return None
+        heights = np.full(self.shape, np.nan)
+        for row, column, _, _, *z in self.cells:
+            heights[row, column] = z[0]
+        return heights
 
     @cached_property
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Pairs of neighbours: numbers of first cells, of second cells, distances in pitches.
 
         Full rectangle: pairs along columns, then pairs along rows. Listed cells: pairs without
-        another cell in the circle whose diameter connects them (the Gabriel graph, which is
-        connected; Gabriel & Sokal, Systematic Zoology 18, 1969).
+        another cell in the circle, in space the sphere, whose diameter connects them (the Gabriel
+        graph, which is connected; Gabriel & Sokal, Systematic Zoology 18, 1969).
         """
         if self.cells is None:
             numbers = np.arange(self.crossings).reshape(self.shape)
@@ -257,20 +273,21 @@ class Panel(Configuration):
             return first, second, np.ones(len(first))
         # Gabriel graph of the listed cells, with distances in pitches.
         cells = np.flatnonzero(self.present)
-        places = self.places_mm.reshape(2, -1)[:, cells].T
+        axes = [*self.places_mm, *([] if self.heights_mm is None else [self.heights_mm])]
+        places = np.stack([axis.ravel()[cells] for axis in axes], axis=-1)
         pairs = list[tuple[int, int]]()
         for cell in range(len(cells)):
             pairs += [(cell, near) for near in circle_neighbours(places, cell).tolist()]
         first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-        distance = np.hypot(*(places[first] - places[second]).T) / self.pitch_mm
+        distance = np.linalg.norm(places[first] - places[second], axis=-1) / self.pitch_mm
         return cells[first], cells[second], distance
 
 
 def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
     """Return the cells with larger numbers that are neighbours of a cell in the Gabriel graph.
 
-    Relative to the cell `number`, c lies in the circle with the diameter from 0 to b if c·c ≤ c·b.
-    `places` are the positions of all cells, (cells, 2).
+    Relative to the cell `number`, c lies in the circle or sphere with the diameter from 0 to b if
+    c·c ≤ c·b. `places` are the positions of all cells, (cells, 2 or 3).
     """
     way = places - places[number]
     square = np.sum(way**2, axis=1)

@@ -25,7 +25,16 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 
-FORMAT = "recording/2"
+# Attribute of a file: voltage of code c in steps, less c. Files of versions 0.1 and 0.2 lack it:
+# they hold the middle of codes, c + ½ steps.
+CODE_OFFSET = "code_offset_steps"
+FORMER_OFFSET = 0.5
+FILE_ATTRIBUTES = {
+    "NX_class": "NXroot",
+    "default": "entry",
+    "lampest_format": "recording/1",
+    CODE_OFFSET: 0.0,
+}
 PATH = "/entry/acquisition"
 COUNTER = 2**32  # period of a board's counters and clocks, such as millis() and micros()
 # Fields of every frame: name, type, units, long name.

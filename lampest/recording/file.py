@@ -25,9 +25,15 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.characteristic import Characteristic
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SERIES
-from lampest.recording.acquisition import Acquisition, group_of, stored_fields, undamaged_frames
+from lampest.recording.acquisition import (
+    CODE_OFFSET,
+    FORMER_OFFSET,
+    Acquisition,
+    group_of,
+    stored_fields,
+    undamaged_frames,
+)
 
-FIRST_FORMAT = "recording/1"  # of version 0.1 and 0.2
 # Key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1.
 FORMER_SERIES = "series_ohm"
 # Suffixes of `import_file`.
@@ -49,8 +55,7 @@ def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
             raise InputError(f"{path}: holds results; lampest.read_results reads them")
         check_datasets(file)
         scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
-        if hdf5.read_attribute(file, "/", "lampest_format") == FIRST_FORMAT:
-            scene = _with_middle_of_codes(scene)
+        scene = _with_codes_offset(scene, hdf5.read_number(file, "/", CODE_OFFSET, FORMER_OFFSET))
         group = f"/entry/{group_of(scene.circuit)}"
         signal = scene.circuit.signal
         if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
@@ -71,16 +76,16 @@ def _scene_of(text: str, where: str) -> Scene:
     return scene
 
 
-def _with_middle_of_codes(scene: Scene) -> Scene:
-    """Return the scene of a recording whose code c was read as c + ½ steps.
+def _with_codes_offset(scene: Scene, steps: float) -> Scene:
+    """Return the scene of a recording whose code c was read as c and these steps.
 
-    Such recordings have format recording/1. Their converter begins half a step above zero.
+    Unless the scene states the converter, it begins as many steps above zero.
     """
     readout = scene.readout
-    if readout is None or readout.converter is not None:
+    if steps == 0 or readout is None or readout.converter is not None:
         return scene
-    half = readout.lsb_volt / 2
-    converter = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
+    zero = steps * readout.lsb_volt
+    converter = Characteristic(zero_volt=zero, full_volt=readout.full_scale_volt + zero)
     return replace(scene, readout=replace(readout, converter=converter))
 
 
@@ -178,15 +183,16 @@ def create_frames_group(
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
-    """Return (axes, values, unit, long name) of the coordinates row, column, y and x, by name.
+    """Return (axes, values, unit, long name) of the coordinates row, column, y, x and z, by name.
 
-    y depends on the row and x on the column. For listed cells both depend on the cell, with NaN
-    without a cell.
+    y depends on the row and x on the column. Of listed cells both, and z in space, depend on the
+    cell, with NaN without a cell.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
     axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
     if panel.cells is not None:
-        places = zip("xy", panel.places_mm, strict=True)
+        height = panel.heights_mm
+        places = zip("xyz", [*panel.places_mm, *([] if height is None else [height])], strict=False)
         return axes | {
             name: (("row", "column"), at, "mm", "position of the cell") for name, at in places
         }

@@ -17,7 +17,7 @@ from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.panel.scene_file import read_scene, scene_text
-from lampest.recording.acquisition import FORMAT, Acquisition, group_of, stored_fields
+from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
 from lampest.recording.readings import Readings, check_sigma
 from lampest.recording.unit import check_unit, recorded_values
@@ -379,7 +379,7 @@ class Recording(Validated):
             self._write(file)
 
     def _write(self, file: h5py.File) -> None:
-        hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+        hdf5.set_attributes(file, **FILE_ATTRIBUTES)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(self.scene.circuit))
         hdf5.write_text(entry, "scene", scene_text(self.scene))

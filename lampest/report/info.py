@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,21 @@ from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.processed import processing_of
-from lampest.recording.recording import MEASURED, UNLOADED, UNREFERENCED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
-from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
+from lampest.report.strongest import (
+    as_recorded,
+    mean_reading,
+    reference_words,
+    strongest_index,
+    strongest_readings,
+)
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
+
+if TYPE_CHECKING:
+    from lampest.audit.advice import Audit
+    from lampest.runs.checks import RecordingCheck
 
 MAX_ROWS = 48  # of a map
 MAX_NAMED = 4  # datasets in a sentence
@@ -45,10 +55,11 @@ WEAK = (
 )
 
 
-def describe(path: str | Path) -> list[str]:
-    """Describe a file.
+def describe(path: str | Path) -> Iterator[str]:
+    """Yield the description of a file line by line.
 
-    Format, frames, panel, scene, times, roles, range of readings, and the strongest change.
+    Format, frames, panel, scene, times, roles, range of readings, and the strongest change. The
+    verdict on a recording's circuit comes last, because nothing else waits for it.
 
     Of a file that exceeds the memory, all frames are counted and the first ones are described.
     Raises InputError for a damaged file and for one that is neither a recording nor results.
@@ -63,29 +74,36 @@ def describe(path: str | Path) -> list[str]:
     if form == FORMAT:
         cases = stored_cases(path)
         if not any(too_long(case.frames, case.cells) for case in cases):
-            return [head, *_results_lines(read_results(path))]
+            yield from (head, *_results_lines(read_results(path)))
+            return
         part = next(read_each(path, PART_READINGS))
         first = int(part.frame[0])
         last = int(part.frame[-1])
         long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
         shown = _results_lines(read_results(path, frames=range(first, last + 1)))
-        return [head, *long, too_long_words.format(first, last), *shown]
+        yield from (head, *long, too_long_words.format(first, last), *shown)
+        return
     recording = opened(path)
-    if isinstance(recording, Recording):
-        return [head, *_recording_lines(recording)]
-    blocks = recording.blocks
-    parts = ((part.role, part.time) for part in map(recording.part, blocks))
-    role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
-    words = too_long_words.format(blocks[0][0], blocks[0][-1])
-    return [head, *_lines(_frames(role, time)), words, *_recording_lines(recording.part(blocks[0]))]
+    yield head
+    if not isinstance(recording, Recording):
+        blocks = recording.blocks
+        parts = ((part.role, part.time) for part in map(recording.part, blocks))
+        role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
+        yield from _lines(_frames(role, time))
+        yield too_long_words.format(blocks[0][0], blocks[0][-1])
+        yield from _recording_lines(recording.part(blocks[0]), None)
+        return
+    from lampest.runs.checks import kept_check  # with all of the estimate, as below
+
+    yield from _recording_lines(recording, kept_check(path))
 
 
-def _lines(sentences: Iterable[Sentence]) -> list[str]:
-    """Return a line for each sentence that is not empty, behind its heading.
+def _lines(sentences: Iterable[Sentence]) -> Iterator[str]:
+    """Yield a line for each sentence that is not empty, behind its heading.
 
     Files hold ± as ASCII.
     """
-    return [f"{head:10} {text}".replace("+-", "±") for head, text in sentences if text]
+    return (f"{head:10} {text}".replace("+-", "±") for head, text in sentences if text)
 
 
 def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
@@ -99,7 +117,34 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     )
 
 
-def _recording_lines(recording: Recording) -> list[str]:
+def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Iterator[str]:
+    """Yield what a recording holds, the map of its strongest change, and the verdict.
+
+    `kept` is the check that a run has kept; None: it is computed.
+    """
+    # With all of the estimate, which results do without.
+    from lampest.audit.advice import Audit
+    from lampest.estimate.prepared import Prepared
+
+    audit = Audit(Prepared(recording))
+    yield from _lines(_content(recording))
+    with suppress(InputError):  # an estimate raises it; a description of the file does not
+        yield from _lines(_health(audit))
+    strongest = strongest_readings(recording)
+    if strongest is None:
+        yield f"readings of frame 0 in {recording.scene.circuit.unit}:"
+        yield from text_map(recording.recorded[0])
+    else:
+        where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
+        yield f"readings of {where}, the strongest change against the unloaded ones:"
+        yield from shaded_map(strongest[1])
+    with suppress(InputError):
+        yield from _lines(_estimated(audit))
+        yield from _lines(_verdict(audit, kept))
+
+
+def _content(recording: Recording) -> Iterator[Sentence]:
+    """Yield frames, scene, and the readings and values of a recording."""
     circuit = recording.scene.circuit
     extras = {
         "σ": recording.sigma,
@@ -108,54 +153,48 @@ def _recording_lines(recording: Recording) -> list[str]:
         "sums of ADC codes": recording.raw_sums,
         "the board's estimate": recording.board_log_change,
     }
-    sentences = [
-        *_frames(recording.role, recording.time),
-        ("start", recording.start_time and f"{recording.start_time} at 0 s"),
-        *_scene(recording.scene),
-        *_audit(recording),
-        ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
-        *(("", sentence) for sentence in _holes(recording)),
-        *applications().advice(recording),
-        (
-            "besides",
-            ", ".join(name for name, values in extras.items() if values is not None) or "nothing",
-        ),
-    ]
-    strongest = strongest_readings(recording)
-    lines = _lines(sentences)
-    if strongest is None:
-        return [*lines, f"readings of frame 0 in {circuit.unit}:", *text_map(recording.recorded[0])]
-    where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
-    return [
-        *lines,
-        f"readings of {where}, the strongest change against the unloaded ones:",
-        *shaded_map(strongest[1]),
-    ]
+    yield from _frames(recording.role, recording.time)
+    yield "start", recording.start_time and f"{recording.start_time} at 0 s"
+    yield from _scene(recording.scene)
+    yield "readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"
+    yield from (("", sentence) for sentence in _holes(recording))
+    yield from applications().advice(recording)
+    yield (
+        "besides",
+        ", ".join(name for name, values in extras.items() if values is not None) or "nothing",
+    )
 
 
-def _audit(recording: Recording) -> Iterator[Sentence]:
-    """Yield the health of the panel, the noise of the frames and the verdict on the circuit.
+def _health(audit: "Audit") -> Iterator[Sentence]:
+    """Yield the health of the panel and the noise of the frames."""
+    for number, line in enumerate(audit.health.lines):
+        yield "" if number else "health", line
+    yield "noise", audit.prepared.frame_noise.summary
 
-    Warnings and advice follow.
-    """
-    from lampest.audit.advice import Audit  # with all of the estimate, which results do without
-    from lampest.estimate.prepared import Prepared
 
-    with suppress(InputError):  # an estimate raises it; a description of the file does not
-        audit = Audit(Prepared(recording))
-        yield from (
-            ("health" if not number else "", line) for number, line in enumerate(audit.health.lines)
-        )
-        yield "noise", audit.prepared.frame_noise.summary
-        yield "model", f"{audit.verdict.mark}: {audit.verdict.sentence}"
-        sentence = audit.verdict.sentence
-        if (reason := _processing(recording)) and recording.scene.baseline is None:
-            yield "warning", f"these are no readings as the converter gives them: {reason}"
-        yield from (
-            ("warning", warning) for warning in audit.prepared.warnings if warning not in sentence
-        )
-        yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
-        yield from (("advice", finding.text) for finding in audit.advice)
+def _estimated(audit: "Audit") -> Iterator[Sentence]:
+    """Yield what firmware did to the readings, and the numbers that the scene calls estimated."""
+    recording = audit.prepared.recording
+    if (reason := _processing(recording)) and recording.scene.baseline is None:
+        yield "warning", f"these are no readings as the converter gives them: {reason}"
+    yield from (("estimated", line) for line in estimated_lines(audit.prepared.noise.estimated))
+
+
+def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence]:
+    """Yield warnings, the verdict on the circuit, widths and advice; see `_recording_lines`."""
+    from lampest.audit.widths import widths_of
+    from lampest.runs.checks import RecordingCheck
+
+    without = audit.prepared.warnings_without_check
+    yield from (("warning", warning) for warning in without)
+    check = kept or RecordingCheck.of(audit)
+    yield "model", f"{check.mark}: {check.sentence}"
+    for warning in check.warnings.split("\n"):
+        if warning not in without and warning not in check.sentence:
+            yield "warning", warning
+    for number, width in enumerate(widths_of(audit.prepared)):
+        yield "" if number else "width", width.sentence
+    yield from (("advice", line) for line in check.advice.split("\n"))
 
 
 def apply_advice(path: str | Path) -> list[str]:
@@ -271,11 +310,9 @@ def _results_lines(results: Results) -> list[str]:
     for case in results.cases[:1]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
-        against = "the unloaded panel"
-        if UNREFERENCED in case.warnings:
-            against = "the first measured frame"
         lines.append(
-            f"cells of {case.recording} × {case.estimator} in {where}, change against {against}:"
+            f"cells of {case.recording} × {case.estimator} in {where}, change against "
+            f"{reference_words(case)}:"
         )
         lines += shaded_map(case.relative_change[place])
     return lines

@@ -7,7 +7,7 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.garbled import garbled_lines, readings_of
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, UNREFERENCED, Recording
 from lampest.runs.case import CaseResult
 
 
@@ -22,6 +22,31 @@ def as_recorded(value: Array, scene: Scene) -> Array:
     With pull-ups, they are supply less load voltage.
     """
     return scene.circuit.to_recorded(value, scene) if scene.circuit.mirrored else value
+
+
+def apparent_change(value: Array, baseline: Array, scene: Scene) -> Array:
+    """Return the change of each cell by its own reading alone, in percent of its resistance.
+
+    It is the change of the reading where that is a resistance. Of a reading in volt it is the
+    change of the cell that would give the reading if it were alone. Measured and estimated changes
+    then have one scale and one sign.
+
+    Parameters
+    ----------
+    value, baseline : array, shape (rows, columns)
+        Readings of the network, of a frame and of the unloaded panel.
+    scene : Scene
+    """
+    if scene.circuit.unit == "ohm":
+        return percent_change(value, baseline)
+    alone = scene.circuit.apparent_resistance
+    return percent_change(alone(value), alone(baseline))
+
+
+def reference_words(case: CaseResult) -> str:
+    """Return the frames with which the changes of a case are compared, in words."""
+    unreferenced = UNREFERENCED in case.warnings
+    return "the first measured frame" if unreferenced else "the unloaded panel"
 
 
 def strongest_index(cases: Sequence[CaseResult]) -> int:

@@ -38,7 +38,7 @@ from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import StoredCase
-from lampest.runs.checks import Checks, CheckTask, RecordingCheck, without_check
+from lampest.runs.checks import CASES, Checks, CheckTask, RecordingCheck, without_check
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
@@ -51,7 +51,6 @@ from lampest.runs.results import (
 )
 
 RESULTS = "results.h5"
-CASES = "cases"
 CARRIED = "carried/3"
 # Between two counts of finished frames; least time between two files of these frames.
 EVERY_SECONDS = 1.0
@@ -388,9 +387,12 @@ def solve_task(task: Task | CheckTask) -> StoredCase | RecordingCheck:
     """Solve a case, or check a recording and keep the outcome."""
     if isinstance(task, Task):
         return solve_case(task)
+    # With all of the audit, which runs without a new check do without.
+    from lampest.audit.advice import Audit
+
     prepared = _recording(task.path, task.sha256)
     assert isinstance(prepared, Prepared)
-    check = RecordingCheck.of(prepared)
+    check = RecordingCheck.of(Audit(prepared))
     task.keep(check)
     return check
 

@@ -8,16 +8,21 @@ import json
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from lampest.estimate.prepared import Prepared
 from lampest.files.whole import inner_folder, write_whole
 from lampest.runs.case import StoredCase
+from lampest.runs.config import digest
 from lampest.runs.filling import library_versions
+
+if TYPE_CHECKING:
+    from lampest.audit.advice import Audit
 
 Checks = Literal["all", "none"]
 NOT_CHECKED = "not checked"
 KEPT = "check/1"
+CASES = "cases"  # folder of a run's output, for the files of its cases and checks
+SUFFIX = ".check.json"
 
 
 @dataclass(frozen=True)
@@ -45,12 +50,9 @@ class RecordingCheck:
     without: str
 
     @classmethod
-    def of(cls, prepared: Prepared) -> "RecordingCheck":
+    def of(cls, audit: "Audit") -> "RecordingCheck":
         """Check a recording. Raises InputError where its readings contradict the scene."""
-        # With all of the audit, which the reading of results does without.
-        from lampest.audit.advice import Audit
-
-        audit = Audit(prepared)
+        prepared = audit.prepared
         return cls(
             audit.verdict.mark,
             audit.verdict.sentence,
@@ -89,7 +91,7 @@ class CheckTask:
     @property
     def file(self) -> Path:
         """File of the outcome."""
-        return self.folder / f"{self.sha256[:16]}.check.json"
+        return self.folder / f"{self.sha256[:16]}{SUFFIX}"
 
     def kept(self) -> RecordingCheck | None:
         """Return the outcome of an earlier run; None without one by this version of lampest."""
@@ -109,6 +111,21 @@ class CheckTask:
     @property
     def _about(self) -> dict[str, str]:
         return {"format": KEPT, "sha256": self.sha256} | library_versions()
+
+
+def kept_check(path: Path) -> RecordingCheck | None:
+    """Return the check of a recording that a run has kept; None without one.
+
+    Runs are looked for in `results` of the current folder and of the recording's, where they
+    write unless told otherwise.
+    """
+    for parent in {Path.cwd(), path.parent.resolve()}:
+        for folder in sorted(parent.glob(f"results/*/{CASES}")):
+            if any(folder.glob(f"*{SUFFIX}")):
+                check = CheckTask(path, digest(path), path.stem, folder).kept()
+                if check is not None:
+                    return check
+    return None
 
 
 def without_check(case: StoredCase) -> StoredCase:

@@ -31,6 +31,7 @@ RESERVED = (
     *CELLS,
     "x",
     "y",
+    "z",
     "scene",
     "start_time",
     "cost",

@@ -320,7 +320,7 @@ def page_row() -> dict[str, Any]:
         "doubts": page.doubts("LSM", [page.figures(case) for case in invented()[::3]]),
         "frames": page.frames_text([3, 5, 6, 7, 9]),
         "between": [
-            compared.between(compared.Interval(2.131, 1.95, 2.361), "%", "+"),
+            compared.between(compared.Interval(2.131, 1.95, 2.361), "%"),
             compared.between(compared.Interval(123.4, 123.39, 123.42)),
             weights_of(invented()[:2]),
         ],
@@ -1002,7 +1002,7 @@ def described_row() -> dict[str, Any]:
             recording = replace(recording, scene=replace(recording.scene, faults=joined))
         with tempfile.TemporaryDirectory() as folder, chdir(folder):
             replace(recording, recorded=readings).save("r.h5")
-            texts[name] = describe("r.h5")
+            texts[name] = list(describe("r.h5"))
     film = replace(
         simulated(),
         scene=replace(
@@ -1044,7 +1044,7 @@ def described_results() -> list[str]:
     ]
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         lp.write_results(Path("r.h5"), [unsolved, *optima])
-        return describe("r.h5")
+        return list(describe("r.h5"))
 
 
 PICTURED: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (

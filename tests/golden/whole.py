@@ -515,7 +515,7 @@ def files_row() -> dict[str, Any]:
             stored[f"{name} longer"] = reason(partial(checked_sentence, Path("longer.h5")))
             stored[f"{name} changed"] = (
                 checked_sentence(Path(name)),
-                describe(name),
+                list(describe(name)),
                 checked_sentence(Path("changed.h5")),
             )
     return stored

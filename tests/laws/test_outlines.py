@@ -76,6 +76,64 @@ def test_neighbours_connect_all_cells_and_no_absent_one(outline: str) -> None:
     assert reached == set(np.flatnonzero(panel.present).tolist())
 
 
+def turned_into_space(panel: Panel) -> Panel:
+    """The same cells on a plane that is tilted in space."""
+    rng = np.random.default_rng(4)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    return Panel(
+        *panel.shape,
+        panel.pitch_mm,
+        tuple((row, column, *(turn @ (x, y, 0.0)).tolist()) for row, column, x, y in panel.cells),
+    )
+
+
+def test_neighbours_in_space_are_those_of_the_plane_that_they_lie_on() -> None:
+    panel, _ = random_panel("hand", 2)
+    first, second, distance = panel.neighbours
+    turned = turned_into_space(panel).neighbours
+    np.testing.assert_array_equal(turned[0], first)
+    np.testing.assert_array_equal(turned[1], second)
+    np.testing.assert_allclose(turned[2], distance)
+
+
+def test_neighbours_in_space_have_no_cell_in_the_sphere_between_them() -> None:
+    """Every pair of cells on a bent sheet, by the definition."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform(0, 30, (16, 3))
+    cells = tuple((*divmod(number, 4), *place) for number, place in enumerate(places.tolist()))
+    first, second, _ = Panel(4, 4, cells=cells).neighbours
+    pairs = set(zip(first.tolist(), second.tolist(), strict=True))
+    for a in range(16):
+        for b in range(a + 1, 16):
+            radius = np.linalg.norm(places[a] - places[b]) / 2
+            away = np.linalg.norm(places - (places[a] + places[b]) / 2, axis=1)
+            others = np.delete(away, [a, b])
+            assert ((a, b) in pairs) == bool(others.min() > radius)
+
+
+def test_results_of_cells_in_space_state_their_height_and_a_penalty_goes_by_distance(
+    tmp_path: Path,
+) -> None:
+    panel, cells = random_panel("hand", 1)
+    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)[None]
+    term = lampest.LogGradient(weight=1.0)
+    flat, space = (
+        estimate_of(shape, readings, lampest.Misfit(), term)
+        for shape in (panel, turned_into_space(panel))
+    )
+    np.testing.assert_allclose(space.cell_resistance, flat.cell_resistance, rtol=1e-6)
+    space.save(tmp_path / "hand.h5")
+    (case,) = lampest.read_results(tmp_path / "hand.h5").cases
+    heights = turned_into_space(panel).heights_mm
+    np.testing.assert_allclose(case.scene.panel.heights_mm, heights)
+    assert np.nansum(np.abs(case.long_columns()["z"].values - heights.ravel())) < 1e-9
+
+
+def test_cells_partly_in_space_are_refused() -> None:
+    with pytest.raises(ValueError, match="all have a z_mm, or none has one"):
+        Panel(1, 2, cells=((0, 0, 0.0, 0.0), (0, 1, 1.0, 0.0, 0.0)))
+
+
 def test_cells_of_a_rotated_lattice_have_four_neighbours_despite_rounding() -> None:
     places = [
         (j, k, round((j + k) * 7.5 / 2**0.5, 1), round((j - k) * 7.5 / 2**0.5, 1))

@@ -12,6 +12,8 @@ from lampest import Array, GroundedReadout, LoadedColumnsReadout, Panel, Recordi
 from lampest.audit.advice import entry_line
 from lampest.estimate.memory import estimated_memory, memory_gain
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.rivals import Rival
 from lampest.panel.readouts.readout import Readout, with_memory
 
 FRAMES = 6  # unloaded ones, and as many loaded ones
@@ -35,6 +37,12 @@ def recording_of(
     )
 
 
+def gain_of(recording: Recording) -> float:
+    """The evidence that a recording's frames give for a memory."""
+    question = Prepared(recording).question
+    return memory_gain(question, question.explanation)
+
+
 def pressed_mat(memory: float) -> Recording:
     generator = np.random.default_rng(7)
     cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)
@@ -45,19 +53,37 @@ def pressed_mat(memory: float) -> Recording:
 @pytest.mark.parametrize("memory", [0.02, 0.04, 0.08])
 def test_evidence_shows_a_small_memory(memory: float) -> None:
     recording = pressed_mat(memory)
-    assert memory_gain(recording) > MIN_EVIDENCE_GAIN
+    assert gain_of(recording) > MIN_EVIDENCE_GAIN
     estimate = estimated_memory(recording)
     assert not isinstance(estimate, str) and abs(estimate[0] - memory) < MAX_ERROR
 
 
 def test_evidence_shows_no_absent_memory() -> None:
-    assert memory_gain(pressed_mat(0.0)) <= 0
+    assert gain_of(pressed_mat(0.0)) <= 0
+
+
+def test_no_share_is_tried_where_linear_theory_promises_no_gain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A search costs as much as the whole check of a circuit."""
+    tried: list[float] = []
+    with_memory = Rival.with_memory
+
+    def noted(rival: Rival, share: float) -> Rival:
+        tried.append(share)
+        return with_memory(rival, share)
+
+    monkeypatch.setattr(Rival, "with_memory", noted)
+    assert gain_of(pressed_mat(0.0)) == 0
+    assert len(tried) == 1  # the direction of linear theory
+    assert gain_of(pressed_mat(0.04)) > MIN_EVIDENCE_GAIN
+    assert len(tried) > 5
 
 
 def test_understated_noise_is_not_taken_for_memory() -> None:
     recording = pressed_mat(0.0)
     quiet = replace(recording.scene, readout=replace(COLUMNS, readings=20))
-    assert memory_gain(replace(recording, scene=quiet)) <= 0
+    assert gain_of(replace(recording, scene=quiet)) <= 0
 
 
 def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
@@ -75,7 +101,7 @@ def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
             -generator.uniform(0.3, 2) * np.exp(-((distance / generator.uniform(1, 3)) ** 4))
         )
     readout = GroundedReadout(load_ohm=1000, drive_ohm=50, **CONVERTER)
-    assert memory_gain(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
+    assert gain_of(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
 
 
 @pytest.mark.parametrize(

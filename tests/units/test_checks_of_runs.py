@@ -1,16 +1,19 @@
 """A run checks the circuit of a recording once, after its estimates, and keeps the outcome."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import lampest
+from lampest.apps.recognition.detect.detection import answer_recording, detect_recording
+from lampest.report.info import describe
 from lampest.runs import batch
 from lampest.runs.batch import Report, run_batch
-from lampest.runs.checks import NOT_CHECKED, RecordingCheck
-from lampest.runs.config import read_run
+from lampest.runs.checks import NOT_CHECKED, CheckTask, RecordingCheck
+from lampest.runs.config import digest, read_run
 from lampest.runs.executors import Serial
 from lampest.runs.results import read_results
 
@@ -41,9 +44,9 @@ def checked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     of = RecordingCheck.of
 
-    def counted(prepared: Any) -> RecordingCheck:
-        names.append(prepared.recording.name)
-        return of(prepared)
+    def counted(audit: Any) -> RecordingCheck:
+        names.append(audit.prepared.recording.name)
+        return of(audit)
 
     monkeypatch.setattr(RecordingCheck, "of", counted)
     return names
@@ -139,10 +142,55 @@ def test_a_run_without_checks_says_so_and_computes_none(
         assert not case.advice
 
 
+@pytest.fixture
+def described(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Return the lines of `info`, whose check fails when it is reached."""
+
+    def refused(prepared: Any) -> None:
+        raise AssertionError("checked")
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
+    return describe("mine.h5")
+
+
+def test_info_prints_its_answer_before_the_verdict(described: Iterator[str]) -> None:
+    lines: list[str] = []
+    with pytest.raises(AssertionError, match="checked"):
+        for line in described:
+            lines.append(line)
+    heads = {line.split(" ")[0] for line in lines}
+    assert {"frames", "readout", "health", "noise", "readings", "besides", "falls"} <= heads
+    assert "model" not in heads
+
+
+def test_info_and_detect_read_the_check_that_a_run_has_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, described: Iterator[str]
+) -> None:
+    warned = "a warning of the check"
+    kept = RecordingCheck("no", "the circuit is another one", "advised", warned, "")
+    task = CheckTask(
+        folder / "mine.h5", digest(folder / "mine.h5"), "mine", folder / "results" / "run" / "cases"
+    )
+    task.folder.mkdir(parents=True)
+    task.keep(kept)
+    lines = list(described)
+    assert "model      no: the circuit is another one" in lines
+    assert "warning    a warning of the check" in lines and "advice     advised" in lines
+    assert detect_recording(folder / "mine.h5").warnings == (warned,)
+
+
+def test_detect_answers_before_the_check(folder: Path, described: Iterator[str]) -> None:
+    unchecked = answer_recording(folder / "mine.h5")
+    assert unchecked.answer.sentence
+    with pytest.raises(AssertionError, match="checked"):
+        unchecked.checked()
+
+
 def test_a_check_that_fails_costs_no_estimate(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(prepared: Any) -> RecordingCheck:
+    def broken(audit: Any) -> RecordingCheck:
         raise ArithmeticError("a bug")
 
     monkeypatch.setattr(RecordingCheck, "of", broken)

@@ -190,7 +190,21 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
     assert completed.code == 0 and completed.out.startswith("contact since ")
     assert [path.name for path in (tmp_path / "data").iterdir()] == ["mine.h5"]
     written = sorted(path.name for path in (tmp_path / "results" / "mine").iterdir())
-    assert written == ["detections.h5", "timeline_mine.png", "visits.csv", "visits.png"]
+    assert written == ["detections.h5", "timeline_mine.png", "visits.csv"]
+
+
+def test_detect_names_no_visits_and_animals_where_all_panels_are_mats(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """File names are those of the contract; sentences, tables and folders have contacts."""
+    monkeypatch.chdir(tmp_path)
+    assert lampest("init", "s", "--purpose", "mat", "--rows", "5", "--columns", "5").code == 0
+    shutil.copy("s/example.h5", "s/next.h5")
+    completed = lampest("detect", "s/example.h5", "s/next.h5", "--all")
+    assert completed.code == 0
+    assert completed.out.startswith("2 recordings: 2 contacts\n")
+    told = completed.out.replace("results/contacts/visits.csv", "")
+    assert not re.search("visit|attach|lamprey|suck|breath|pump", told, re.IGNORECASE)
 
 
 def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:

@@ -71,15 +71,19 @@ def test_noise_follows_the_steps_of_a_curve() -> None:
 def test_known_converters_have_names() -> None:
     assert readout(converter="esp32").volt_from_code(np.array(0.0)) == pytest.approx(0.14)
     assert readout(converter="avr").range_volt == (0.0, 5.0)
+    inverting = readout(converter="inverting amplifier")
+    assert inverting.volt_from_code(np.array([0.0, 512.0])) == pytest.approx([5.0, 2.5])
+    assert inverting.code_sign < 0
 
 
 def test_first_recordings_keep_the_middle_of_their_codes(tmp_path: Path) -> None:
-    """Files of format recording/1 hold code c as c + ½ steps, and rails at whole steps."""
+    """Files without an offset of codes hold code c as c + ½ steps, and rails at whole steps."""
     codes = np.array([[[0.5, 100.5], [300.5, 1022.5]]])
     path = tmp_path / "old.h5"
     Recording.from_array(codes * STEP, unit="volt", scene=Scene(Panel(2, 2), readout())).save(path)
     with h5py.File(path, "a") as file:
-        file.attrs["lampest_format"] = np.bytes_("recording/1")
+        assert file.attrs["lampest_format"] == np.bytes_("recording/1")
+        del file.attrs["code_offset_steps"]
     circuit = Recording.load(path).scene.circuit
     assert circuit.code_from_volt(codes * STEP).tolist() == [[[0, 100], [300, 1022]]]
     assert circuit.rails() == pytest.approx((STEP, 1023 * STEP))
@@ -92,6 +96,7 @@ def test_first_recordings_keep_the_middle_of_their_codes(tmp_path: Path) -> None
     [
         ({"zero_volt": 1.0, "full_volt": 1.0}, "must differ"),
         ({"zero_volt": 5000.0}, "within 1000 V"),
+        ({"full_volt": "estimated"}, "no frame shows it"),
         ({"curve": ((0.0, 0.0),)}, "two or more points"),
         ({"curve": ((0.0, 0.0), (1.0, 5.0), (2.0, 4.0))}, "rise or fall throughout"),
         ({"curve": ((0.0, 0.0), (1.0, 5.0)), "full_volt": 3.0}, "takes the place"),

@@ -1,11 +1,12 @@
 """Colour bars and titles of maps: numbers that do not collide, lines that break between words."""
 
 from itertools import combinations, pairwise
+from typing import Literal
 
 import numpy as np
 import pytest
 
-from lampest import Panel
+from lampest import LoadedColumnsReadout, Panel, Scene
 from lampest.report.plots.maps import (
     MapPainter,
     Tile,
@@ -15,6 +16,21 @@ from lampest.report.plots.maps import (
     maps_figure,
 )
 from lampest.report.plots.style import new_figure, wrapped
+from lampest.report.strongest import apparent_change, percent_change
+
+
+@pytest.mark.parametrize("polarity", ["up", "down"])
+def test_a_measured_map_in_volt_shows_the_change_of_resistance_of_lone_cells(
+    polarity: Literal["up", "down"],
+) -> None:
+    """Half the resistance in one cell of 1 × 1 is −50 %, whatever the voltage does."""
+    scene = Scene(Panel(1, 1), LoadedColumnsReadout(load_ohm=1000.0, polarity=polarity))
+    readings = [
+        scene.circuit.network(cells, scene.circuit.ties(cells)).reading()
+        for cells in (np.array([[1500.0]]), np.array([[3000.0]]))
+    ]
+    assert abs(percent_change(*readings).item()) < 49 or percent_change(*readings).item() > 0
+    assert apparent_change(*readings, scene).item() == pytest.approx(-50, rel=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(10, 10), (24, 6), (6, 24)])

@@ -8,6 +8,7 @@ import pytest
 import lampest
 from lampest.cost.given import Background
 from lampest.estimate.memory import memory_gain
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import with_saturated_stage
 from lampest.solvers.multistart import evaluated
 
@@ -46,7 +47,8 @@ def test_readings_without_a_converter_show_no_memory() -> None:
     scene = lampest.Scene(lampest.Panel(ROWS, COLUMNS), None)
     cells = np.random.default_rng(4).uniform(900, 2000, (ROWS, COLUMNS))
     recording = recording_of(scene, lampest.two_point_resistance(cells))
-    assert memory_gain(recording) == 0.0
+    question = Prepared(replace(recording, sigma=np.ones(recording.recorded.shape))).question
+    assert memory_gain(question, question.explanation) == 0.0
 
 
 def test_a_cost_of_squared_losses_has_no_rounding_of_corners() -> None:

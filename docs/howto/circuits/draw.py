@@ -238,6 +238,51 @@ def virtual_ground() -> Drawing:
     return drawing
 
 
+def mid_supply() -> Drawing:
+    drawing = Drawing()
+    drawing.drive(0, "Vcc")
+    for line in range(LINES):
+        if line:
+            drawing.drive(line, "nothing")
+        drawing.load(line, to="Vcc/2")
+    return drawing
+
+
+def feedback() -> Drawing:
+    drawing = Drawing(6.2)
+    for line in range(LINES):
+        drawing.drive(line, "follower" if line else "Vcc")
+        if line:
+            drawing.float_column(line)
+    drawing.channel(0, "sense")
+    drawing.load(0, -1.7)
+    follower = [(-0.5, -2.1), (-0.5, -1.6), (-1.0, -1.85)]
+    drawing.axes.add_patch(Polygon(follower, fc="white", ec=LIVE, lw=1.2, zorder=2))
+    drawing.wire([(0, -1.85), (-0.5, -1.85)], LIVE)
+    drawing.wire([(-1.0, -1.85), (-1.4, -1.85)], LIVE)
+    drawing.text(-1.45, -1.85, "to idle rows", ha="right")
+    return drawing
+
+
+def driven_mux() -> Drawing:
+    drawing = Drawing()
+    drawing.drive(0, "Vcc", "channel")
+    drawing.drive(1, "nothing")
+    drawing.drive(2, "ground", "channel")
+    for line in range(LINES):
+        drawing.load(line)
+    drawing.text(-3.2, 0.55, "common pin of another 4051: OUTPUT LOW", ha="left", fontsize="small")
+    return drawing
+
+
+def bare_inputs() -> Drawing:
+    drawing = Drawing(4.2)
+    for line in range(LINES):
+        drawing.drive(line, "ground" if line else "Vcc", "pin")
+        drawing.converter(line, -0.6, LIVE if line == 0 else IDLE)
+    return drawing
+
+
 CIRCUITS = (
     two_point,
     parallel_mux,
@@ -247,6 +292,10 @@ CIRCUITS = (
     grounded_all,
     grounded_one,
     virtual_ground,
+    mid_supply,
+    feedback,
+    driven_mux,
+    bare_inputs,
 )
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from lampest.files.process import deaf, delayed_interrupt
 from lampest.files.whole import check_output, folder_beside, is_locked, locked, own, sync_folder
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import EVENTS, FORMAT, SALT, Rows, blocks, group_of
+from lampest.recording.acquisition import EVENTS, FILE_ATTRIBUTES, SALT, Rows, blocks, group_of
 from lampest.recording.file import read_raw_readings, recording_file
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, save_parts
@@ -292,13 +292,7 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int, frame_rows: Rows) -> 
         hdf5.set_attributes(dataset, units=units, long_name=long_name)
     for rows in series:
         hdf5.set_attributes(entry[rows.checksum[0]], **{SALT: salt})
-    hdf5.set_attributes(
-        file,
-        NX_class="NXroot",
-        default="entry",
-        lampest_format=FORMAT,
-        lampest_unfinished=np.uint8(1),
-    )
+    hdf5.set_attributes(file, **FILE_ATTRIBUTES, lampest_unfinished=np.uint8(1))
     hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
     hdf5.set_attributes(
         entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"]

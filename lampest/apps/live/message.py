@@ -383,6 +383,8 @@ def _panel(panel: Panel) -> dict[str, Any]:
             name: _numbers(at, 3)
             for name, at in zip(("x_mm", "y_mm"), panel.places_mm, strict=True)
         }
+        if panel.heights_mm is not None:
+            about["z_mm"] = _numbers(panel.heights_mm, 3)
     return about
 
 

@@ -238,26 +238,45 @@ def positive_mean_interval(values: Array, parts: int) -> Interval:
     return Interval(interval.value, interval.value / factor, interval.value * factor)
 
 
-def between(interval: Interval, unit: str = "", sign: str = "") -> str:
-    """Format an interval, such as '2.13 (1.95 to 2.36) %', with two digits of its length.
+def ratio_interval(values: Array, others: Array, parts: int) -> Interval:
+    """Return the ratio of two means of positive values, x̄/ȳ·e^(±t·s/√n), as `mean_interval`.
 
-    sign : '+' for differences, printed before positive numbers.
+    ln(x̄/ȳ) has the standard deviation of the paired differences x/x̄ − y/ȳ. The interval is one of
+    factors, so that no end is negative. NaN where ȳ is zero.
+
+    Parameters
+    ----------
+    values, others : array, shape (units,)
+        x and y of the same units.
+    parts : int
+        Number n of successive parts.
     """
+    mean = np.float64(np.mean(values))
+    other = np.float64(np.mean(others))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ratio = float(mean / other)
+        reach = mean_interval(values / mean - others / other, parts).upper
+        factor = float(np.exp(reach))
+    return Interval(ratio, ratio / factor, ratio * factor)
+
+
+def between(interval: Interval, unit: str = "") -> str:
+    """Format an interval, such as '2.13 (1.95 to 2.36) %', with two digits of its length."""
     length = interval.upper - interval.lower
     like = max(length, abs(interval.value) / 10) if np.isfinite(length) else None
     ends = (interval.value, interval.lower, interval.upper)
-    value, lower, upper = (sign * (end > 0) + digits(end, 2, like) for end in ends)
+    value, lower, upper = (digits(end, 2, like) for end in ends)
     return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Mean of an estimator over the units, and its paired difference from the smallest mean.
+    """Mean of an estimator over the units, and its paired ratio to the smallest mean.
 
     Attributes
     ----------
     estimator : str
-    mean, difference : Interval
+    mean, ratio : Interval
     wins : int
         Number of units in which no estimator is better.
     milliseconds : float
@@ -266,14 +285,14 @@ class Standing:
 
     estimator: str
     mean: Interval
-    difference: Interval
+    ratio: Interval
     wins: int
     milliseconds: float
 
     @property
     def is_significant(self) -> bool:
-        """Whether the interval of the difference excludes zero."""
-        return not self.difference.lower <= 0 <= self.difference.upper
+        """Whether the interval of the ratio excludes one."""
+        return self.ratio.lower > 1
 
 
 @dataclass(frozen=True)
@@ -295,11 +314,6 @@ class Criterion:
     meaning: str
     per_cell: Callable[[CaseResult], Array]
     average: Callable[..., Any]
-
-    @property
-    def difference_unit(self) -> str:
-        """Unit of differences."""
-        return "percentage points" if self.unit == "%" else self.unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,7 +421,7 @@ def comparison_of(batch: Batch) -> Comparison | None:
         best = values[:, order[0]]
         intervals = (
             positive_mean_interval(chosen_values, parts),
-            mean_interval(chosen_values - best, parts),
+            ratio_interval(chosen_values, best, parts),
         )
         standings.append(
             Standing(match.estimators[number], *intervals, int(wins[number]), float(times[number]))
@@ -508,7 +522,6 @@ def _reasons(
     best = comparison.standings[0]
     criterion = comparison.criterion
     units = len(comparison.units)
-    points = criterion.difference_unit
     basis = (
         f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
     )
@@ -518,25 +531,20 @@ def _reasons(
         f"{best.estimator} has the smallest {criterion.name}: "
         f"{between(best.mean, criterion.unit)}, {basis}."
     )
-    differences = [
-        f"{row.estimator} ({between(row.difference, points, '+')})"
-        for row in similar
-        if row is not best
-    ]
-    if differences:
-        yield f"Within 5 % of it: {listed(differences)}."
+    ratios = [f"{row.estimator} ({between(row.ratio)} times)" for row in similar if row is not best]
+    if ratios:
+        yield f"Within 5 % of it: {listed(ratios)}."
     if advised is not best:
         slow, fast = (digits(row.milliseconds, 2) for row in (best, advised))
         yield f"{advised.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
     worse = [row for row in comparison.standings if row not in similar]
     if worse:
-        texts = [f"{row.estimator} by {between(row.difference, sign='+')}" for row in worse]
-        yield f"The error is larger, in {points}, with {listed(texts)}."
+        texts = [f"{row.estimator} ({between(row.ratio)} times)" for row in worse]
+        yield f"The error is larger with {listed(texts)}."
     for row in worse:
         if not row.is_significant:
             ends = (
-                f"95 % interval {digits(row.difference.lower)} to "
-                f"{digits(row.difference.upper)} {points}"
+                f"95 % interval of the ratio {digits(row.ratio.lower)} to {digits(row.ratio.upper)}"
             )
             yield (
                 f"The difference between {row.estimator} and {best.estimator} is not significant "

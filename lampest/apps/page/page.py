@@ -27,7 +27,7 @@ from lampest.report.compare import (
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Plot, ResidualPlot
 from lampest.report.plots.maps import Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.style import WIDTH_INCH, data_uri, verbatim
-from lampest.report.strongest import strongest_index
+from lampest.report.strongest import reference_words, strongest_index
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
@@ -132,6 +132,7 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
         "place": place,
         "table": case_table({estimator: [case] for estimator, case in by_estimator.items()}),
         "pictures": shown,
+        "reference": reference_words(cases[0]),
         "undecided": in_full and len(cases) > 1 and not pairs,
         "failed": failures([*by_estimator.values()]),
     }
@@ -250,13 +251,13 @@ def failures(cases: Sequence[CaseResult]) -> list[str]:
 
 
 def standing_table(comparison: Comparison) -> Table:
-    """Compare every estimator with the best one: criterion, difference, wins, time."""
+    """Compare every estimator with the best one: criterion, ratio, wins, time."""
     criterion = comparison.criterion
     first = comparison.standings[0]
     headers = (
         "",
         f"{criterion.name}, mean [{criterion.unit}] (95 % interval)",
-        f"difference from {first.estimator} [{criterion.difference_unit}] (95 % interval)",
+        f"times that of {first.estimator} (95 % interval)",
         "significance",
         f"units with the smallest error, of {len(comparison.units)}",
         "time per frame [ms]",
@@ -264,17 +265,15 @@ def standing_table(comparison: Comparison) -> Table:
     )
     rows = []
     for row in comparison.standings:
-        difference = NONE
+        times = NONE
         verdict = "smallest"
         ratio = NONE
         if row is not first:
-            difference = between(row.difference, sign="+")
+            times = between(row.ratio)
             ratio = digits(first.milliseconds / row.milliseconds, 2)
             verdict = "significant" if row.is_significant else "not significant"
         speed = digits(row.milliseconds)
-        rows.append(
-            (row.estimator, between(row.mean), difference, verdict, str(row.wins), speed, ratio)
-        )
+        rows.append((row.estimator, between(row.mean), times, verdict, str(row.wins), speed, ratio))
     return Table(headers, tuple(rows))
 
 

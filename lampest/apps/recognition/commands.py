@@ -1,6 +1,7 @@
 """The command `detect`."""
 
 import json
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lampest.apps.recognition.detect.answer import Detected
+    from lampest.apps.recognition.detect.detection import Unchecked
     from lampest.apps.recognition.detect.pressed import PressedCells
     from lampest.apps.recognition.detect.visits import Visit
 
@@ -30,16 +32,16 @@ def detect(
     """Detect contacts: since when, where, how large, and whether one sucks.
 
     The output is one sentence per recording, then events. Writes detections.h5, visits.csv with one
-    row for each visit, visits.png and a timeline of each recording; of results with pressures also
-    pressed.csv with every frame.
+    row for each visit, visits.png unless all panels are mats, and a timeline of each recording; of
+    results with pressures also pressed.csv with every frame.
 
     Parameters
     ----------
     files
         Recordings, results files, or folders of recordings.
     out
-        Output folder. Default: results/<recording>, of several results/visits, or beside the
-        results.
+        Output folder. Default: results/<recording>, of several results/visits (of mats
+        results/contacts), or beside the results.
     json_
         Print the answers as JSON, and write no files.
     all_
@@ -54,7 +56,8 @@ def detect(
         Leave out whether the circuits of recordings explain their readings.
     """
     from lampest.apps.recognition.detect.detection import (
-        detect_recording,
+        Unchecked,
+        answer_recording,
         detect_results,
         named_apart,
         recordings_in,
@@ -65,7 +68,7 @@ def detect(
 
     sources = recordings_in(files)
     named = screen.frames_of(frames)
-    answers: list[Detected] = []
+    pending: list[Unchecked] = []
     loads: list[PressedCells] = []
     is_results = [format_of(source).startswith("results/") for source in sources]
     if estimator is not None and not all(is_results):
@@ -75,33 +78,61 @@ def detect(
         with screen.progress("recordings" if of_results else "frames") as on_case:
             if of_results:
                 results = read_results(source, frames=named)
-                answers += detect_results(results, patch, threshold, on_case)
+                detected = detect_results(results, patch, threshold, on_case)
+                pending += [Unchecked.never(answer) for answer in detected]
                 loads += pressed(
                     results.named("estimator", (estimator or results.estimators()[0],))
                 )
             else:
-                answer = detect_recording(
-                    source, patch, named, threshold, on_case, check=not no_check
+                pending.append(
+                    answer_recording(source, patch, named, threshold, on_case, check=not no_check)
                 )
-                answers.append(answer)
-    answers = named_apart(answers)
+    answers = named_apart([unchecked.answer for unchecked in pending])
+    if not json_:
+        _say_answers(answers)
+    answers = _with_checks(answers, pending)
     if json_:
         content = [answer.content() for answer in answers]
         screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
-    else:
-        if out is None:
-            out = _folder_of_answers(sources, is_results=is_results[0])
-        _tell(answers, loads, out, everything=all_)
+        return
+    if out is None:
+        out = _folder_of_answers(sources, answers, is_results=is_results[0])
+    _tell(answers, loads, out, everything=all_)
 
 
-def _folder_of_answers(sources: "Sequence[Path]", *, is_results: bool) -> Path:
+def _with_checks(answers: "Sequence[Detected]", pending: "Sequence[Unchecked]") -> "list[Detected]":
+    """Check the circuits of the answers' recordings, and return the answers with warnings."""
+    checked = []
+    with screen.progress("checks") as on_check:
+        for answer, unchecked in zip(answers, pending, strict=True):
+            checked.append(replace(answer, warnings=unchecked.checked().warnings))
+            on_check(len(checked), len(pending))
+    return checked
+
+
+def _folder_of_answers(
+    sources: "Sequence[Path]", answers: "Sequence[Detected]", *, is_results: bool
+) -> Path:
     """Return the default folder of the answers of some files.
 
     `is_results` states whether the first file is one of results.
     """
     if len(sources) > 1:
-        return Path("results") / "visits"
+        return Path("results") / ("contacts" if all(answer.mat for answer in answers) else "visits")
     return sources[0].parent if is_results else Path("results") / sources[0].stem
+
+
+def _say_answers(answers: "Sequence[Detected]") -> None:
+    """Print the sentences of the answers, of several behind their common headline."""
+    from lampest.apps.recognition.detect.answer import headline
+    from lampest.apps.recognition.detect.visits import visits_of
+
+    several = len(answers) > 1
+    if several:
+        season = visits_of(answers)
+        screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
+    for answer in answers:
+        screen.say(f"{answer.recording}: {answer.sentence}" if several else answer.sentence)
 
 
 def _tell(
@@ -111,12 +142,11 @@ def _tell(
     *,
     everything: bool,
 ) -> None:
-    """Write the files of the answers, and print their sentences and tables."""
+    """Write the files of the answers, and print their warnings and tables."""
     from lampest.apps.recognition.detect import visits
     from lampest.apps.recognition.detect.answer import (
         FILE,
         event_table,
-        headline,
         load_table,
         write_detections,
     )
@@ -125,6 +155,9 @@ def _tell(
     from lampest.files.whole import refuse_inputs
 
     season = visits.visits_of(answers)
+    # days and nights, and hours, are counted for animals alone
+    animals = [answer for answer in answers if not answer.mat]
+    counted = visits.visits_of(animals)
     files = [folder / FILE, folder / visits.FILE]
     if loads:
         files.append(folder / PRESSED)
@@ -135,17 +168,12 @@ def _tell(
         write_pressed(folder / PRESSED, loads)
     drawing = find_spec("matplotlib") is not None
     if drawing:
-        files += _draw(answers, season, folder)
-    several = len(answers) > 1
-    if several:
-        screen.say(f"{len(answers)} recordings: {headline([visit.answer for visit in season])}")
-    for answer in answers:
-        screen.say(f"{answer.recording}: {answer.sentence}" if several else answer.sentence)
+        files += _draw(answers, counted, folder)
     for answer in answers:
         screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
     screen.print_table(event_table(answers))
-    if len(season) > 1:
-        screen.print_table(visits.count_table(answers, season))
+    if len(counted) > 1:
+        screen.print_table(visits.count_table(animals, counted))
     if everything:
         screen.print_table(load_table(answers))
         screen.print_table(pressed_table(loads))

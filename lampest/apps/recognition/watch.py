@@ -472,7 +472,7 @@ class Watch:
             return replace(self, known=True, next_s=again, former=None)
         look = Look(verdict, self.test.sizes(self.level.mean - self.rest.mean), time)
         first = not self._recognised and not self.attachments
-        if first and self.setup.explained and relieved_by_departure(verdict):
+        if first and relieved_by_departure(verdict) and self.setup.explained():
             left_s = self.level.since_s
             history = LEFT.format(left_s)
             return replace(self, look=look, history=history)._gone(left_s)

@@ -17,6 +17,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
+from lampest.estimate.alike import STILL, nearest_panel, noise_share
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import UNKNOWN_SD, AnyState, SequenceState, Step
@@ -125,14 +126,35 @@ class Method(Configuration):
         if objective.relative:
             background = self._background_with_previous(state, readings)
         data = replace(objective.data(readings.alone(), background), first=state.first)
+        several = state.scene.circuit.several_panels and state.scene.wiring is None
         if state.previous is not None:
-            return data, state.previous[None]
+            start = state.previous
+            if several and state.baseline is not None and readings.plain.all():
+                start = self._nearest_panel(state, readings)
+            return data, start[None]
+        if several and state.panels is not None:
+            return data, np.clip(state.panels.resting, data.lower[0], data.upper[0])[None]
         panels = state.scene.circuit.panels_alike(state.resting.value)
         if not panels:
             return data, None
         # Of several panels that give the same readings the one nearest to the unloaded panel is
         # meant.
         return data, np.minimum(panels[0][1], data.upper[0])[None]
+
+    def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
+        """Return the panel of a frame that differs least from the unloaded one.
+
+        Of those that give its readings, found from known panels; the previous cells where none is.
+        """
+        assert state.previous is not None
+        known = [state.previous, state.baseline_resistance]
+        if state.panels is not None:
+            known.append(state.panels.loaded)
+        firsts = [cells for cells in known if np.isfinite(cells).all()]
+        panels = state.scene.circuit.every_panel(readings.value, noise_share(readings), firsts)
+        if not panels or not np.isfinite(state.baseline_resistance).all():
+            return state.previous
+        return nearest_panel(panels, state.baseline_resistance)
 
     def _background_with_previous(self, state: SequenceState, readings: Readings) -> Background:
         """Return the background of a frame with the previous frame and the baseline.
@@ -351,13 +373,15 @@ class OptimalMethod(Method):
         per_pixel, nodal : IPOPT with node voltages as unknowns. reduced : Newton with potentials
         eliminated. auto : nodal where IPOPT takes a few hundredths of the time between frames, else
         reduced: on panels of up to NODAL_CELLS with squared losses, if frames are at least
-        NODAL_PERIOD apart.
+        NODAL_PERIOD apart, and one panel gives their readings.
         """
         kind = self.kind
         if kind == "auto":
             squared = all(term.loss.squared for term in cost.terms)
             few = cost.panel.crossings <= NODAL_CELLS
-            kind = "nodal" if few and squared and period >= NODAL_PERIOD else "reduced"
+            # From its start IPOPT may end at another panel that reads alike
+            fast = few and squared and not scene.circuit.several_panels
+            kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
         return _solver(cost, scene.circuit, scene.wiring, kind, settings)
 
     def solution(
@@ -371,6 +395,10 @@ class OptimalMethod(Method):
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = isinstance(solver, ProjectedNewton)
+        if not is_newton and previous is not None and _elsewhere(solution, data, previous):
+            newton = _solver(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
+            nearer = best_solution(newton, data, previous)
+            return nearer if nearer.optimum else solution
         enough = solution.optimum if is_newton else solution.strict
         if self.kind != "auto" or enough or data.overdue:
             return solution
@@ -387,6 +415,17 @@ class OptimalMethod(Method):
         """Return what the solution of a single frame carries for the next one, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
+
+
+def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
+    """Return whether a solve ended at another panel than it began at, of several that read alike.
+
+    IPOPT moves away from its start, and Newton's method does not.
+    """
+    if not (data.readout.several_panels and solution.solved):
+        return False
+    moved = np.abs(np.log(solution.cell_resistance / start))
+    return bool(np.median(moved) > STILL)
 
 
 @lru_cache(maxsize=32)

@@ -12,6 +12,11 @@ constant,
 Circuits are designed so that readings rise when cells conduct more. A panel where they fall has to
 be more probable by LOG_PRIOR than the regular one; on large panels, whose determinant costs too
 much, it is never taken.
+
+Each driven line has a fold of its own, so that there may be more panels. `every_panel` searches
+beyond the folds of single lines, too, and frames tell them apart: cells that nobody touched are
+equal in an unloaded and in a loaded frame on the branch that is meant, and on no other
+(`lampest.estimate.alike`).
 """
 
 import math
@@ -32,6 +37,9 @@ MAX_MISFIT = 0.03  # of the median reading: panels that read alike to less than 
 LOG_PRIOR = -math.log(SIGNIFICANCE)  # of a panel whose readings rise with its conductance
 MAX_CELLS = 400  # whose determinant is computed
 SAME = 1e-2  # of log r: panels that differ by less are one
+MAX_SEARCHES = 16  # for all panels that give one frame's readings
+LINE_FACTORS = np.geomspace(1e-2, 1e2, 17)  # of the cells of a line, on the way to its fold
+MIN_FACTOR = 1.3  # of the cells of a line beyond its fold
 
 
 def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[Array]:
@@ -94,6 +102,64 @@ def panels_alike(
     prior = {number: LOG_PRIOR * bool(branch(networks[number]) < 0) for number in alike}
     order = sorted(alike, key=lambda number: -(evidence[number] + prior[number]))
     return [(evidence[number], panels[number]) for number in order]
+
+
+def every_panel(
+    network: Callable[[Array], Network],
+    measured: Array,
+    firsts: Sequence[Array],
+    tolerance: float,
+    driven_axis: int,
+) -> list[Array]:
+    """Return the panels that give the readings, in the order in which they are found.
+
+    From each of them, searches begin beyond the folds of single driven lines.
+
+    Parameters
+    ----------
+    network, measured, firsts
+        As those of `panels_alike`.
+    tolerance : float
+        Largest `misfit` of a panel.
+    driven_axis : int
+        Axis of a panel that counts the driven lines.
+    """
+    panels: list[Array] = []
+    waiting = list(firsts)
+    searches = 0
+    while waiting and searches < MAX_SEARCHES:
+        first = waiting.pop(0)
+        searches = searches + 1
+        cells = matching_cells(network, measured, first, first / RANGE, first * RANGE)
+        if not misfit(network(cells), measured) <= tolerance:
+            continue
+        if len(_distinct([*panels, cells])) > len(panels):
+            panels.append(cells)
+            waiting.extend(_beyond_folds(network, measured, cells, driven_axis))
+    return panels
+
+
+def _beyond_folds(
+    network: Callable[[Array], Network], measured: Array, cells: Array, driven_axis: int
+) -> list[Array]:
+    """Return panels with one driven line beyond its fold.
+
+    The line has cells larger or smaller by one factor, with which it has its median reading again.
+    """
+    panels = []
+    for line in range(cells.shape[driven_axis]):
+        of_line = np.moveaxis(np.zeros(cells.shape, dtype=bool), driven_axis, 0)
+        of_line[line] = True
+        chosen = np.moveaxis(of_line, 0, driven_axis)
+        excess = np.empty(len(LINE_FACTORS))
+        for number, factor in enumerate(LINE_FACTORS):
+            reading = network(np.where(chosen, factor * cells, cells)).reading()
+            excess[number] = np.log(np.median(reading[chosen] / measured[chosen]))
+        for crossing in np.flatnonzero(excess[:-1] * excess[1:] < 0):
+            factor = float(np.sqrt(LINE_FACTORS[crossing] * LINE_FACTORS[crossing + 1]))
+            if abs(np.log(factor)) > np.log(MIN_FACTOR):
+                panels.append(np.where(chosen, factor * cells, cells))
+    return panels
 
 
 def _distinct(panels: Sequence[Array]) -> list[Array]:

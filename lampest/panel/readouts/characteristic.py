@@ -29,13 +29,14 @@ class Characteristic(Configuration):
     ----------
     zero_volt : float or {'estimated'}
         Voltage of code 0.
-    full_volt : float or {'estimated'}, or None
-        Voltage of code 2^bits; None: the end of the converter's range.
+    full_volt : float, or None
+        Voltage of code 2^bits; None: the end of the converter's range. No frame shows it, so that
+        'estimated' is refused.
     curve : tuple of (float, float), or None
         Points (volt, code) of the curve, straight between them. None: a straight line.
 
-    Raises ValueError if a voltage is out of range, if both ends are one, or if the points of a
-    curve do not rise or fall throughout.
+    Raises ValueError if a voltage is out of range, if both ends are one, if full_volt is to be
+    estimated, or if the points of a curve do not rise or fall throughout.
 
     >>> lampest.Characteristic(zero_volt=0.14, full_volt=3.12).zero_volt
     0.14
@@ -46,6 +47,11 @@ class Characteristic(Configuration):
     curve: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
+        if self.full_volt == "estimated":
+            raise ValueError(
+                "full_volt: no frame shows it, because cells of another size read alike; measure a "
+                "known voltage"
+            )
         volts = [self.zero_volt, self.full_volt, *(volt for volt, _ in self.curve or ())]
         for volt in volts:
             if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
@@ -74,8 +80,8 @@ class Characteristic(Configuration):
         if self.curve is not None:
             volt, code = self.points
             return f"codes by a curve from {volt[0]:g} V ({code[0]:g}) to {volt[-1]:g} V"
-        if "estimated" in (self.zero_volt, self.full_volt):
-            return "ends of the converter estimated"
+        if self.zero_volt == "estimated":
+            return "zero of the converter estimated"
         end = "" if self.full_volt is None else f" to {self.full_volt:.6g} V"
         return f"codes from {self.zero_volt:.6g} V{end}"
 
@@ -84,11 +90,21 @@ def _falls(code: Array) -> bool:
     return bool(np.all(np.diff(code) < 0))
 
 
-# esp32: 12 bits at 11 dB, a straight line through readings that users of the Arduino core report
-# (nothing below 0.14 V, the last code at 3.12 V; Espressif's data sheet specifies 0.15 to 2.45 V).
-# Chips differ by some 6 %: a measured `curve` is better. avr: data sheets of the ATmega, with the
-# supply as reference; its zero is off by up to 2 steps.
-KNOWN = {
-    "esp32": Characteristic(zero_volt=0.14, full_volt=3.12),
-    "avr": Characteristic(),
-}
+Known = Literal["esp32", "avr", "inverting amplifier"]
+
+
+def known(name: Known, full_scale_volt: float) -> Characteristic:
+    """Return the characteristic of a converter with a name, for the end of its range in volt.
+
+    esp32 : 12 bits at 11 dB, a straight line through readings that users of the Arduino core report
+    (nothing below 0.14 V, the last code at 3.12 V; Espressif's data sheet specifies 0.15 to
+    2.45 V). Chips differ by some 6 %: a measured `curve` is better. avr : data sheets of the
+    ATmega, with the supply as reference; its zero is off by up to 2 steps. inverting amplifier :
+    two equal resistors about half the range, V_out = 2 V_ref − V (Mancini, Op Amps for Everyone,
+    Texas Instruments SLOD006B, 2002, chapter 4).
+    """
+    if name == "esp32":
+        return Characteristic(zero_volt=0.14, full_volt=3.12)
+    if name == "inverting amplifier":
+        return Characteristic(zero_volt=full_scale_volt, full_volt=0.0)
+    return Characteristic()

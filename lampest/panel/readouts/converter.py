@@ -14,7 +14,7 @@ from lampest.files.errors import counted
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
-from lampest.panel.readouts.characteristic import KNOWN, MAX_VOLT, Characteristic
+from lampest.panel.readouts.characteristic import MAX_VOLT, Characteristic, Known, known
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 MIN_REPEATS = 50  # repeated readings, which determine a noise to a tenth
@@ -54,7 +54,7 @@ class Converter(Configuration):
     passes_volt : tuple[float, float] or {'estimated'}, or None
         Smallest and largest voltage that a stage before the converter passes; a reading within its
         noise of either is a bound. 'estimated': from the frames. None: all.
-    converter : Characteristic or {'esp32', 'avr'}, or None
+    converter : Characteristic or {'esp32', 'avr', 'inverting amplifier'}, or None
         Voltages that the codes stand for. None: from 0 to full scale.
     scan_order : {'rows', 'columns'} or tuple of (int, int), or None
         Order in which the readings of a frame are taken: row by row, column by column, or a list of
@@ -69,7 +69,7 @@ class Converter(Configuration):
     noise_lsb: PerLine | Literal["estimated"] | None = None
     floor_code: int | None = None
     passes_volt: tuple[float, float] | Literal["estimated"] | None = None
-    converter: Characteristic | Literal["esp32", "avr"] | None = None
+    converter: Characteristic | Known | None = None
     scan_order: Literal["rows", "columns"] | tuple[tuple[int, int], ...] | None = None
 
     def __post_init__(self) -> None:
@@ -106,7 +106,7 @@ class Converter(Configuration):
         """Voltages that the codes stand for."""
         if isinstance(self.converter, Characteristic):
             return self.converter
-        return KNOWN["avr" if self.converter is None else self.converter]
+        return known("avr" if self.converter is None else self.converter, self.full_scale_volt)
 
     @property
     def _ends(self) -> tuple[float, float]:
@@ -119,7 +119,7 @@ class Converter(Configuration):
         full = characteristic.full_volt
         return (
             0.0 if isinstance(zero, str) else zero,
-            self.full_scale_volt if isinstance(full, str | None) else full,
+            full if isinstance(full, float | int) else self.full_scale_volt,
         )
 
     @property

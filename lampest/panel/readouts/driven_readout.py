@@ -27,7 +27,8 @@ class DrivenReadout(SourcedCircuit):
     """Circuit with driven and sensed lines, named by the resistances of its lines.
 
     They are the resistances while the lines are used and while idle. Loaded columns, grounded lines
-    and virtual grounds are presets of it. The equation stands in `lampest.panel.readouts.driven`.
+    and virtual grounds are presets of it. The equation stands in
+    `lampest.panel.readouts.driven_network`.
 
     Attributes
     ----------

@@ -2,8 +2,8 @@
 
     c·V_ij = c U Z_ij / ((A + A' Z_ii)(B + B' Z_jj) − A' B' Z_ij²)
 
-The equation and its states stand in `lampest.panel.readouts.driven`. Its numbers depend on the
-circuit and on the size of the panel alone, and are kept.
+The equation and its states stand in `lampest.panel.readouts.driven_network`. Its numbers depend on
+the circuit and on the size of the panel alone, and are kept.
 """
 
 from dataclasses import dataclass, replace

@@ -9,7 +9,7 @@ potentials (V/R, or V where a line is held) and v = Z·x,
 
 for the excitations d and s of the driven and the sensed line, and V_j = v_j + Z_ij d + Z_jj s, or
 Vq + s of a sensed line that is held while idle. A, A', B, B' are those of
-`lampest.panel.readouts.driven`; E = U − Vp Rd/Rp, or U − Vp of a driven line that is held;
+`lampest.panel.readouts.driven_network`; E = U − Vp Rd/Rp, or U − Vp of a driven line that is held;
 F = Vs/Rs − Vq/Rq, (Vs − Vq)/Rs of a sensed line that is held, or 0 where its load is a part of Z.
 
 All potentials are taken from that of the line ends that are furthest from the source. Where all

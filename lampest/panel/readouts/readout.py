@@ -5,6 +5,7 @@ that follow from these two.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
 
@@ -268,6 +269,30 @@ class Readout(Converter, ABC):
         reading with one resistance alone; see `lampest.panel.readouts.branches`.
         """
         del measured
+        return []
+
+    @property
+    def several_panels(self) -> bool:
+        """Whether the readings of usual cells may be those of quite different cells, too."""
+        return False
+
+    def every_panel(
+        self, measured: Array, tolerance: float, firsts: Sequence[Array] = ()
+    ) -> list[Array]:
+        """Return panels that give readings, (rows, columns) ohm each.
+
+        Empty for circuits that do not have `several_panels`.
+
+        Parameters
+        ----------
+        measured : array, shape (rows, columns)
+            Readings.
+        tolerance : float
+            Largest root mean square of the differences to them, over the median reading.
+        firsts : sequence of array, shape (rows, columns)
+            Cells beside uniform ones at which searches begin, ohm.
+        """
+        del measured, tolerance, firsts
         return []
 
     def uniform_start(self, measured: Array) -> Array:

@@ -128,6 +128,8 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     x, y = case.scene.panel.places_mm
     places = [("row", "row line", rows), ("column", "column line", lines)]
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
+    if case.scene.panel.heights_mm is not None:
+        places.append(("z_mm", "position of the cell, mm", case.scene.panel.heights_mm))
     time = [("time", "time of the frame, s", case.time)]
     for name, words, first, requested in (
         (

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
+from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import (
@@ -32,8 +33,9 @@ from lampest.report.plots.contours import (
 )
 from lampest.report.plots.maps import (
     MapPainter,
+    Scale,
     Tile,
-    banded_scale,
+    change_scale,
     limited,
     log_scale,
     maps_figure,
@@ -198,7 +200,7 @@ def plot_file(path: Path, picture: Path) -> Path:
         raise InputError(f"{path}: has no unloaded frames to compare with; lampest tare names some")
     frame, change = strongest
     tile = Tile(recording.name, change, f"readings of frame {frame} at {recording.time[frame]:g} s")
-    scale = banded_scale([change], "change [%]")
+    scale = _reading_scale(change, recording)
     save(maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), picture)
     return picture
 
@@ -277,6 +279,11 @@ def sized(figure: Figure, figsize: tuple[float, float] | None) -> Figure:
     return figure
 
 
+def _reading_scale(change: Array, recording: Recording) -> Scale:
+    """Return the scale of a change of readings in percent; its label has their unit."""
+    return change_scale([change], f"change of the reading in {recording.scene.circuit.unit} [%]")
+
+
 def recording_picture(
     recording: Recording,
     frame: int | None = None,
@@ -307,7 +314,7 @@ def recording_picture(
     else:
         resting = mean_reading(recording.recorded[recording.role == UNLOADED])
         values = percent_change(values, resting)
-        scale = banded_scale([values], "change [%]")
+        scale = _reading_scale(values, recording)
     scale = limited(scale, vmin, vmax)
     tile = Tile(recording.name, values, note)
     with verbatim():

@@ -18,7 +18,7 @@ from lampest.files.typed import Validated
 from lampest.panel.panel import Array
 from lampest.report.compare import MIN_DIFFERENCE, figures_of, weighted_residual
 from lampest.report.plots import maps, style
-from lampest.report.strongest import as_recorded, percent_change, strongest_index
+from lampest.report.strongest import apparent_change, as_recorded, percent_change, strongest_index
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
@@ -163,10 +163,11 @@ def misfit_text(cases: Sequence[CaseResult]) -> str:
 
 @dataclass(frozen=True)
 class ChangePlot(MapsPlot):
-    """Maps of the change against the unloaded panel in percent.
+    """Maps of the change against the unloaded panel, or the first measured frame, in percent.
 
-    They show measured readings, each estimator's cells, the truth. All have one scale, on which
-    halves and doubles are equally strong. Each cell is a square. Where the truth is known, a line
+    They show measured readings, each estimator's cells, the truth. Readings in volt are shown as
+    the resistance that each cell would have alone. All have one scale, on which halves and doubles
+    are equally strong. Each cell is a square. Where the truth is known, a line
     surrounds the cells that changed, and each map names its error in ln(r/r_unloaded) as a part of
     the true change: 100 % is that of a map without any change.
 
@@ -191,11 +192,9 @@ class ChangePlot(MapsPlot):
             outlined = None if truth is None else np.abs(truth) > CHANGED
             return maps.Tile(name, change, note, crosses, outlined=outlined)
 
-        readings = (
-            as_recorded(value, first.scene)
-            for value in (first.measured[index], first.measured_baseline)
-        )
-        tiles = [tile("measured", percent_change(*readings))]
+        change = apparent_change(first.measured[index], first.measured_baseline, first.scene)
+        alone = "" if first.scene.circuit.unit == "ohm" else ": each cell as if alone"
+        tiles = [tile(f"measured{alone}", change)]
         for case in cases:
             change = case.relative_change[index] if case.solved[index] else None
             tiles.append(tile(estimated(case, cases), change, case.open_cell[index] != 0))

@@ -4,10 +4,12 @@ They are a run, a scene, a simulation and its recording, and the schema.
 """
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
 
+from lampest.audit.widths import NOISE, Width, simulated_widths
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError, meant
 from lampest.files.whole import write_whole
@@ -23,6 +25,14 @@ SCHEMA = "lampest.schema.json"
 MAT = "mat"  # a purpose
 FILES = (SCENE, SIMULATION, SCHEMA, RECORDING, RUN)
 # The simulated load: a lamprey's mouth on panels of at least 6 × 6 lines, else a weight.
+COMMON_PARTS = {
+    "inl_lsb": ("0.5", "sd of the converter's curve; an ATmega328P's is 0.5 (data sheet)"),
+    "wire_ohm_per_cell": (
+        "0.2",
+        "sd of thread or printed silver; of copper: 0",
+    ),
+    "reading_error": ("estimated", "of each reading, the same in all frames: from the recording"),
+}
 MOUTH = """\
   - kind: oral_disc       # a lamprey's mouth
     centre_mm: {centre}     # x along a row, y down the columns, from cell (0, 0)
@@ -47,6 +57,8 @@ class StarterCircuit:
         Sketch of the wiring.
     readout : str
         YAML lines of the scene's readout.
+    parts : mapping
+        Key of `systematic` → its size, and the parts whose errors it is, with their source.
     software : str
         Wiring of the firmware, or the task of the user's own program.
     """
@@ -54,6 +66,7 @@ class StarterCircuit:
     kind: str
     sketch: str
     readout: str
+    parts: Mapping[str, tuple[str, str]]
     software: str
 
 
@@ -104,17 +117,24 @@ def write_starter(
     wiring = {"sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
     readout = chosen.readout.replace("{groups}", str(_halves(columns)))
     readout = readout.replace("{row_groups}", str(_halves(rows)))
-    scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=readout, **wiring)
-    scene = scene.replace("# purpose: mat  ", "purpose: mat    ") if purpose else scene
+    named = {"rows": str(rows), "columns": str(columns), "readout": readout, **wiring}
     centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"  # the middle of the panel
     load = (MOUTH if min(rows, columns) >= 6 and not purpose else WEIGHT).replace(
         "{centre}", centre
     )
-    simulation = _template(SIMULATION, load=load).replace(
-        "scene: {}\n", "scene:\n" + indent(scene, "  ")
-    )
+
+    def files(widths: Sequence[Width]) -> tuple[str, str]:
+        scene = _template(SCENE, **named, systematic=_systematic(chosen.parts, widths))
+        scene = scene.replace("# purpose: mat  ", "purpose: mat    ") if purpose else scene
+        return scene, _template(SIMULATION, load=load).replace(
+            "scene: {}\n", "scene:\n" + indent(scene, "  ")
+        )
+
+    _, simulation = files(())
     simulated: Simulation = validated(parse_document(simulation, SIMULATION), Simulation)
-    simulate(simulated, paths[RECORDING].stem).save(paths[RECORDING])
+    recording = simulate(simulated, paths[RECORDING].stem)
+    recording.save(paths[RECORDING])
+    scene, simulation = files(simulated_widths(recording))
     schema = json.dumps(json_schema(), indent=2) + "\n"
     for name, text in {
         SCENE: scene,
@@ -124,6 +144,24 @@ def write_starter(
     }.items():
         write_whole(paths[name], text)
     return tuple(paths.values())
+
+
+def _systematic(parts: Mapping[str, tuple[str, str]], widths: Sequence[Width]) -> str:
+    """Return the lines of `systematic`, each with its source and its part of the variance."""
+    lines = ["# Errors that all frames share. They widen error bars, and change no estimate."]
+    if widths:
+        noise = ", ".join(f"{width.what} {width.share(NOISE)}" for width in widths)
+        lines += [
+            "# Percent: part of the variance in example.h5 (no penalty). Noise makes the rest,",
+            f"# {noise}. lampest info prints the parts of a recording.",
+        ]
+    lines.append("systematic:")
+    for key, (size, source) in {**parts, **COMMON_PARTS}.items():
+        known = [width for width in widths if key in width.shares]
+        shares = ", ".join(f"{width.what} {width.share(key)}" for width in known)
+        entry = f"  {key}: {size}"
+        lines.append(f"{entry:30} # {shares and f'{shares}: '}{source}")
+    return "\n".join(lines) + "\n"
 
 
 def _halves(lines: int) -> list[list[int]]:

@@ -32,6 +32,9 @@ FRAMES_OF_DRIFT = 2000
 LN_DRIFT = -0.22  # of ln r, over these frames: 20 % of the resistance
 MAX_LEFT = 0.03  # of ln r: what the baseline lags behind such a drift
 PRESS = 0.5  # of ln r
+MAX_MISSING = 5
+MAX_MOVED = 0.1  # of ln r, median of the gaps; measured at most 0.05, and 0.2 to 0.5 when it failed
+ROUNDED = 1e-5  # of a reading
 
 
 @cache
@@ -218,6 +221,43 @@ def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
         change, status = host.frame(gap)
     assert (status[0], status[5]) == (FINE, 2)
     assert np.isfinite(change).all()
+
+
+@pytest.mark.parametrize(
+    ("circuit", "adc_bits", "readings"),
+    [
+        ("two_point", 24, 4),
+        pytest.param("two_point", 16, 1, marks=pytest.mark.slow),
+        pytest.param("two_point", 30, 1, marks=pytest.mark.slow),
+        pytest.param("pull_ups", 24, 4, marks=pytest.mark.slow),
+    ],
+)
+def test_missing_readings_leave_the_other_cells_where_they_were(circuit, adc_bits, readings):
+    scene = scene_of(circuit, adc_bits=adc_bits, readings=readings)
+    sums, case = solved_case(scene, [NOISY, SMOOTH])
+    optimum = np.log(case.cell_resistance[-1] / case.baseline_resistance)
+    rng = np.random.default_rng(11)
+    moved = []
+    with compiled(Constants.of(case)) as host:
+        host.begin(Budget(8, 60, 0.01))
+        for _ in range(GARBLED):
+            host.frame(sums[-2])
+            gap = sums[-1].copy()
+            missing = rng.choice(gap.size, rng.integers(1, MAX_MISSING + 1), replace=False)
+            gap.ravel()[missing] = MISSING
+            change, status = host.frame(gap)
+            assert (status[0], status[5]) == (FINE, len(missing))
+            moved.append(np.abs(change - optimum)[gap != MISSING].max())
+    assert np.median(moved) < MAX_MOVED
+
+
+def test_noise_below_single_precision_counts_as_its_rounding():
+    scene = scene_of("two_point", adc_bits=24, readings=4)
+    sums, case = solved_case(scene, [NOISY, SMOOTH])
+    assert np.median(case.sigma_own) < ROUNDED / 10
+    with compiled(Constants.of(case)) as host:
+        host.frames(sums, Budget(8, 60, 0.01))
+        assert ROUNDED < host.deviation(2, 2, 60) < 10 * ROUNDED
 
 
 def test_sums_beyond_32_bits_are_refused():

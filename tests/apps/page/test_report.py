@@ -14,6 +14,7 @@ from lampest.apps.page.compared import (
     mean_interval,
     positive_mean_interval,
     predicted,
+    ratio_interval,
 )
 from lampest.apps.page.page import disagreements
 from lampest.runs.results import CaseResult
@@ -53,6 +54,21 @@ def test_an_interval_of_an_error_ends_above_zero() -> None:
     narrow = mean_interval(sure, 3)
     assert positive_mean_interval(sure, 3).lower == pytest.approx(narrow.lower, rel=1e-4)
     assert positive_mean_interval(np.zeros(3), 3).value == 0
+
+
+def test_an_interval_of_a_ratio_of_errors_ends_above_zero_and_holds_the_ratio() -> None:
+    """Of units of very different size the paired ratio is sure, as a difference is not."""
+    others = np.array([0.1, 1.0, 10.0])
+    sure = ratio_interval(2.0 * others, others, 3)
+    assert (sure.lower, sure.value, sure.upper) == pytest.approx((2, 2, 2))
+    wide = ratio_interval(np.array([1.0, 11.0]), np.array([3.0, 2.0]), 2)
+    assert 0 < wide.lower < 1 < wide.upper and wide.value == pytest.approx(12 / 5)
+    rng = np.random.default_rng(2)
+    held = 0
+    for logs in 0.2 * rng.standard_normal((DRAWS, 2, 6)):
+        interval = ratio_interval(*np.exp(logs), 6)
+        held += interval.lower <= 1 <= interval.upper
+    assert 0.95 - COVERAGE_ERROR <= held / DRAWS <= 0.95 + COVERAGE_ERROR
 
 
 def test_the_advice_says_that_two_recordings_are_few() -> None:

@@ -207,7 +207,7 @@ def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> 
     known = known_of(estimate.prepared)
     again, frames = known_of_case(read_results(tmp_path / "results.h5").cases[0])
     assert isinstance(known, Known)
-    assert (known.explained, known.begin) == (again.explained, again.begin)
+    assert (known.explained(), known.begin) == (again.explained(), again.begin)
     assert known.unloaded.shape == again.unloaded.shape
     np.testing.assert_allclose(known.resting, again.resting)
     np.testing.assert_allclose(known.sigma, again.sigma)

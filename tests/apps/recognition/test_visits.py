@@ -16,7 +16,7 @@ from laws.recognised import answered, every_frame, known_before
 
 from docs.studies.attachments import ATTACHED_S, TOUCH_S, seen
 from docs.studies.attachments import recording as attached
-from lampest import Array
+from lampest import Array, Panel
 from lampest.apps.recognition.attachment import Attachment, continued_by
 from lampest.apps.recognition.breath import breath
 from lampest.apps.recognition.breathing import Breathing
@@ -29,6 +29,7 @@ from lampest.apps.recognition.detect.answer import (
     answer_of,
 )
 from lampest.apps.recognition.detect.detection import Known, known_of, measured_frames
+from lampest.apps.recognition.detect.timeline import timeline
 from lampest.apps.recognition.detect.visits import COLUMNS, count_table, visits_of
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.pumping import Pumping
@@ -133,6 +134,14 @@ def test_visits_of_several_recordings_are_sorted_by_time() -> None:
 def test_the_sentence_counts_visits() -> None:
     sentence = detected_loads(load(0.0, 100.0), load(200.0, 300.0), load(400.0, None)).sentence
     assert sentence.startswith("3 lamprey visits; last: lamprey attached since 400.0 s")
+
+
+def test_a_timeline_of_a_mat_shows_contacts() -> None:
+    course = np.array([[0.0, 400.0], [1.0, 9.0]])
+    seen = detected_loads(load(0.0, 100.0), load(200.0, 300.0))
+    for mat, what in ((False, "visits"), (True, "contacts")):
+        figure = timeline(replace(seen, course=course, panel=Panel(6, 6, 10.0), mat=mat))
+        assert f"places of all {what}" in [axes.get_title() for axes in figure.axes]
 
 
 @pytest.mark.parametrize(("threshold", "answer"), [(0.9, LAMPREY), (0.999, SUCKS)])

@@ -108,6 +108,8 @@ class Detected:
         Date and time at 0 s.
     end_s : float or None
         Time of the last frame, s.
+    mat : bool
+        Whether the panel is a mat, on which nothing can suck.
     """
 
     recording: str
@@ -124,6 +126,7 @@ class Detected:
     threshold: float = MIN_PROBABILITY
     start_time: str | None = None
     end_s: float | None = None
+    mat: bool = False
 
     @classmethod
     def of(
@@ -323,11 +326,16 @@ def _silence_in_words(load: Attachment) -> str:
 
 
 def headline(called: Sequence[str]) -> str:
-    """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'."""
+    """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'.
+
+    Of contacts alone it is their number, '3 contacts'.
+    """
     lampreys = called.count(LAMPREY)
     unsure = called.count(SUCKS)
     cups = called.count(CUP)
     contacts = len(called) - lampreys - unsure - cups
+    if called and contacts == len(called):
+        return _plural(contacts, "contact")
     parts = [_plural(lampreys, "lamprey visit")]
     if unsure:
         parts.append(f"{unsure} unsure")
@@ -409,20 +417,21 @@ def event_table(answers: Sequence[Detected]) -> Table:
 def load_table(answers: Sequence[Detected]) -> Table:
     """Return a table with a row for each attachment.
 
-    It has probabilities, and figures of the touched cells.
+    It has probabilities, unless all panels are mats, and figures of the touched cells.
     """
+    shown = () if all(answer.mat for answer in answers) else tuple(CHANCES)
     rows = []
     for answer in answers:
         for load in answer.attachments:
             since = f"{load.since_s:.1f}"
-            chances = [f"{getattr(load, chance):.3f}" for chance in CHANCES]
+            chances = [f"{getattr(load, chance):.3f}" for chance in shown]
             area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
             conductance = ""
             if load.conductance_s is not None:
                 conductance = f"{1e3 * load.conductance_s[0]:.3g}"
             row = (answer.recording, since, *chances, str(load.cells), area, conductance)
             rows.append(row)
-    chances = [f"P({chance})" for chance in CHANCES]
+    chances = [f"P({chance})" for chance in shown]
     return Table(
         ("recording", "since [s]", *chances, "cells", "area [mm²]", "conductance [mS]"), tuple(rows)
     )

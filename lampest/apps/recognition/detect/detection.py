@@ -3,6 +3,8 @@
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import ne
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from lampest.apps.recognition.detect.answer import MIN_PROBABILITY, Detected
 from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.observation import ModelErrors
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
-from lampest.apps.recognition.watch_parts import WatchSetup
+from lampest.apps.recognition.watch_parts import WatchSetup, assumed_to_explain
 from lampest.estimate.deciding import baseline_readings
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import CircuitEffects, without_effects_of
@@ -35,6 +37,7 @@ from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand
 from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
+from lampest.runs.checks import kept_check
 from lampest.runs.executors import each_of
 from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
@@ -77,8 +80,8 @@ class Known:
         Edge of a cell's film; None where it is not specified.
     effects : CircuitEffects or None
         Effects that are taken off the readings.
-    explained : bool
-        Whether the circuit explains the readings.
+    explained : callable
+        Returns whether the circuit explains the readings, as `WatchSetup` has it.
     threshold : float
         Probability from which an attachment is called a lamprey, or a suction cup.
     start_time : str or None
@@ -98,7 +101,7 @@ class Known:
     notes: tuple[str, ...]
     patch_mm: float | None = None
     effects: CircuitEffects | None = None
-    explained: bool = True
+    explained: Callable[[], bool] = assumed_to_explain
     threshold: float = MIN_PROBABILITY
     start_time: str | None = None
     resting_side: Array | None = None
@@ -198,6 +201,7 @@ class Known:
             "course": course,
             "change": watch.change,
             "panel": self.scene.panel,
+            "mat": self.scene.purpose == "mat",
         }
         about |= {"threshold": self.threshold, "start_time": self.start_time, "end_s": time}
         detected = Detected.of(self.name, attachments, rate, **about)
@@ -304,7 +308,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
         noise,
         notes,
         patch_mm,
-        explained=case.model_mark != "no",
+        explained=lambda: case.model_mark != "no",
         start_time=case.start_time,
     )
     sides = np.where(case.valued, 0.0, np.nan)
@@ -327,6 +331,31 @@ def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Ar
     return np.asarray(np.sqrt(np.fmax(square, (MIN_FRAME_SHARE * sigma) ** 2)))
 
 
+@dataclass(frozen=True, eq=False)
+class Unchecked:
+    """Answer to a recording whose circuit has not been checked yet.
+
+    Attributes
+    ----------
+    answer : Detected
+        With the warnings that need no check.
+    warnings : callable
+        Checks the circuit and returns all warnings.
+    """
+
+    answer: Detected
+    warnings: Callable[[], Sequence[str]]
+
+    @classmethod
+    def never(cls, answer: Detected) -> "Unchecked":
+        """Return an answer that keeps its warnings, as those of results do."""
+        return cls(answer, lambda: answer.warnings)
+
+    def checked(self) -> Detected:
+        """Return the answer with the warnings of the check."""
+        return _with_warnings(self.answer, self.warnings())
+
+
 def detect_recording(
     path: Path,
     patch_mm: float | None = None,
@@ -336,9 +365,24 @@ def detect_recording(
     *,
     check: bool = True,
 ) -> Detected:
+    """Return the answer to a recording with the check of its circuit, see `answer_recording`."""
+    unchecked = answer_recording(path, patch_mm, frames, threshold, on_frame, check=check)
+    return unchecked.checked()
+
+
+def answer_recording(
+    path: Path,
+    patch_mm: float | None = None,
+    frames: range | None = None,
+    threshold: float = MIN_PROBABILITY,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    check: bool = True,
+) -> Unchecked:
     """Return the answer to a recording, which is read part by part.
 
-    Raises InputError where it cannot be read.
+    It does not wait for the check of the circuit, unless the answer depends on it. A check that a
+    run has kept holds here, too. Raises InputError where the recording cannot be read.
 
     Parameters
     ----------
@@ -361,35 +405,62 @@ def detect_recording(
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    watched = known_of(head, patch_mm, check=check)
-    doubts = warnings_of(head.recording, recognition_noise(head), head.check if check else None)
-    if not check:
-        doubts = (*doubts, NOT_CHECKED)
-    messages = tuple(doubt for doubt in doubts if not doubt.startswith((TOUCHED, UNEVENLY)))
-    if isinstance(watched, Detected):
-        return replace(watched, warnings=messages, start_time=stored.start_time)
-    watched = replace(watched, threshold=threshold, start_time=stored.start_time)
+    kept = kept_check(path) if check else None
+    explained = assumed_to_explain
+    if kept is not None:
+        explained = partial(ne, kept.mark, "no")
+    elif check:
+        explained = partial(_explains, head)
+    known = known_of(head, patch_mm, explained)
     requested = range(stored.frames) if frames is None else frames
     blocks = stored.blocks
 
-    def looked_at() -> Frames:
+    def looked_at(known: Known) -> Frames:
         for block in blocks:
-            measured = measured_frames(stored.part(block), watched, np.isin(block, requested))
+            measured = measured_frames(stored.part(block), known, np.isin(block, requested))
             for done, frame in enumerate(measured, block[0]):
                 on_frame(done, stored.frames)
                 yield frame
             on_frame(block[-1] + 1, stored.frames)
 
-    return replace(watched.answer(looked_at()), warnings=messages)
+    if isinstance(known, Detected):
+        answer = known
+    else:
+        answer = replace(known, threshold=threshold).answer(looked_at(known))
+    answer = replace(answer, start_time=stored.start_time)
+    without = warnings_of(head.recording, recognition_noise(head), None)
+
+    def doubts() -> Sequence[str]:
+        if kept is not None:
+            return kept.warnings.split("\n")
+        if not check:
+            return (*without, NOT_CHECKED)
+        return warnings_of(head.recording, recognition_noise(head), head.check)
+
+    return Unchecked(_with_warnings(answer, without), doubts)
+
+
+def _with_warnings(answer: Detected, warnings: Sequence[str]) -> Detected:
+    """Return an answer with the warnings that do not repeat it."""
+    repeating = (TOUCHED, UNEVENLY)
+    messages = (line for line in warnings if line and not line.startswith(repeating))
+    return replace(answer, warnings=tuple(messages))
+
+
+def _explains(prepared: Prepared) -> bool:
+    """Return whether nothing contradicts the circuit of a recording."""
+    return prepared.check.explains is not False
 
 
 def known_of(
-    prepared: Prepared, patch_mm: float | None = None, *, check: bool = True
+    prepared: Prepared,
+    patch_mm: float | None = None,
+    explained: Callable[[], bool] | None = None,
 ) -> "Known | Detected":
     """Return the knowledge from the first frames of a recording, or an answer.
 
-    The answer has the reason why there is none. Without `check` the circuit is taken to explain the
-    readings.
+    The answer has the reason why there is none. `explained` returns whether the circuit explains
+    the readings; by default its check does, when a load needs to know.
     """
     head = prepared.recording
     readings = head.readings()
@@ -431,8 +502,7 @@ def known_of(
         notes,
         patch_mm,
     )
-    explained = not check or prepared.check.explains is not False
-    known = Known(head.name, scene, *before, besides, explained)
+    known = Known(head.name, scene, *before, besides, explained or partial(_explains, prepared))
     side = np.where(resting.seen > 0, resting.side, 0.0)
     if not side.any():
         return known

@@ -99,7 +99,7 @@ def _course(axes: Axes, answer: Detected) -> None:
 def _map(axes: Axes, answer: Detected) -> None:
     """Draw the relative change of the cells at the last recognition with its circle.
 
-    Of several visits their places are drawn.
+    Of several visits, or of a mat's contacts, their places are drawn.
     """
     if len(answer.attachments) > 1 and answer.panel is not None:
         _visits(axes, answer, answer.panel)
@@ -153,5 +153,6 @@ def _visits(axes: Axes, answer: Detected, panel: Panel) -> None:
         ylim=(bottom + panel.pitch_mm, top - panel.pitch_mm),
     )
     axes.set_aspect("equal")
-    axes.set_title("places of all visits", fontsize=SMALL_POINT)
+    what = "contacts" if answer.mat else "visits"
+    axes.set_title(f"places of all {what}", fontsize=SMALL_POINT)
     dressed(axes, ACROSS_LABEL, DOWN_LABEL)

@@ -1,0 +1,203 @@
+"""Starts of solves on driven circuits: cells by closed forms, uniform panels, exact readings."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from math import inf
+
+import numpy as np
+
+from lampest.panel.panel import Array
+from lampest.panel.readouts.alternation import Alternation
+from lampest.panel.readouts.branches import (
+    LEVELS,
+    MAX_CELLS,
+    MAX_MISFIT,
+    every_panel,
+    misfit,
+    panels_alike,
+    uniform_panels,
+)
+from lampest.panel.readouts.driven_network import DrivenNetwork
+from lampest.panel.readouts.equation import Equation, equation_of
+from lampest.panel.readouts.floating import convex_start, uniform_factor
+from lampest.panel.readouts.lines import (
+    as_tuple,
+)
+from lampest.panel.readouts.readout import (
+    MIN_LOAD_SHARE,
+)
+from lampest.panel.readouts.unseen import Scale, unseen_scales
+
+USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
+LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
+UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
+OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
+
+
+class DrivenStarts(DrivenNetwork):
+    """Base of circuits with driven and sensed lines: cells at which solves begin."""
+
+    def _reference(self, equation: Equation) -> Array:
+        """Return the resistor that scales a reading, (rows, columns) ohm.
+
+        It is Rs. Where no resistor sets the scale of cells, it is one that gives usual cells.
+        """
+        return np.where(np.isfinite(equation.load), equation.load, USUAL_OHM)
+
+    def apparent_resistance(self, measured: Array) -> Array:
+        """Return the resistance of a single divider with this reading.
+
+        It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
+        """
+        equation = self._equation(measured.shape)
+        if self._by_uniform_panels(equation, measured):
+            return self._of_uniform_panels(measured)
+        load = self._reference(equation)
+        drive = equation.drive
+        volt = np.maximum(measured / equation.gain, OPEN_SHARE * self.driving_volt)
+        # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
+        total = load * (self.driving_volt - self._lost(volt / load)) / volt
+        return np.asarray(np.maximum(total - load - drive, MIN_LOAD_SHARE * total))
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
+
+        This is exact for Rd = Rp = 0, where no sensed line depends on another one or on its load.
+        Where idle lines float, or are at ground through more than a cell has, it is the apparent
+        resistance.
+        """
+        equation = self._equation(measured.shape)
+        if self._by_uniform_panels(equation, measured):
+            return self._of_uniform_panels(measured)
+        if equation.floating:
+            return np.asarray(
+                self.apparent_resistance(measured) / uniform_factor(*measured.shape[-2:])
+            )
+        if not equation.grounded:
+            apparent = self.apparent_resistance(measured)
+            if np.mean(equation.states.idle) > np.median(apparent):
+                return apparent
+        load = self._reference(equation)
+        driven = -3 - self._along_sensed
+        # Voltages over the supply, with a lower limit for open cells.
+        share = measured / (self.driving_volt * equation.gain)
+        share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
+        remainder = 1 - share.sum(axis=driven, keepdims=True)
+        # A negative remainder is noise, or the substitute of a dead line. Then the load counts as
+        # one more cell.
+        return np.asarray(
+            load
+            * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven]))
+            / share
+        )
+
+    def unseen_scales(self, rows: int, columns: int) -> tuple[Scale, ...]:
+        equation = equation_of(self, rows, columns)
+        # A load, or nothing that conducts elsewhere, shows the scale
+        if np.isfinite(equation.load).all() or equation.floating:
+            return ()
+        return unseen_scales(self, rows, columns)
+
+    def resolution(self, measured: Array, sigma: Array) -> Array:
+        """Return the resolution limit, see `Readout.resolution`.
+
+        Without a scale it is that of any cell: no reading says more.
+        """
+        if self.unseen_scales(*measured.shape[-2:]):
+            return np.full(measured.shape, LARGEST_OHM)
+        return super().resolution(measured, sigma)
+
+    def _by_uniform_panels(self, equation: Equation, measured: Array) -> bool:
+        """Return whether no closed form gives a cell by its reading, but a uniform panel does."""
+        if equation.plain and np.isfinite(equation.load).all():
+            return False
+        return not self.unseen_scales(*measured.shape[-2:])
+
+    def _of_uniform_panels(self, measured: Array) -> Array:
+        """Return the uniform panels that come nearest to each reading, (…, rows, columns) ohm."""
+        rows, columns = measured.shape[-2:]
+        levels, readings = uniform_readings(self, rows, columns)
+        flat = measured.reshape(-1, rows, columns)
+        distance = np.abs(readings[None] - flat[:, None])
+        return np.asarray(levels[np.argmin(distance, axis=1)]).reshape(measured.shape)
+
+    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+        """Return cells that reproduce the readings, (rows, columns) ohm.
+
+        They are found by alternation of potentials and cells (`Alternation`), or, where it moves
+        away or several panels give the same readings, by Newton's method from uniform panels.
+        Without loads the equations of floating lines determine ratios of cells alone, and the start
+        is the uniform one.
+        """
+        equation = self._equation(measured.shape)
+        if equation.floating:
+            return convex_start(self.apparent_resistance(measured), upper, near)
+        positive = np.maximum(measured, OPEN_SHARE * measured.max())
+        if near is not None:
+            firsts = [near]
+        elif self.unseen_scales(*measured.shape):
+            firsts = [self.uniform_start(measured)]
+        else:
+            firsts = uniform_panels(self.exact_reading, positive)
+        if len(firsts) == 1 and equation.plain and np.isfinite(equation.states.load).all():
+            alternation = Alternation(
+                equation,
+                self._ties(measured, None),
+                self.driven,
+                self.driving_volt,
+                self._driven_volt,
+            )
+            alternated = alternation.cells(measured, self.uniform_start(measured), near)
+            cells = np.minimum(alternated, upper)
+            if misfit(self.network(cells, self.ties(measured)), positive) < MAX_MISFIT:
+                return np.asarray(cells)
+            firsts.append(cells)
+        return self._panels_from(positive, firsts, upper)[0][1]
+
+    @property
+    def several_panels(self) -> bool:
+        """Whether idle lines are held harder than the driven one, and a scale is shown."""
+        idle = as_tuple(getattr(self, "idle_ohm", inf))
+        return min(idle) < max(as_tuple(self.drive_ohm))
+
+    def every_panel(
+        self, measured: Array, tolerance: float, firsts: Sequence[Array] = ()
+    ) -> list[Array]:
+        few = measured.size <= MAX_CELLS
+        if not (self.several_panels and few) or self.unseen_scales(*measured.shape):
+            return []
+        return every_panel(
+            lambda cells: self.network(cells, self.ties(measured)),
+            measured,
+            [*firsts, *uniform_panels(self.exact_reading, measured)],
+            tolerance,
+            0 if self.driven == "rows" else 1,
+        )
+
+    def panels_alike(self, measured: Array) -> list[tuple[float, Array]]:
+        if self._equation(measured.shape).floating or self.unseen_scales(*measured.shape):
+            return []
+        positive = np.maximum(measured, OPEN_SHARE * measured.max())
+        firsts = uniform_panels(self.exact_reading, positive)
+        if len(firsts) == 1:
+            return []
+        return self._panels_from(positive, firsts, np.full(measured.shape, np.inf))
+
+    def _panels_from(
+        self, measured: Array, firsts: Sequence[Array], upper: Array
+    ) -> list[tuple[float, Array]]:
+        """Return the panels that give the readings, as `panels_alike`, from the first ones."""
+        return panels_alike(
+            lambda cells: self.network(cells, self.ties(measured)), measured, firsts, upper
+        )
+
+
+@lru_cache(maxsize=32)
+def uniform_readings(circuit: DrivenNetwork, rows: int, columns: int) -> tuple[Array, Array]:
+    """Return resistances of uniform panels, (levels,) ohm, and their readings.
+
+    The readings have shape (levels, rows, columns).
+    """
+    levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
+    panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
+    return levels, circuit.exact_reading(panels)
