@@ -15,6 +15,7 @@ import numpy as np
 import lampest
 from lampest import Array, DrivenReadout, Panel, Recording, Scene
 
+NOISE_LSB = 0.7
 WRONG = 0.1  # median deviation of the pressed cells beyond which an answer is wrong
 RESTING_FRAMES = 6
 LOADED_FRAMES = 3
@@ -94,7 +95,7 @@ def random_readout(rng: np.random.Generator) -> DrivenReadout:
         supply_volt=5.0,
         adc_bits=12,
         readings=4,
-        noise_lsb=0.7,
+        noise_lsb=NOISE_LSB,
     )
 
 
@@ -114,7 +115,7 @@ def trial(seed: int) -> Trial:
     frames = np.repeat(exact, (RESTING_FRAMES, LOADED_FRAMES), axis=0)
     step = readout.supply_volt / 2**readout.adc_bits
     draws = rng.normal(size=(readout.readings, *frames.shape))
-    codes = np.clip(np.rint(frames / step + readout.noise_lsb * draws), 0, 2**readout.adc_bits - 1)
+    codes = np.clip(np.rint(frames / step + NOISE_LSB * draws), 0, 2**readout.adc_bits - 1)
     scene = Scene(Panel(*shape), readout)
     recording = Recording.from_array(
         codes.mean(axis=0), unit="code", scene=scene, baseline=RESTING_FRAMES

@@ -18,7 +18,7 @@ from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.resolve import specified
 from lampest.estimate.saturation import saturated
-from lampest.estimate.scan_motion import share_of_motion
+from lampest.estimate.scan_motion import READING_ERRORS, share_of_motion
 from lampest.estimate.still_cells import significant_reading_error
 from lampest.estimate.variance_components import unloaded_scatter
 from lampest.files.errors import BROKEN
@@ -218,7 +218,14 @@ def _motion(evidence: Gathered) -> Iterator[Finding]:
     unloaded = evidence.unloaded
     if readings.sigma is None or not unloaded.any() or not evidence.names_none("motion"):
         return
-    share = share_of_motion(evidence.scene, readings[unloaded].mean(), readings, evidence.measured)
+    named = isinstance(specified(evidence.scene, "systematic.reading_error"), float)
+    share = share_of_motion(
+        evidence.scene,
+        readings[unloaded].mean(),
+        readings,
+        evidence.measured,
+        (0.0,) if named else READING_ERRORS,
+    )
     if share is not None and share.gain > MIN_EVIDENCE_GAIN:
         yield _finding(
             f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "

@@ -96,7 +96,8 @@ def simulated_widths(recording: Recording) -> tuple[Width, ...]:
         data = cells_alone().data(measured.alone(), Background(scene))
         fits.append(CellsFit.at(scene, data, measured, cells[frame]))
     moved = np.abs(np.log(cells[-1] / cells[0])) > MIN_CHANGE
-    return widths_at(*fits, systematic_of(scene) or Systematic(), moved)
+    resting, loaded = fits
+    return widths_at(resting, loaded, systematic_of(scene) or Systematic(), moved)
 
 
 def widths_at(

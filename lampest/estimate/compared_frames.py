@@ -57,7 +57,7 @@ class ComparedFrames:
         specified = Rival(
             recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma
         )
-        readings = specified.readings()
+        readings = specified.readings
         named = np.arange(len(role)) if recording.number is None else recording.number
         resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
         standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
@@ -83,7 +83,7 @@ class ComparedFrames:
         """
         chosen = np.concatenate([self.resting, self.standing])
         count = len(self.resting)
-        read = rival.readings(chosen)
+        read = rival.readings[chosen]
         usable = rival.ordered(self._usable[chosen])
         read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
         resting = read[:count].mean()
@@ -127,7 +127,7 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
 
     It is '' where there is none.
     """
-    readings = rival.readings()
+    readings = rival.readings
     sigma = replace(
         readings, seen=readings.seen * frames.specified.nearly_gaussian(1)
     ).sigma_of_values

@@ -211,7 +211,7 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     Rivals whose inequalities the readings break are not fitted. A resistance in series only makes
     these inequalities narrower, so that they are asked without one.
     """
-    change = changes_beyond_noise(frames.specified.scene, frames.specified.readings(), frames.role)
+    change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
     # circuits that only exchange the names of lines have the scene's score within rounding
     limit = np.inf if specified is None else specified.score - SAME_SCORE
@@ -436,7 +436,7 @@ def _response_to_memory(explanation: Explanation, frames: ComparedFrames) -> Arr
 
 def _without_series(rival: Rival) -> Rival:
     """Return the rival without resistance in series; the same where it has none."""
-    return rival.with_series(0.0) if rival.scene.circuit.series_name else rival
+    return rival.with_series(0.0) if rival.scene.circuit.series_name and rival.ohm else rival
 
 
 def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
@@ -446,7 +446,7 @@ def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
     """
     if not rival.scene.circuit.series_name or len(frames.standing) == 0:
         return 0.0
-    without = rival.with_series(0.0)
+    without = _without_series(rival)
     try:
         read = frames.readings(without)
     except (InputError, *BROKEN):

@@ -3,14 +3,15 @@
 It is estimated from the unloaded panel and a loaded frame. With a wrong share every change of a
 cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
 pair of frames (`lampest.estimate.fitted_pair`) is compared over MEMORIES, all equally probable
-before.
+before, relative to the misfit of still cells. Nothing is determined where most cells moved: any
+share then explains them.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from lampest.estimate.changed_cells import PARAMETER_COST
+from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.compared_frames import ComparedFrames
 from lampest.estimate.explanation import MEMORIES as TRIED
 from lampest.estimate.explanation import Explanation, may_gain_by_memory
@@ -38,13 +39,20 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
         return "record unloaded frames, and a load on a few cells"
     if recording.scene.panel.crossings > MAX_CELLS:
         return f"the panel has more than {MAX_CELLS} cells: estimate it on a part of it"
-    costs = _costs(recording, MEMORIES)
-    best = float(MEMORIES[np.argmin(costs)])
+    plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
+    frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
+    coarse = [_cost(explanation) for explanation in _explanations(frames, MEMORIES)]
+    best = float(MEMORIES[np.argmin(coarse)])
     step = float(MEMORIES[1])
     shares = np.linspace(max(best - step, 0.0), max(best, step) + step, FINER)
-    costs = _costs(recording, shares)
-    if not np.isfinite(costs).all():
+    explanations = _explanations(frames, shares)
+    costs = np.array([_cost(explanation) for explanation in explanations])
+    nearest = explanations[int(np.argmin(costs))]
+    if not np.isfinite(costs).all() or nearest is None or nearest.pair is None:
         return "no cells explain the unloaded panel and a loaded frame"
+    if not mostly_still(nearest.pair.moved):
+        return "the load touches most cells: press a few cells"
+    costs = costs / nearest.pair.excess
     # parabola through the three points around the least cost: its vertex, and 1/√(half of its
     # curvature)
     middle = int(np.clip(np.argmin(costs), 1, len(shares) - 2))
@@ -83,16 +91,6 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     return (_cost(without) - _cost(best)) / best.pair.excess if shown else 0.0
 
 
-def _costs(recording: Recording, shares: Array) -> Array:
-    """Return −2 ln density of loaded frames given the unloaded ones for each share.
-
-    It is infinite without a fit.
-    """
-    plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
-    frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
-    return np.array([_cost(explanation) for explanation in _explanations(frames, shares)])
-
-
 def _explanations(
     frames: ComparedFrames, shares: Array, near: Explanation | None = None
 ) -> list[Explanation | None]:
@@ -118,10 +116,11 @@ def _cost(explanation: Explanation | None) -> float:
     """
     if explanation is None or explanation.pair is None:
         return np.inf
-    # p(recorded) = p(freed) |∂freed/∂recorded|, (1 − m)⁻¹ for each reading
+    # p(recorded) = p(freed) |∂freed/∂recorded|. The score has the readings relative to their σ,
+    # which is √(1 + m²) |∂freed/∂recorded| times that of the recorded ones.
     count = float(np.sum(explanation.fits[-1].readings.seen > 0))
     memory = explanation.rival.scene.known_memory or 0.0
-    return explanation.score + 2 * float(np.log1p(-memory)) * count
+    return explanation.score + count * float(np.log1p(memory**2))
 
 
 def with_estimated_memory(

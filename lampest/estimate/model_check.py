@@ -101,7 +101,7 @@ class Question(ComparedFrames):
     def _shares(self) -> tuple[float, float]:
         """Shares of bounds and of missing readings in the frames to explain."""
         scene = self.specified.scene
-        compared = self.specified.readings(np.concatenate([self.resting, self.standing]))
+        compared = self.specified.readings[np.concatenate([self.resting, self.standing])]
         read = (compared.seen > 0)[:, scene.requested].sum()
         bounded = (compared.bounds & scene.requested).sum() / max(read, 1)
         return float(bounded), float(compared.missing(scene).mean())
@@ -130,7 +130,7 @@ class Question(ComparedFrames):
         It is '' where there is none.
         """
         scene = self.specified.scene
-        readings = self.specified.readings()
+        readings = self.specified.readings
         if scene.circuit.unit != "ohm" or readings.sigma is None:
             return ""
         remaining = scene.circuit.from_recorded(self.specified.recorded, scene)

@@ -22,7 +22,7 @@ from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import BROKE_DOWN, NoiseEstimate, without_effects
 from lampest.estimate.nuisances import CircuitEffects
 from lampest.estimate.saturation import passed_range
-from lampest.estimate.scan_motion import UNKNOWN_SHARE, Share, share_of_motion
+from lampest.estimate.scan_motion import READING_ERRORS, UNKNOWN_SHARE, Share, share_of_motion
 from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
 from lampest.panel.effects import Effect, LineLeak, LooseContact
@@ -113,8 +113,9 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
         number = Share(mean=float(share), deviation=0.0, reach=float(share))
         return noise.with_motion(scene, measured, number) if share else noise
     unloaded = recording.role == UNLOADED
+    errors_tried = READING_ERRORS if READING_ERROR.setting in estimated_errors(scene) else (0.0,)
     size = (
-        share_of_motion(scene, readings[unloaded].mean(), readings, measured)
+        share_of_motion(scene, readings[unloaded].mean(), readings, measured, errors_tried)
         if unloaded.any()
         else None
     )

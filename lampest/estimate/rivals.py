@@ -10,6 +10,7 @@ is inverted.
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
 from itertools import product
 from math import inf
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -110,13 +111,13 @@ class Rival:
         """Return the rival with another resistance in series, ohm."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
-    def readings(self, frames: NDArray[np.intp] | slice = slice(None)) -> Readings:
-        """Return the readings of these frames.
+    @cached_property
+    def readings(self) -> Readings:
+        """Readings of all frames.
 
         Raises InputError where the circuit cannot have recorded the values.
         """
-        sigma = self.sigma if self.sigma is None or self.sigma.ndim == 2 else self.sigma[frames]
-        return Readings.of(self.scene, self.recorded[frames], sigma)
+        return Readings.of(self.scene, self.recorded, self.sigma)
 
     def nearly_gaussian(self, frames: int) -> Array:
         """Return 1 where the noise of a recorded value is nearly Gaussian, else 0.
@@ -129,7 +130,7 @@ class Rival:
         frames : int
             Number of frames that are averaged.
         """
-        sigma = self.readings().sigma
+        sigma = self.readings.sigma
         if self.scene.circuit.unit != "ohm" or sigma is None:
             return np.ones(self.recorded.shape)
         # The curvature shifts a mean by about (σ/R)² R, which is √n σ/R standard deviations of a
@@ -237,12 +238,18 @@ def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
             yield _changed(specified, groups=blocks)
 
 
+@cache
+def _types_of(kind: type[Readout]) -> dict[str, Any]:
+    """Return the types of a kind's settings by their names."""
+    return get_type_hints(kind)
+
+
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have.
 
     The first setting is its name.
     """
-    types = get_type_hints(kind)
+    types = _types_of(kind)
     names = [field.name for field in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
@@ -257,7 +264,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         yield from _held_at_ground(specified)
         return
     words = choices(kind)
-    types = get_type_hints(kind)
+    types = _types_of(kind)
     names = {field.name for field in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:

@@ -4,30 +4,37 @@ The readings are taken one after the other. A reading is taken at its own delay 
 the frame, and the load has moved by then. The load displaces all readings of a frame along one
 known direction: the steps between frames, times each reading's delay, times the share of the time
 between frames that a scan takes. The readings are interpolated to the middle of the scan. Cells
-that no load touches determine the share: a wrong one makes them move.
+that no load touches determine the share: a wrong one makes them move. So do errors that a reading
+has in all frames, because a load changes their effect on the cells: the share is sought jointly
+with their size where that is unknown.
 
 The displacement has errors, too, where a load moves unevenly between two frames. The still cells
 then seem stillest at less than the scan's share, as the slope of a regression is attenuated by
 errors of its variable (Fuller, Measurement Error Models, 1987, section 1.1).
 """
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.cells_fit import CellsFit, fitted
-from lampest.estimate.changed_cells import mostly_still, usual_starts
+from lampest.estimate.changed_cells import MOVED_COST, mostly_still, usual_starts
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene
+from lampest.panel.systematic import own_errors
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
+# Sizes of each reading's own error that are tried beside a share, all equally probable.
+READING_ERRORS = (0.0, 1e-3, 3e-3, 1e-2, 3e-2)
 # Error of a value interpolated between two frames, over √(τ(1 − τ)) times the second difference of
 # the frames: 0.7 for a change at once, 0.2 to 0.4 for one that takes a frame or longer.
 INTERPOLATION_ERROR = 0.5
@@ -138,16 +145,33 @@ def displacement(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -
 
 
 def share_of_motion(
-    scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]
+    scene: Scene,
+    resting: Readings,
+    readings: Readings,
+    measured: NDArray[np.intp],
+    errors_tried: Sequence[float],
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes.
 
     None where it is unknown. A load that moves displaces all readings of a frame along one known
     direction, by share · displacement. Cells that no load touches seem to move by K times as much,
     K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
-    all equally probable before, for the frames with the largest motion. The reach is the share
-    over the reliability of the displacements, 1 − Σ errors²/Σ displacements², at most the whole
-    time.
+    all equally probable before, for the frames with the largest motion, and summed over sizes of
+    each reading's own error. The reach is the share over the reliability of the displacements, 1 −
+    Σ errors²/Σ displacements², at most the whole time.
+
+    Parameters
+    ----------
+    scene : Scene
+    resting : Readings
+        Mean of the unloaded frames, (rows, columns).
+    readings : Readings
+        All frames.
+    measured : array of int
+        Numbers of the measured frames.
+    errors_tried : sequence of float
+        Sizes of each reading's own error, the same in all frames: READING_ERRORS where it is
+        unknown, (0.0,) where the readings have none beside their σ.
     """
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
@@ -157,8 +181,7 @@ def share_of_motion(
     moved = displacement(scene, readings, measured)
     size = np.sqrt(np.mean((moved.value / readings.known_sigma) ** 2, axis=(1, 2)))
     base = fitted(scene, resting, patient=True)
-    costs = np.zeros(len(SHARES))
-    counted = 0
+    compared = list[_Frame]()
     near = None
     # Sums of squares in σ².
     displacements = errors = 0.0
@@ -168,15 +191,19 @@ def share_of_motion(
             return None
         near = fit.cells
         of_frame = Displacement(*(part[frame] for part in moved))
-        cost, still = _costs((base, fit), of_frame)
-        if still:
-            costs += cost
-            counted += 1
+        frame_changes = _Frame.of((base, fit), of_frame, errors_tried)
+        if frame_changes.is_mostly_still:
+            compared.append(frame_changes)
             noise = readings.known_sigma[frame]
             displacements += float(np.sum((of_frame.value / noise) ** 2))
             errors += float(np.sum((of_frame.smooth / noise) ** 2))
-    if not counted:
+    if base is None or not compared:
         return None
+    joint_costs = [
+        [_joint_cost([frame.explained[size, share] for frame in compared]) for share in SHARES]
+        for size in errors_tried
+    ]
+    costs = -2 * np.logaddexp.reduce(-np.array(joint_costs) / 2, axis=0)
     odds = np.exp(-(costs - costs.min()) / 2)
     odds /= odds.sum()
     mean = float(odds @ SHARES)
@@ -191,43 +218,129 @@ def share_of_motion(
     return Share(mean, float(np.sqrt(variance)), reach, float(costs[0] - costs.min()))
 
 
-def _costs(fits: tuple[CellsFit, CellsFit], displaced: Displacement) -> tuple[Array, bool]:
-    """Return −2 ln evidence over SHARES, (shares,), and whether most cells are still.
+class _Explained(NamedTuple):
+    """Changes of a frame with a share of motion and a size of each reading's own error.
 
-    A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring frame.
-    Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean of frames
-    would seem to be motion. Cells count as still without the doubt of the interpolation: with it,
-    everything may be still.
-
-    Parameters
+    Attributes
     ----------
-    fits : tuple of two CellsFit
-        The unloaded panel and a frame.
-    displaced : Displacement
-        That of the frame, (rows, columns).
+    cost : float
+        −2 ln evidence of the frame alone.
+    change : array, shape (cells,)
+        d.
+    noise : array, shape (cells, cells)
+        Covariance of d that no other frame shares, with the freedom of moved cells.
+    shared : array, shape (cells, n)
+        Columns of the errors that all frames share: of each reading, and of the unloaded panel.
+    beside : float
+        −2 ln of the prior of the moved cells, and of the Jacobian of the interpolation.
     """
-    frame = fits[1]
-    changes = FittedPair(fits).with_columns(np.zeros((displaced.value.size, 0)))
-    moved = frame.response(displaced.value[None])[:, 0]
-    weight = displaced.weight.ravel()
-    noise = frame.readings.known_sigma.ravel()
-    # The evidence takes motion as smooth: a wider doubt would favour small shares.
-    smooth = displaced.smooth.ravel()
-    costs = []
-    exact = []
-    starts = usual_starts(changes.change)
-    for share in SHARES:
-        # variance of the mean with the neighbouring frame, over that of the reading
-        remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
-        averaged = frame.gain * (noise * np.sqrt(1 - remaining))
-        doubt = share * frame.gain * smooth
-        exact.append(replace(changes, change=changes.change - share * moved))
-        doubted = replace(exact[-1], noise=changes.noise - averaged @ averaged.T + doubt @ doubt.T)
-        cost, cells_moved = doubted.selected(starts)
-        # A share moves few cells beyond those of the share before it.
-        starts = [cells_moved, np.zeros_like(cells_moved)]
-        # Moved cells are free, and take as many readings out of the density.
-        counted = 1 - np.mean(cells_moved)
-        costs.append(cost - 2 * counted * np.sum(np.log(1 - share * weight)))
-    best = exact[int(np.argmin(costs))]
-    return np.array(costs), mostly_still(best.selected(starts)[1])
+
+    cost: float
+    change: Array
+    noise: Array
+    shared: Array
+    beside: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame with each share and each size of errors.
+
+    Attributes
+    ----------
+    explained : mapping of (float, float) to _Explained
+        By size of errors and share.
+    is_mostly_still : bool
+        Whether most cells are still under the likeliest of them.
+    """
+
+    explained: Mapping[tuple[float, float], _Explained]
+    is_mostly_still: bool
+
+    @classmethod
+    def of(
+        cls, fits: tuple[CellsFit, CellsFit], displaced: Displacement, sizes: Sequence[float]
+    ) -> "_Frame":
+        """Return a frame.
+
+        A reading y less its displacement, z = (1 − w) y + w yₙ, is a mean with the neighbouring
+        frame. Its variance is σ²((1 − w)² + w²), and p(y) = (1 − w) p(z): without both, every mean
+        of frames would seem to be motion. Cells count as still without the doubt of the
+        interpolation: with it, everything may be still.
+
+        Parameters
+        ----------
+        fits : tuple of two CellsFit
+            The unloaded panel and the frame.
+        displaced : Displacement
+            That of the frame, (rows, columns).
+        sizes : sequence of float
+            Standard deviations of each reading's own error, relative.
+        """
+        resting, frame = fits
+        pair = FittedPair(fits)
+        changes = pair.with_columns(pair.columns(()))
+        by_motion = frame.response(displaced.value[None])[:, 0]
+        weight = displaced.weight.ravel()
+        noise = frame.readings.known_sigma.ravel()
+        # The evidence takes motion as smooth: a wider doubt would favour small shares.
+        smooth = displaced.smooth.ravel()
+        # A = K_f U_f − K_b U_b of errors of one, the same in both frames.
+        of_readings = frame.gain * own_errors(frame.readings.value, frame.scene, 1.0).ravel()
+        of_readings -= resting.gain * own_errors(resting.readings.value, resting.scene, 1.0).ravel()
+        of_unloaded = np.linalg.cholesky(
+            resting.covariance + ASSUMED.creep**2 * np.eye(len(weight))
+        )
+        explained = {}
+        exact = {}
+        starts = usual_starts(changes.change)
+        for share in SHARES:
+            # variance of the mean with the neighbouring frame, over that of the reading
+            remaining = (1 - share * weight) ** 2 + (share * weight) ** 2
+            averaged = frame.gain * (noise * np.sqrt(1 - remaining))
+            doubt = share * frame.gain * smooth
+            for size in sizes:
+                exact[size, share] = replace(
+                    changes,
+                    change=changes.change - share * by_motion,
+                    noise=changes.noise
+                    - averaged @ averaged.T
+                    + size**2 * of_readings @ of_readings.T,
+                )
+                doubted = replace(
+                    exact[size, share], noise=exact[size, share].noise + doubt @ doubt.T
+                )
+                cost, moved = doubted.selected(starts)
+                # Further searches begin at the moved cells of the share and size before.
+                starts = [moved]
+                # Moved cells are free, and take as many readings out of the density.
+                jacobian = -2 * (1 - np.mean(moved)) * np.sum(np.log(1 - share * weight))
+                shared = np.column_stack([size * of_readings, of_unloaded])
+                explained[size, share] = _Explained(
+                    cost + jacobian,
+                    doubted.change,
+                    doubted.covariance + np.diag(1.0 * moved) - shared @ shared.T,
+                    shared,
+                    MOVED_COST * int(moved.sum()) + jacobian,
+                )
+        likeliest = exact[min(explained, key=lambda key: explained[key].cost)]
+        moved = likeliest.selected(usual_starts(likeliest.change))[1]
+        return cls(explained, mostly_still(moved))
+
+
+def _joint_cost(frames: Sequence[_Explained]) -> float:
+    """Return −2 ln evidence of frames that share errors z ~ N(0, 1), d_f = B_f z + noise_f.
+
+    With the precision M = 1 + Σ B_fᵀ N_f⁻¹ B_f of z and v = Σ B_fᵀ N_f⁻¹ d_f it is Σ (d_fᵀ N_f⁻¹
+    d_f + ln|N_f|) + ln|M| − vᵀ M⁻¹ v.
+    """
+    cost = 0.0
+    precision = np.eye(frames[0].shared.shape[1])
+    pull = np.zeros(len(precision))
+    for frame in frames:
+        weighted = np.linalg.solve(frame.noise, np.column_stack([frame.shared, frame.change]))
+        precision += frame.shared.T @ weighted[:, :-1]
+        pull += frame.shared.T @ weighted[:, -1]
+        cost += float(frame.change @ weighted[:, -1] + np.linalg.slogdet(frame.noise)[1])
+        cost += frame.beside
+    return cost + float(np.linalg.slogdet(precision)[1] - pull @ np.linalg.solve(precision, pull))

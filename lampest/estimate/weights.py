@@ -285,23 +285,46 @@ class WeightSearch:
             weight * ratio if n in self.open_terms else weight
             for n, weight in enumerate(near.weights)
         ]
-        moved = np.zeros(len(weights))
-        previous = np.zeros(len(weights))
+        moved: Array = np.zeros(len(weights))
+        previous: Array = np.zeros(len(weights))
+        low: Array = np.full(len(weights), -np.inf)
+        high: Array = np.full(len(weights), np.inf)
         for _ in range(MAX_SOLVES):
             near = self._solved(weights, near.cells, scale)
-            updated = next_weights if isinstance(near.errors, SampledErrors) else settled_weights
-            step = np.log(updated(near.errors.model, self.open_terms)) - np.log(weights)
+            place = np.log(weights)
+            step, ascent = self._steps(near, place)
+            if len(self.open_terms) == 1:  # the maximum of one weight lies where the ascent points
+                low = np.where(ascent > 0, place, low)
+                high = np.where(ascent < 0, place, high)
             # Secant of the step over ln λ: a step that reverses is shortened, because estimate and
             # weights would swing.
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = moved / (previous - step)
             share = np.where(share > 0, np.clip(share, MIN_SHARE, 1.0), 1.0)
-            moved = share * step
             previous = step
+            # What the linear model says far away may contradict the estimates that were there.
+            with np.errstate(invalid="ignore"):
+                middle = np.where(np.isfinite(low + high), (low + high) / 2, place + ascent)
+            target = place + share * step
+            moved = np.where((low < target) & (target < high), target, middle) - place
             if np.abs(moved).max() < SETTLED:
                 break
-            weights = [float(weight) for weight in np.exp(np.log(weights) + moved)]
+            weights = [float(weight) for weight in np.exp(place + moved)]
         return near
+
+    def _steps(self, point: "EvidencePoint", place: Array) -> tuple[Array, Array]:
+        """Return two steps of ln λ from a point, (terms,) each.
+
+        The first leads to the fixed point of the linear model, in which the estimate follows the
+        weights. The second is that of the fixed point at the estimate itself: the evidence grows
+        along it.
+        """
+        model = point.errors.model
+        if isinstance(point.errors, SampledErrors):
+            step = np.log(next_weights(model, self.open_terms)) - place
+            return step, step
+        settled = np.log(settled_weights(model, self.open_terms)) - place
+        return settled, np.log(settled_weights(model, self.open_terms, rounds=1)) - place
 
     def _solved(self, weights: list[float], near: Array, scale: float) -> "EvidencePoint":
         """Return the estimate with these weights. Raises ArithmeticError where there is none."""

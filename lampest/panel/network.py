@@ -111,9 +111,9 @@ class Network(ABC):
         """First derivatives (h_p, h_q, h_t), or (h_p, h_q, h_t, h_e, h_f)."""
 
     @property
-    def curvatures(self) -> dict[str, Array]:
-        """Nonzero second derivatives of h: 'pp', 'pq', …, each (rows, columns)."""
-        return {}
+    def curvatures(self) -> Array | None:
+        """Second derivatives h″ of h, (entries, entries, rows, columns); None: h is linear."""
+        return None
 
     def reading(self) -> Array:
         """Return y (rows, columns): the readings between every row and every column."""
@@ -368,7 +368,7 @@ class SecondOrder:
         second = 2 * across(
             network.entries_of_product(self._twice, currents, symmetric=False, with_sources=False)
         )
-        if network.curvatures:
+        if network.curvatures is not None:
             second = second + network.drawn(loading_of(*self.change_of_slopes(change)))
         return network.read_change(change), second / network.cell_resistance
 
@@ -377,16 +377,27 @@ class SecondOrder:
 
         They are those for changes (…) of the entries.
         """
-        changes: list[Array] = [
-            np.zeros(np.broadcast_shapes(*(part.shape for part in change))) for _ in change
-        ]
-        for name, curvature in self.network.curvatures.items():
-            weighted = self.weights * curvature
-            weighted = weighted.reshape(*weighted.shape, *(1,) * (changes[0].ndim - 2))
-            pair = [ENTRY_NAMES.index(entry) for entry in name]
-            for of, by in {(pair[0], pair[1]), (pair[1], pair[0])}:
-                changes[of] += weighted * change[by]
+        weighted = self._weighted_curvatures
+        shape = np.broadcast_shapes(*(part.shape for part in change))
+        if shape == self.weights.shape:
+            every = np.empty((len(change), *shape))
+            for number, part in enumerate(change):
+                every[number] = part
+            summed: Array = (weighted * every).sum(axis=1)
+            return [summed[number] for number in range(len(change))]
+        changes: list[Array] = [np.zeros(shape) for _ in change]
+        for of, by in np.argwhere(weighted.any(axis=(-2, -1))):
+            curvature = weighted[of, by]
+            changes[of] += (
+                curvature.reshape(*curvature.shape, *(1,) * (len(shape) - 2)) * change[by]
+            )
         return changes
+
+    @cached_property
+    def _weighted_curvatures(self) -> Array:
+        """w·h″, (entries, entries, rows, columns)."""
+        assert self.network.curvatures is not None
+        return np.asarray(self.weights * self.network.curvatures)
 
     def matrix(self) -> Array:
         """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (…, cells, cells)."""
@@ -394,7 +405,7 @@ class SecondOrder:
         matrix: Array = self.network.transfer * (2 * conductance[..., None])
         matrix *= self._between
         matrix *= conductance[..., None, :]
-        if self.network.curvatures:
+        if self.network.curvatures is not None:
             # Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i
             row, column, mutual, *of_sources = self.network.entry_responses()
             changes: Entries = (row[:, None], column[None], mutual)

@@ -309,6 +309,8 @@ def connected_parts(conducting: NDArray[np.bool_]) -> NDArray[np.intp] | None:
     None if the cells connect all lines. `conducting`, (rows, columns), states which crossings
     conduct.
     """
+    if conducting.all():
+        return None
     rows, columns = conducting.shape
     row = np.arange(rows)
     column = np.arange(rows, rows + columns)

@@ -6,10 +6,11 @@ CasADi differentiates h: once for each equation and panel size, for readings of 
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.network import ENTRY_NAMES, Entries, Network
@@ -32,6 +33,17 @@ def curvature_names(*, with_potentials: bool) -> tuple[str, ...]:
     """Return the names of the second derivatives of h: 'pp', 'pq', and so on."""
     names = slope_names(with_potentials=with_potentials)
     return tuple(map("".join, combinations_with_replacement(names, 2)))
+
+
+@cache
+def curvature_places(*, with_potentials: bool) -> NDArray[np.intp]:
+    """Return the place of h_pq among `curvature_names`, (entries, entries), where h_pq = h_qp."""
+    entries = slope_names(with_potentials=with_potentials)
+    names = curvature_names(with_potentials=with_potentials)
+    places = np.empty((len(entries), len(entries)), dtype=np.intp)
+    for (first, p), (second, q) in product(enumerate(entries), repeat=2):
+        places[first, second] = names.index(p + q if first <= second else q + p)
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +73,10 @@ class TiedNetwork(Network):
         return tuple(self._derivatives(slope_names(with_potentials=self.sources is not None)))
 
     @cached_property
-    def curvatures(self) -> dict[str, Array]:
-        names = curvature_names(with_potentials=self.sources is not None)
-        values = zip(names, self._derivatives(names), strict=True)
-        return {name: derivative for name, derivative in values if derivative.any()}
+    def curvatures(self) -> Array:
+        several = self.sources is not None
+        derivatives = self._derivatives(curvature_names(with_potentials=several))
+        return np.asarray(derivatives[curvature_places(with_potentials=several)])
 
 
 @guarded

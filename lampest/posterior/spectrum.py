@@ -267,10 +267,13 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     return weights
 
 
-def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
+def settled_weights(
+    model: LinearModel, open_terms: Collection[int], rounds: int = MAX_ROUNDS
+) -> list[float]:
     """Return the weights at the fixed point while the estimate follows them, by matrices.
 
-    It follows them within the linear model.
+    It follows them within the linear model. One round is a step of the fixed point at the estimate
+    itself, as that of `next_weights`.
     """
     errors = DenseErrors(model)
     weights = list(model.at.weights)
@@ -280,7 +283,7 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
     data = weighted @ errors.jacobian
     slope = weighted @ model.residual
     rows = model.penalty_jacobian.toarray()[:, model.free]
-    for _ in range(MAX_ROUNDS):
+    for _ in range(rounds):
         # Estimate for the present weights: p = −A⁻¹ (Jᵀ Ω x̂ + Zᵀ Ω x̂)
         curvature = model.penalty_curvature_for(np.asarray(weights))
         prior = (rows.T * curvature) @ rows

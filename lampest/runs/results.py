@@ -355,7 +355,8 @@ def read_results(
     Raises
     ------
     InputError
-        With the path of a faulty dataset, or if no recording has any of the frames.
+        With the path of a faulty dataset, if datasets were exchanged or removed, or if no recording
+        has any of the frames.
 
     Examples
     --------
@@ -371,6 +372,7 @@ def read_results(
     path = Path(path)
     table = all_columns(columns)
     with _results_file(path) as file:
+        checksums.check_datasets(file)
         published = _read_published(file)
         names = _in_order(file, "/entry")
         parts = {name: hdf5.ALL if frames is None else _part(file, name, frames) for name in names}
@@ -389,6 +391,7 @@ def read_each(path: Path, most: int) -> Iterator[CaseResult]:
     Raises InputError as `read_results`.
     """
     with _results_file(path) as file:
+        checksums.check_datasets(file)
         _read_published(file)
         for name in _in_order(file, "/entry"):
             frames, cells = _sizes(file, name)
@@ -429,6 +432,7 @@ def _read_scene(file: h5py.File, recording: str) -> Scene:
 
 @contextmanager
 def _results_file(path: Path) -> Iterator[h5py.File]:
+    """Yield an open results file. Raises InputError if the file is none."""
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         if not isinstance(form, str) or form != FORMAT:

@@ -8,9 +8,11 @@ import itertools
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,8 @@ from lampest.apps.board.stream import board_samples
 
 FRAMES = 100
 COMMAND = (sys.executable, "-c", "from lampest.cli import main; main()")
+SMALL_DISK = "2000k"
+FILLED_UP_TO = 16_384  # bytes that remain: for a part of the rewriting, not for all of it
 ROOM = 412_000  # bytes: a journal of 3 × 4 cells reserves 366,000, its first frame takes 45,000
 
 
@@ -48,6 +52,32 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, is_full: Callable[[], bool], room
 
     monkeypatch.setattr(os, "pwrite", limited_write)
     monkeypatch.setattr(os, "posix_fallocate", limited_allocate)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Mount a file system of SMALL_DISK, where root may."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", f"size={SMALL_DISK}", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("only root may mount a small file system")
+    if subprocess.run(words, capture_output=True).returncode != 0:
+        pytest.skip("this system allows no mounts")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def fill(disk: Path, remaining: int = 0) -> Path:
+    """Fill a file system with a file, but for some bytes; return the file."""
+    filler = disk / "filler"
+    with filler.open("ab", buffering=0) as handle, suppress(OSError):
+        while handle.write(bytes(4096)):
+            continue
+    os.truncate(filler, filler.stat().st_size - remaining)
+    return filler
 
 
 def recorded(out: Path, frames: int = FRAMES, **options: Any) -> Any:
@@ -128,6 +158,51 @@ def test_a_disk_that_is_full_from_the_beginning_gets_no_file(
     with pytest.raises(InputError, match=r"r\.h5: cannot be made \(No space left on device\)"):
         recorded(tmp_path / "r.h5")
     assert not any(tmp_path.iterdir())
+
+
+def test_a_small_file_system_keeps_the_frames_that_it_has_room_for(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program fills it before the first frame, and again as the recording goes on."""
+    monkeypatch.setattr(journal, "PATIENCE_SECONDS", 0.3)
+    fill(small_disk, ROOM)
+    counted: list[Progress] = []
+    with pytest.raises(InputError, match=r"no space: [\d,]+ frames? kept until"):
+        recorded(small_disk / "r.h5", frames=100_000, on_progress=counted.append)
+    recording = check_frames(small_disk / "r.h5", counted[-1].frames)
+    assert recording.acquisition.event_label == ("no space",)
+
+
+@pytest.mark.parametrize("remaining", [0, FILLED_UP_TO])
+@pytest.mark.parametrize("trouble", ["", "the board is gone"])
+def test_frames_are_kept_where_their_rewriting_has_no_room(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch, remaining: int, trouble: str
+) -> None:
+    """Another program fills the file system after the last frame, or after a board's error."""
+    out = small_disk / "r.h5"
+    rewrite = journal.finished
+
+    def rewrite_without_room(path: Path) -> object:
+        fill(small_disk, remaining)
+        return rewrite(path)
+
+    def report(progress: Progress) -> None:
+        if trouble and progress.frames == FRAMES:
+            raise InputError(trouble)
+
+    monkeypatch.setattr("lampest.apps.board.record.finished", rewrite_without_room)
+    with pytest.raises(InputError) as caught:
+        recorded(out, on_progress=report)
+    words = f"{trouble}; the {FRAMES} frames that came before are in" if trouble else "frames kept"
+    assert words in str(caught.value)
+    assert f"lampest check --repair {out} completes" in str(caught.value)
+    assert {path.name for path in small_disk.iterdir()} == {"r.h5", "filler"}
+    check_frames(out, FRAMES)
+    with pytest.raises(InputError, match=f"{FRAMES} frames kept, but the file cannot be completed"):
+        journal.finished(out)
+    (small_disk / "filler").unlink()
+    assert journal.repair(out) == (FRAMES, 0)
+    check_frames(out, FRAMES)
 
 
 def test_a_removed_file_is_noticed_at_the_next_frame(tmp_path: Path) -> None:

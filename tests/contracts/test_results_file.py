@@ -8,7 +8,9 @@ import os
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import h5py
@@ -254,3 +256,25 @@ def test_damaged_values_and_long_texts_are_detected(tmp_path: Path) -> None:
     path.write_bytes(content[:place] + bytes([content[place] ^ 255]) + content[place + 1 :])
     with pytest.raises(InputError, match="/entry/mouth/LSM/cell_resistance is damaged"):
         read_results(path)
+
+
+def test_a_case_of_other_results_in_its_place_is_refused_by_everything_that_reads(
+    tmp_path: Path, lampest: Callable[..., Any]
+) -> None:
+    """Each of its values agrees with its own digest."""
+    path = tmp_path / "r.h5"
+    other = tmp_path / "other.h5"
+    write_results(path, [invented_case("LSM")])
+    write_results(other, [invented_case("LSR-CR")])
+    with h5py.File(path, "a") as file, h5py.File(other) as source:
+        del file["entry/mouth/LSM"]
+        source.copy("entry/mouth/LSR-CR", file["entry/mouth"], "LSM")
+    with pytest.raises(InputError, match="datasets were added, removed or exchanged"):
+        read_results(path)
+    for command in ("info", "plot", "compare", "check"):
+        completed = lampest(command, path)
+        assert completed.code == 2, command
+        assert "datasets were added, removed or exchanged" in completed.err
+    with h5py.File(path, "a") as file:
+        del file.attrs["datasets_sha256"]
+    assert len(read_results(path).cases) == 1, "as the page says of deliberate changes"

@@ -37,7 +37,7 @@ def test_a_resistance_in_series_only_narrows_the_laws_of_a_circuit(circuit: Read
     previous: list[np.ndarray] = []
     for ohm in (0.0, 5.0, 20.0, 60.0):
         tried = rival.with_series(ohm)
-        readings = tried.readings()
+        readings = tried.readings
         tests = tried.scene.circuit.free_tests(readings.value, readings.known_sigma)
         # the law of idle lines at ground comes first, and only with resistances that are large
         # enough

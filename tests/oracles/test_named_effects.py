@@ -185,6 +185,18 @@ def test_a_scan_without_time_has_no_share(depth: float) -> None:
     assert not [found for found in effects.unnamed_effects(unnamed) if "motion" in found.line]
 
 
+@pytest.mark.parametrize(("seed", "kind"), [(0, "rod"), (2, "rock")])
+def test_errors_of_readings_are_not_taken_for_motion(seed: int, kind: str) -> None:
+    """A load sways between frames, and each reading is off by a factor of its own."""
+    swaying = moving_load(seed, kind, Motion(depth=0.1, scan=0.0), {"motion": "estimated"})
+    factors = np.exp(0.01 * np.random.default_rng(99 + seed).standard_normal((8, 8)))
+    scene = replace(swaying.scene, systematic=Systematic(reading_error="estimated"))
+    noise = Prepared(replace(swaying, recorded=swaying.recorded * factors, scene=scene)).noise
+    share, deviation = noise.estimated["motion"]
+    assert share < 2 * deviation
+    assert 0.006 < noise.estimated["systematic.reading_error"][0] < 0.015
+
+
 def test_bars_allow_for_any_share_where_no_cell_is_still() -> None:
     moving = moving_load(903, "hand", Motion(speed=0.3), {"motion": "estimated"})
     assert "motion" not in Prepared(moving).noise.estimated

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lampest import Array, GroundedReadout, LoadedColumnsReadout, Panel, Recording, Scene
+from lampest import (
+    Array,
+    GroundedReadout,
+    LoadedColumnsReadout,
+    Panel,
+    Recording,
+    Scene,
+    TwoPointReadout,
+)
 from lampest.audit.advice import entry_line
 from lampest.estimate.memory import estimated_memory, memory_gain
 from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
@@ -116,3 +124,27 @@ def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
 )
 def test_the_advised_line_is_valid_in_the_scene(name: str, line: str) -> None:
     assert entry_line(name) == line
+
+
+@pytest.mark.parametrize("seed", [0, 3, 7])
+def test_a_share_is_not_too_large_where_readings_gain_nothing_by_it(seed: int) -> None:
+    """Weak presses say little of a memory, and a larger one spreads all readings."""
+    generator = np.random.default_rng(seed)
+    cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)
+    for _ in range(4):
+        cells[FRAMES:, generator.integers(8), generator.integers(8)] *= generator.uniform(0.5, 0.9)
+    readout = GroundedReadout(load_ohm=1000, drive_ohm=50, **CONVERTER)
+    estimate = estimated_memory(recording_of(readout, cells, 0.05, generator))
+    assert not isinstance(estimate, str) and abs(estimate[0] - 0.05) < 2 * MAX_ERROR
+
+
+@pytest.mark.parametrize("readout", [COLUMNS, TwoPointReadout(reference_ohm=1000, **CONVERTER)])
+def test_a_palm_determines_no_memory(readout: Readout) -> None:
+    """Where most cells moved, any share is explained by their changes."""
+    generator = np.random.default_rng(3)
+    cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)
+    row, column = np.indices((8, 8))
+    pressure = np.exp(-((np.hypot(row - 3.5, column - 3.5) / 4) ** 4))
+    cells[FRAMES:] *= np.exp(-pressure * np.exp(0.2 * generator.standard_normal((8, 8))))
+    recording = recording_of(readout, cells, 0.02, generator)
+    assert estimated_memory(recording) == "the load touches most cells: press a few cells"

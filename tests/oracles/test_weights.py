@@ -151,7 +151,7 @@ def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("frame", [0, pytest.param(17, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("frame", [0, 10, 17])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
     """Open cells differ from their neighbours by megohms.
 

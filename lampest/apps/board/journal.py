@@ -345,14 +345,25 @@ def repair(path: Path) -> tuple[int, int]:
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
     """Rewrite the journal at `path`, or another one, as a recording at `path`.
 
-    Return scene, frames and noise.
+    Return scene, frames and noise. Raises InputError without room for the rewriting: the file at
+    `path` is unchanged then, and can be repaired later.
     """
     own(path)
     with deaf():
         recording = StoredRecording.of(journal or path)
         overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks)
         noise = noise_from_repeats(recording.part(part) for part in overlapping)
-        save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks))
+        parts = (_with_sigma(recording.part(part), noise) for part in recording.blocks)
+        try:
+            save_parts(path, parts)
+        except InputError as error:
+            cause = error.__cause__
+            reason = cause.strerror if isinstance(cause, OSError) else None
+            raise InputError(
+                f"{path}: {counted(recording.frames, 'frame')} kept, but the file cannot be "
+                f"completed ({reason or str(error).removeprefix(f'{path}: ')}); "
+                f"lampest check --repair {path} completes it once there is room"
+            ) from error
         return recording.scene, recording.frames, noise
 
 

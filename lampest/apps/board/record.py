@@ -228,10 +228,10 @@ def record(  # noqa: PLR0913 # the options of a command
         except UnwrittenError as error:
             raise InputError(f"{out}: {error}{_end_of(out)}") from error
         except InputError as error:
-            before = f"; the {tally.frames} frames that came before are in {out}"
-            if tally.last:
-                finished(out)
-            raise InputError(f"{error}{before if tally.last else ''}") from error
+            if not tally.last:
+                raise
+            before = f"the {tally.frames} frames that came before are in {out}{_end_of(out)}"
+            raise InputError(f"{error}; {before}") from error
         made = finished(out) if tally.last else None
         if made is None or tally.last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
@@ -250,7 +250,7 @@ def record(  # noqa: PLR0913 # the options of a command
 
 
 def _end_of(out: Path) -> str:
-    """Finish a recording that a disk refused, and return what remains to be done, or ''."""
+    """Finish a recording that ended early, and return what remains to be done, or ''."""
     try:
         finished(out)
     except InputError:

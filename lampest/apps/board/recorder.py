@@ -141,7 +141,7 @@ class Recorder:
                 finished(path)
                 done = f"recorded {frames} frames: {path}" + (f"; {trouble}" if trouble else "")
             except InputError as error:
-                done = f"{error}; lampest check --repair makes a clean file of it"
+                done = str(error)
             self._say(done, self._journal is not None)
 
         thread = Thread(target=finish, name="lampest-recorder")

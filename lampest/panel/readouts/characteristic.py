@@ -47,7 +47,7 @@ class Characteristic(Configuration):
     curve: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.full_volt == "estimated":
+        if isinstance(self.full_volt, str):
             raise ValueError(
                 "full_volt: no frame shows it, because cells of another size read alike; measure a "
                 "known voltage"
@@ -56,7 +56,7 @@ class Characteristic(Configuration):
         for volt in volts:
             if isinstance(volt, float | int) and not abs(volt) <= MAX_VOLT:
                 raise ValueError(f"converter voltages must lie within {MAX_VOLT:g} V of ground")
-        if self.zero_volt == self.full_volt and self.zero_volt != "estimated":
+        if self.zero_volt == self.full_volt:
             raise ValueError("zero_volt and full_volt must differ: they are the ends of the range")
         if self.curve is None:
             return

@@ -126,7 +126,10 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
             yield TimeSeries(data=series.stored, timestamps=case.time, **known)
     rows, lines = np.indices(case.scene.panel.shape)
     x, y = case.scene.panel.places_mm
-    places = [("row", "row line", rows), ("column", "column line", lines)]
+    places: list[tuple[str, str, Any]] = [
+        ("row", "row line", rows),
+        ("column", "column line", lines),
+    ]
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     if case.scene.panel.heights_mm is not None:
         places.append(("z_mm", "position of the cell, mm", case.scene.panel.heights_mm))

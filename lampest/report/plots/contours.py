@@ -192,9 +192,9 @@ class ChangePlot(MapsPlot):
             outlined = None if truth is None else np.abs(truth) > CHANGED
             return maps.Tile(name, change, note, crosses, outlined=outlined)
 
-        change = apparent_change(first.measured[index], first.measured_baseline, first.scene)
+        measured = apparent_change(first.measured[index], first.measured_baseline, first.scene)
         alone = "" if first.scene.circuit.unit == "ohm" else ": each cell as if alone"
-        tiles = [tile(f"measured{alone}", change)]
+        tiles = [tile(f"measured{alone}", measured)]
         for case in cases:
             change = case.relative_change[index] if case.solved[index] else None
             tiles.append(tile(estimated(case, cases), change, case.open_cell[index] != 0))
