@@ -120,8 +120,9 @@ class ModelErrors:
         """Return the effect of every offset on the readings, E·sd (cells, offsets).
 
         It is that of one standard deviation of the offset. Offsets are those of the channels of
-        rows and columns of every module (for two-point resistances), of the reference, and of each
-        reading if `reading_error` is nonzero.
+        rows and columns of every module and of the reference (for two-point resistances), and of
+        each reading if `reading_error` is nonzero. Voltages depend on the cells over the reference,
+        so that an error of the reference is one of ln r0, common to all cells and frames.
 
         Parameters
         ----------
@@ -145,10 +146,10 @@ class ModelErrors:
             for channel in (row_channel, column_channel):
                 on_channel = channel.reshape(-1, 1) == np.unique(channel)
                 effects.append(self.channel_ohm * on_channel)
-        effects.append(self.reference * total)
+            effects.append(self.reference * total)
         if self.reading_error:
             effects.append(np.diag(self.reading_error * total[:, 0]))
-        return np.hstack(effects)
+        return np.hstack([np.zeros((total.size, 0)), *effects])
 
     def gain(self, shifts: Array, scene: RecognitionScene) -> Array:
         """Return the derivative of f + E δ by f, (cells,): E depends linearly on the readings f.

@@ -333,6 +333,19 @@ def test_an_error_of_the_reference_explains_no_change_of_cells() -> None:
     assert misfits[1] > 0.8 * misfits[0]
 
 
+def test_voltages_leave_a_large_error_of_the_reference_to_the_cells() -> None:
+    """They depend on the cells over the reference alone, which is common to all frames."""
+    readout = LoadedColumnsReadout(polarity="down", load_ohm=4700.0, adc_bits=10, noise_lsb=1)
+    scene = Scene(Panel(8, 8, 10.0), readout, purpose="mat")
+    rod = Rod(centre_mm=(16, 21), diameter_mm=28, mass_g=733)
+    exact, doubtful = (
+        mat_frame(scene, [rod], replace(ModelErrors(), reference=error)) for error in (0.0, 0.25)
+    )
+    resting = np.exp(np.median(doubtful.baseline.logarithm))
+    assert resting == pytest.approx(3050, rel=0.1)
+    np.testing.assert_allclose(doubtful.free_map, exact.free_map, atol=0.02)
+
+
 def test_no_load_is_no_verdict_where_its_misfit_refutes_it() -> None:
     frame = mat_frame(MAT, FEET, ModelErrors())
     bare, field = (Detector(6.0, any_form=True).verdict(frame).fits[at] for at in (0, -1))
