@@ -89,10 +89,12 @@ def with_lines(
 
 
 def same_values(scene: Scene, changed: Scene) -> bool:
-    """Return whether recorded values stand for the same voltages in two scenes."""
+    """Return whether recorded values stand for the same voltages and codes in two scenes."""
     first = scene.circuit
     second = changed.circuit
     if first.unit != second.unit or (scene.readout is None) != (changed.readout is None):
+        return False
+    if first.characteristic != second.characteristic:
         return False
     least, most = first.range_volt
     volt = np.linspace(least, most, 7)[1:-1]

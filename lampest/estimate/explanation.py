@@ -20,7 +20,7 @@ from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
-from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of
+from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of, rounded_down
 from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.branches import branch
@@ -227,6 +227,8 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
         explanations.append(explanation or some_in_series(rival, frames, specified=specified))
     if specified is None:
         explanations.append(some_in_series(frames.specified, frames))
+        down = rounded_down(frames.specified)
+        explanations.append(None if down is None else Explanation.of(down, frames))
     better = [
         explanation
         for explanation in explanations

@@ -23,6 +23,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, DrivenReadout, Readout
+from lampest.panel.readouts.characteristic import Characteristic
 from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
@@ -167,6 +168,26 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
             yield Rival(rival, values, sigma, _kind(circuit, readout))
     yield from _listed_by_columns(specified, readout)
+
+
+def rounded_down(specified: Rival) -> Rival | None:
+    """Return the specified circuit with a converter that rounds down: code c is c + ½ steps.
+
+    Such codes stand half a step too low. None where the scene states the converter.
+    """
+    readout: Any = specified.scene.readout
+    if readout is None or readout.converter is not None:
+        return None
+    half = readout.lsb_volt / 2
+    ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
+    circuit = _changed(readout, converter=ends)
+    volt = readout.volt_from_recorded(specified.recorded)
+    return replace(
+        specified,
+        scene=replace(specified.scene, readout=circuit),
+        recorded=circuit.recorded_from_volt(volt + half),
+        kind=f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)",
+    )
 
 
 def _circuits_beside(readout: Readout, scene: Scene) -> Iterator[Any]:

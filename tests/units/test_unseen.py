@@ -1,5 +1,6 @@
 """Scales that no reading shows, and doubts on numbers that readings contradict."""
 
+from dataclasses import replace
 from math import inf
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 
 import lampest
 from lampest import (
+    Characteristic,
     DrivenReadout,
     GroundedReadout,
     LoadedColumnsReadout,
@@ -17,6 +19,8 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
+from lampest.audit.advice import Audit
+from lampest.audit.finding import with_lines
 from lampest.audit.verdict import verdict
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
@@ -69,6 +73,33 @@ def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
     estimate = lampest.reconstruct(made, [Misfit(weighting="noise")])
     lower, upper = estimate.cell_resistance_lower[-1], estimate.cell_resistance_upper[-1]
     assert np.all((lower <= cells()) & (cells() <= upper))
+
+
+def test_codes_that_are_rounded_down_are_named_where_readings_are_redundant() -> None:
+    """Without resistors a column has one reading more than ratios of cells."""
+    built = replace(INPUTS, adc_bits=12)
+    shape = (8, 8)
+    resting = 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(shape))
+    pressed = resting.copy()
+    pressed[1:3, 2:4] = 1200.0
+    exact = [built.exact_reading(panel) for panel in (resting, pressed)]
+    frames = np.repeat(exact, 12, axis=0)
+    draws = 0.5 * np.random.default_rng(9).standard_normal(frames.shape)
+    codes = np.floor(frames / built.lsb_volt + draws)
+
+    def checked(readout: DrivenReadout) -> Audit:
+        scene = Scene(Panel(*shape), readout)
+        return Audit(Prepared(Recording.from_array(codes, unit="code", scene=scene, baseline=12)))
+
+    audit = checked(built)
+    assert audit.verdict.mark == "no"
+    assert "codes are rounded down" in audit.verdict.better
+    [finding] = [finding for finding in audit.advice if finding.room == "circuit"]
+    _, _, refused = with_lines(audit.prepared.recording.scene, [finding])
+    assert "import the readings again" in refused[0]
+    half = built.lsb_volt / 2
+    again = checked(replace(built, converter=Characteristic(zero_volt=half)))
+    assert again.prepared.check.explains
 
 
 def test_codes_of_fewer_bits_are_asked_for() -> None:
