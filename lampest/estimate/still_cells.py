@@ -30,6 +30,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.panel.systematic import (
+    CHANNELS,
     READING_ERROR,
     REFERENCE,
     SHARED_ERRORS,
@@ -48,6 +49,8 @@ from lampest.recording.readings import Readings
 # that of a scale.
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))
 PRIOR_ODDS = np.where(READING_ERRORS > 0, 0.5 / np.count_nonzero(READING_ERRORS), 0.5)
+# Tried spreads of the channels, over the usual one.
+CHANNEL_FACTORS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 # Of log r: the second order of a larger error moves cells by more than one per cent.
 LINEAR_LIMIT = 0.15
 # Numbers of the tried values: those at which cells between rest and a load are selected, and those
@@ -116,6 +119,11 @@ def shared_errors(
         reason = f"the panel has more than {MAX_CELLS} cells: estimate them on a part of it"
         return SharedErrors(possible, {}, reason)
     fit, moves = _fit_and_changes(scene, resting, loaded, noise)
+    if moves is not None and CHANNELS.setting in moves.counts:
+        factor = _channel_factor(scene, moves)
+        moves = moves.with_channels(factor)
+        prior = replace(prior, channel_spread_ohm=factor * CHANNELS.size(prior))
+        possible = replace(possible, sizes=prior)
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
         costs = _unloaded_costs(scene, resting, fit, READING_ERRORS)
@@ -163,6 +171,31 @@ def _fit_and_changes(
         return fit, None
     prior = systematic_of(scene) or Systematic()
     return fit, shared_changes(scene, fit, loaded, prior, noise)
+
+
+def _channel_factor(scene: Scene, moves: "SharedChanges") -> float:
+    """Return the factor on the usual spread of channels, √E[f²] by the evidence of the changes.
+
+    The factors CHANNEL_FACTORS are equally probable before. Errors of each reading move still cells
+    likewise: where the scene calls these `estimated`, the evidence is summed over a few of their
+    sizes.
+    """
+    requested = READING_ERROR.setting in estimated_errors(scene)
+    sizes = (
+        READING_ERRORS[COARSE]
+        if requested
+        else [READING_ERROR.size(systematic_of(scene) or Systematic())]
+    )
+    lawful = [size for size in sizes if size * moves.reach <= LINEAR_LIMIT]
+    start = None
+    costs = np.zeros((len(CHANNEL_FACTORS), len(lawful)))
+    for row, factor in zip(costs, CHANNEL_FACTORS, strict=True):
+        scaled = moves.with_channels(factor)
+        for number, size in enumerate(lawful):
+            row[number], start = _still(scaled.changes(float(size)), start)
+    marginal = np.logaddexp.reduce(-costs / 2, axis=1)
+    odds = np.exp(marginal - marginal.max())
+    return float(np.sqrt(odds @ np.square(CHANNEL_FACTORS) / odds.sum()))
 
 
 def _own_errors(odds: Array, prior: Systematic) -> SharedErrors:
@@ -243,6 +276,16 @@ class SharedChanges:
     reach: float
     errors: tuple[SharedError, ...]
     counts: dict[str, int]
+
+    def with_channels(self, factor: float) -> "SharedChanges":
+        """Return the changes with a spread of the channels that is larger by a factor."""
+        first = 0
+        hidden = self.hidden.copy()
+        for setting, count in self.counts.items():
+            if setting == CHANNELS.setting:
+                hidden[:, first : first + count] *= factor
+            first += count
+        return replace(self, hidden=hidden)
 
     def changes(self, size: float) -> Changes:
         """Return the changes with the estimated errors and each reading's own error.

@@ -229,11 +229,12 @@ class SharedError:
 
 
 REFERENCE = SharedError("reference_tolerance", _reference, "reference", "")
+CHANNELS = SharedError("channel_spread_ohm", _channels, "channels", "ohm")
 SERIES = SharedError("series_tolerance_ohm", _series, "series", "ohm")
 READING_ERROR = SharedError("reading_error", _each_reading, "each reading", "")
 SHARED_ERRORS = (
     REFERENCE,
-    SharedError("channel_spread_ohm", _channels, "channels", "ohm"),
+    CHANNELS,
     SERIES,
     SharedError("inl_lsb", _curve, "curve", "LSB"),
     SharedError("wire_ohm_per_cell", _wire, "wire", "ohm a cell"),

@@ -259,3 +259,27 @@ def test_a_load_that_moves_by_a_pitch_a_frame_is_advised_to_be_named() -> None:
     audit = advice.Audit(Prepared(moving_load(41, "mouth", Motion(speed=1.0), {})))
     assert audit.verdict.mark == "no"
     assert [finding.line for finding in audit.advice] == ["motion: estimated"]
+
+
+def test_bars_hold_channels_that_differ_by_more_than_usual() -> None:
+    """Of the usual 3 ohm, 56 % of the cells were within their bars."""
+    readout = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=4)
+    spread = Systematic(channel_spread_ohm="estimated")
+    scene = Scene(Panel(8, 8), readout, 140.0, systematic=spread)
+    rod = lampest.Rod(centre_mm=(30, 35), diameter_mm=22, mass_g=400)
+    own = []
+    for seed in (11, 12, 13):
+        of_rod = lampest.Simulation(
+            1,
+            seed,
+            scene,
+            baseline_frames=5,
+            frames=4,
+            loads=(rod,),
+            unmodelled=lampest.Unmodelled(channel_spread_ohm=10.0),
+        )
+        recording = lampest.simulate(of_rod, "rod")
+        own.append(figures(recording, advised=False)[1])
+        size, deviation = Prepared(recording).noise.estimated["systematic.channel_spread_ohm"]
+        assert abs(size - 10) < 2 * deviation
+    assert np.mean(own) > 85
