@@ -228,6 +228,8 @@ def run_batch(
         waiting = [task for task in tasks if task.file not in finished]
         failed: list[tuple[str, str]] = []
         lost = ""
+        if to_check:
+            on_checks(0, len(to_check))
         try:
             outcomes = _outcomes(executor, waiting, to_check)
             with _counted(waiting, on_frames), closing(outcomes):

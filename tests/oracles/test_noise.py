@@ -17,6 +17,8 @@ from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
+from lampest.estimate import still_cells
+from lampest.estimate.cells_fit import CellsFit
 from lampest.estimate.compared_frames import noise_factor
 from lampest.estimate.outliers import detect_outliers, frozen_readings
 from lampest.estimate.prepared import Prepared
@@ -26,6 +28,7 @@ from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
+from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
 from tests.estimates import in_intervals, log_errors, recording_of
@@ -453,6 +456,29 @@ def test_error_bars_allow_for_uncertain_static_errors() -> None:
 def test_estimating_absent_static_errors_hardly_widens_error_bars(noise_lsb: float) -> None:
     recordings = [recorded(seed, scene_of(noise_lsb, STATIC), noise_lsb) for seed in range(9, 13)]
     assert 0.85 < np.median([own_part(recording)[1] for recording in recordings]) < 1.25
+
+
+def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Eleven values of the error cost a quarter of all."""
+    scans: list[int] = []
+    costs_of = still_cells._unloaded_costs
+
+    def noted(scene: Scene, resting: Readings, fit: CellsFit | None, tried: Array) -> Array:
+        scans.append(len(tried))
+        return costs_of(scene, resting, fit, tried)
+
+    monkeypatch.setattr(still_cells, "_unloaded_costs", noted)
+    assert STATIC_LINE not in lines_of(recorded(9, scene_of(0.7)))
+    assert scans == [len(still_cells.COARSE)] == [11]
+    assert STATIC_LINE in lines_of(recorded(9, scene_of(0.7), static=0.005))
+    assert scans[1:] == [11, len(still_cells.READING_ERRORS)]
+
+
+def lines_of(recording: Recording) -> set[str]:
+    """The lines that advice on effects suggests."""
+    return {finding.line for finding in unnamed_effects(Prepared(recording))}
 
 
 @pytest.mark.slow
