@@ -7,15 +7,17 @@ it.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 
-from lampest.audit.effects import unnamed_effects
-from lampest.audit.finding import Finding
+from lampest.audit.effects import effects_to_try, unnamed_effects
+from lampest.audit.finding import Finding, with_line
 from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
+from lampest.files.errors import InputError
 
 # 'readout.kind: grounded', 'drive_ohm near 1100', 'readout.groups: [[0, 1], [2, 3]]'
 ENTRY = re.compile(r"([a-z_.]+)(?:: | near )(\[\[.*?\]\]|[^,()]+)")
@@ -48,10 +50,27 @@ class Audit:
     def advice(self) -> tuple[Finding, ...]:
         """The findings that a user can act on: health, circuit, effects."""
         acted = (finding for finding in self.health.findings if finding.line or finding.remedy)
+        return (*acted, *self._circuit(), *self._noise(), *self._effects())
+
+    def _effects(self) -> tuple[Finding, ...]:
+        """Return the unnamed effects.
+
+        Under a wrong circuit effects mean nothing. Where no circuit explains the readings, the
+        first effect counts with which the scene's does.
+        """
         check = self.prepared.check
-        # under a wrong circuit effects mean nothing
-        effects = unnamed_effects(self.prepared) if check.explains or check.by_effect else ()
-        return (*acted, *self._circuit(), *self._noise(), *effects)
+        found = unnamed_effects(self.prepared) if check.explains is not None else ()
+        if check.explains or check.by_effect:
+            return found
+        if check.better:
+            return ()
+        recording = self.prepared.recording
+        for finding in (*found, *effects_to_try(recording.scene)):
+            with suppress(InputError):
+                named = replace(recording, scene=with_line(recording.scene, finding.line))
+                if Prepared(named).check.explains:
+                    return (finding,)
+        return ()
 
     def _circuit(self) -> Iterator[Finding]:
         """Yield the circuit that explains the readings better."""

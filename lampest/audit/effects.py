@@ -106,6 +106,22 @@ def searched(evidence: Gathered) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
+def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
+    """Return findings of errors that widen σ, which the scene does not name.
+
+    They are advised where readings have a misfit that nothing else explains.
+    """
+    sentences = {
+        "systematic.reading_error": "each reading may be off, the same in all frames",
+        "motion": "loads may move while a frame is scanned",
+    }
+    return tuple(
+        _finding(f"{sentence}: with that the circuit explains its readings", key, ESTIMATED)
+        for key, sentence in sentences.items()
+        if specified(scene, key) is None
+    )
+
+
 def _finding(sentence: str, key: str, value: str) -> Finding:
     """Return the finding of an effect with the line of its dotted key."""
     *rooms, name = key.split(".")

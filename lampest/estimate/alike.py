@@ -23,7 +23,7 @@ from lampest.recording.readings import Readings
 
 CHANGE = 0.03  # of ln r: cells that change by less stand still within the noise of exact fits
 CLEAR = 10.0  # in the cost of a pair: odds of e^10, the more careful as changes share their noise
-STILL = 3 * CHANGE  # median change of ln r in a pair of which most cells stand still
+STILL = 2 * CHANGE  # median change of ln r in a pair of which most cells stand still
 NOISE_RANGE = 3.0  # standard deviations of a reading: panels that fit to less are compared
 
 

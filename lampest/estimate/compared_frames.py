@@ -38,6 +38,9 @@ class ComparedFrames:
         Factor on every σ.
     named : integer array, shape (frames,)
         Numbers of all frames as sentences state them.
+    named_errors : array, shape (frames, rows, columns), or None
+        Standard deviations of the errors that the scene names beside noise: of each reading, of
+        motion. Those of n unloaded frames are √n times the error of their mean.
     """
 
     specified: Rival
@@ -46,6 +49,7 @@ class ComparedFrames:
     standing: NDArray[np.intp]
     widening: float
     named: NDArray[np.intp]
+    named_errors: Array | None = None
 
     @classmethod
     def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> Self:
@@ -86,8 +90,23 @@ class ComparedFrames:
         read = rival.readings[chosen]
         usable = rival.ordered(self._usable[chosen])
         read = replace(read, sigma=self.widening * read.known_sigma, seen=read.seen * usable)
-        resting = read[:count].mean()
-        return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
+        means = [read[:count].mean()]
+        if len(self.standing):
+            means.append(read[count:].mean())
+        if self.named_errors is None:
+            return tuple(means)
+        # Errors that frames share do not average out.
+        at_rest = self._named_error(rival, self.resting) / np.sqrt(count)
+        errors = (at_rest, self._named_error(rival, self.standing))
+        return tuple(
+            replace(mean, sigma=np.hypot(mean.known_sigma, error))
+            for mean, error in zip(means, errors, strict=False)
+        )
+
+    def _named_error(self, rival: Rival, frames: NDArray[np.intp]) -> Array:
+        """Return the root mean square of the named errors over frames, (rows, columns)."""
+        errors = np.zeros((1, 1, 1)) if self.named_errors is None else self.named_errors[frames]
+        return rival.ordered(np.sqrt(np.mean(errors**2, axis=0))) if len(frames) else errors[0]
 
     @cached_property
     def panels(self) -> PanelChoice | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.alike import PanelChoice
 from lampest.estimate.memory import with_estimated_memory
-from lampest.estimate.model_check import ModelCheck, Question, check_of_modules
+from lampest.estimate.model_check import EXPLAINED, ModelCheck, Question, check_of_modules
 from lampest.estimate.module_noise import noise_of_modules
 from lampest.estimate.noise import NoiseEstimate, estimate_noise
 from lampest.estimate.nuisances import CircuitEffects
@@ -29,7 +29,8 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.effects import EFFECTS, Effect
-from lampest.panel.panel import Modules
+from lampest.panel.estimated import estimated_lines
+from lampest.panel.panel import Array, Modules
 from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.recording.readings import Readings
@@ -62,6 +63,10 @@ class Cleaned:
     outliers: NDArray[np.bool_]
     readings: Readings
     memory: tuple[float, float] | str | None = None
+
+
+# Of parts in two dividers, with resistors of 5 % (series E24, IEC 60063): √2 · 5 %, rounded up.
+LARGEST_READING_ERROR = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +215,8 @@ class Prepared:
             )
         with suppress(*BROKEN), np.errstate(all="ignore"):
             check = self.question.check(self.effects)
+            if check.explains is False and not check.better:
+                check = self._with_named_errors(check)
             count = int(self.cleaned.outliers.sum())
             if not count:
                 return check
@@ -219,6 +226,43 @@ class Prepared:
         return ModelCheck(
             None, "the circuit was not checked: arithmetic broke down over its readings"
         )
+
+    def _with_named_errors(self, check: ModelCheck) -> ModelCheck:
+        """Return the check of a circuit with the errors that the scene names beside noise.
+
+        It is doubtful where the recording itself tells their size: so may a wrong circuit. Errors
+        of readings beyond LARGEST_READING_ERROR are those of another circuit.
+        """
+        size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
+        if self._named_errors is None or size > LARGEST_READING_ERROR:
+            return check
+        question = replace(self.question, named_errors=self._named_errors)
+        if question.fault:
+            return check
+        sizes = {
+            key: size
+            for key, size in self.noise.estimated.items()
+            if key == "motion" or key.startswith("systematic.")
+        }
+        explained = replace(check, explains=True, sentence=EXPLAINED, doubts=())
+        doubts = list(check.doubts)
+        if sizes:
+            doubts.append(f"only with errors of this size: {'; '.join(estimated_lines(sizes))}")
+        return explained.with_doubts(*doubts)
+
+    @cached_property
+    def _named_errors(self) -> Array | None:
+        """Standard deviations of readings by errors that the scene names beside noise.
+
+        Their shape is (frames, rows, columns); None where it names none.
+        """
+        widened = self.noise.readings.sigma
+        of_noise = self.frame_noise.readings.sigma
+        if widened is None or of_noise is None:
+            return None
+        # without the error of the model, which any wrong circuit has
+        squares = (widened / self.noise.model_factor) ** 2 - of_noise**2
+        return np.sqrt(np.maximum(squares, 0.0)) if (squares > 0).any() else None
 
     @cached_property
     @ONE_BLAS_THREAD

@@ -360,7 +360,7 @@ def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_error
     size, deviation = map(float, shown.groups())
     assert size < (0.002 if circuit != "amplifiers" else deviation)
     detection = lampest("detect", path, "--out", tmp_path / "detections")
-    if circuit == "pull_ups":  # with ten bits only the cell that is pressed most is clear
-        assert "contact since 5.0 s at (30, 120) mm, 1 cell," in detection.out
+    if circuit == "pull_ups":  # with ten bits only the cells that are pressed most are clear
+        assert "contact since 5.0 s at (34, 120) mm, 2 cells," in detection.out
     else:
         assert "contact since 5.0 s at (35, 115) mm, 4 cells" in detection.out

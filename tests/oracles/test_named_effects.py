@@ -6,6 +6,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -223,3 +224,38 @@ def test_the_memory_of_a_converter_is_estimated() -> None:
     )
     size, deviation = Prepared(forgetful).noise.estimated["converter_memory"]
     assert abs(size - 0.08) < max(3 * deviation, 0.005)
+
+
+def with_errors(size: float, **keys: Any) -> Recording:
+    """A rod stands, and each reading is off by a factor of its own in all frames."""
+    standing = moving_load(40, "rod", Motion(scan=0.0), keys)
+    factors = np.exp(size * np.random.default_rng(99).standard_normal((8, 8)))
+    return replace(standing, recorded=standing.recorded * factors)
+
+
+def test_a_circuit_that_fails_is_advised_the_error_with_which_it_explains() -> None:
+    audit = advice.Audit(Prepared(with_errors(0.05)))
+    assert audit.verdict.mark == "no"
+    (finding,) = audit.advice
+    assert finding.line == "systematic: {reading_error: estimated}"
+    named = with_errors(0.05, systematic=Systematic(reading_error="estimated"))
+    verdict = advice.Audit(Prepared(named)).verdict
+    assert verdict.mark == "doubtful" and "only with errors of this size" in verdict.sentence
+
+
+def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
+    stated = with_errors(0.05, systematic=Systematic(reading_error=0.05))
+    assert "only with errors" not in advice.Audit(Prepared(stated)).verdict.sentence
+    assert Prepared(stated).check.explains
+
+
+def test_errors_beyond_those_of_parts_are_another_circuit() -> None:
+    assert not advice.Audit(Prepared(with_errors(0.2))).advice
+    named = with_errors(0.2, systematic=Systematic(reading_error="estimated"))
+    assert Prepared(named).check.explains is False
+
+
+def test_a_load_that_moves_by_a_pitch_a_frame_is_advised_to_be_named() -> None:
+    audit = advice.Audit(Prepared(moving_load(41, "mouth", Motion(speed=1.0), {})))
+    assert audit.verdict.mark == "no"
+    assert [finding.line for finding in audit.advice] == ["motion: estimated"]

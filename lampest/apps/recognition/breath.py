@@ -328,8 +328,10 @@ def _depth(
 ) -> tuple[float, float]:
     """Return the relative amplitude of the suction and its standard deviation.
 
-    The amplitude and the phase of the wave may change linearly over the window. A film with
-    hysteresis shows the share 1 − RESPONSE_SD of a swing, by which both are divided.
+    The amplitude and the phase of the wave may change linearly over the window. The readings show
+    the depth times an unknown gain g of the film, which is taken as log-normal with mean 1 and
+    variance v. The median of 1/g is √(1 + v), by which the depth is multiplied. A film with
+    hysteresis shows the share 1 − RESPONSE_SD of a swing, by which it is divided.
 
     Parameters
     ----------
@@ -345,7 +347,7 @@ def _depth(
     """
     basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
     depth = BREATHING_SD
-    variance = 0.0
+    film = variance = 0.0
     square = basis.T @ basis
     for _ in range(MAX_ROUNDS):
         weights = patterns.weights(depth, noise)
@@ -363,7 +365,8 @@ def _depth(
             float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
         )
         variance = depth**2 * film + float(variances[:2].mean())
-    return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
+    scale = (1 + film) ** 0.5 / (1 - RESPONSE_SD)
+    return scale * depth, scale * variance**0.5
 
 
 def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:

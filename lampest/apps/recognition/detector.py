@@ -327,16 +327,15 @@ class Detector:
     def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
         """Return a fit with the errors about its own explained change, and these errors.
 
-        The film's deviation is the one of `response_levels` with the largest evidence.
+        The film's deviation is the one of `response_levels` whose own fit has the largest evidence.
         """
         fitting = self.fitting(fit.candidate, calm)
         response = calm.baseline.model_errors.response
         errors = [fitting.errors(fit, level * response) for level in self.response_levels]
         # type-II maximum likelihood of the film's deviation on a grid
-        likelihoods = (fitting.about(fit.parameters, whitening) for whitening in errors)
-        levels = [fitting.fit_at(fit.parameters, likelihood).evidence for likelihood in likelihoods]
-        whitening = errors[int(np.argmax(levels))]
-        return fitting.best(fit.parameters, whitening), whitening
+        fits = [fitting.best(fit.parameters, whitening) for whitening in errors]
+        best = int(np.argmax([fit.evidence for fit in fits]))
+        return fits[best], errors[best]
 
     def _together(
         self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]

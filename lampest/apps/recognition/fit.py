@@ -323,6 +323,9 @@ def inverse_beside_prior(normal: Array, sd: Array) -> tuple[Array, float]:
 def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fit:
     """Return the fit with the posterior covariance by a profile along ln d, where that is wider.
 
+    A profile may lead over a ridge of the cost into a deeper valley. The fit then begins again
+    there.
+
     No reading depends on a rim between patches: the cost is flat there and steep beside it, and the
     curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
     are fitted for each δ:
@@ -345,6 +348,13 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     sd = fitting.candidate.sd(fitting.frame.panel)
     remaining = np.ix_(*2 * [np.arange(len(names)) != place])
     points = _profile(fitting, fit, likelihood, place)
+    for _ in range(MAX_ROUNDS):
+        position, lowest = min(points, key=lambda point: point[1].cost)
+        if lowest.cost > fitting.at(fit.parameters, likelihood).cost - SEARCH.settled:
+            break
+        fit = fitting.best(position, likelihood.whitening)
+        likelihood = fitting.about(fit.parameters, likelihood.whitening)
+        points = _profile(fitting, fit, likelihood, place)
     steps = np.gradient([position[place] for position, _ in points])
     # Prior precision of a centre that is uniform within a pitch: beyond, it would touch other
     # patches.

@@ -24,7 +24,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import systematic_of
+from lampest.panel.systematic import USUAL, systematic_of
 
 # Edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm.
 PATCH_SHARE = 0.6
@@ -100,8 +100,11 @@ class ModelErrors:
         if scene.systematic is None:
             return errors
         sizes = systematic_of(scene) or Systematic()
-        # Of a uniform distribution of that half width.
-        reference = float(sizes.reference_tolerance) / np.sqrt(3)
+        # Of a uniform distribution of that half width. E δ is of first order: a larger error, such
+        # as that of a pin's pull-ups, scales all cells and hardly their changes, but E δ would
+        # explain a light contact by it.
+        tolerance = min(float(sizes.reference_tolerance), float(USUAL.reference_tolerance))
+        reference = tolerance / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
@@ -120,13 +123,14 @@ class ModelErrors:
         """Return the effect of every offset on the readings, E·sd (cells, offsets).
 
         It is that of one standard deviation of the offset. Offsets are those of the channels of
-        rows and columns of every module (for two-point resistances), of the reference, and of each
-        reading if `reading_error` is nonzero.
+        rows and columns of every module and of the reference (for two-point resistances), and of
+        each reading if `reading_error` is nonzero. Voltages depend on the cells over the reference,
+        so that an error of the reference is one of ln r0, common to all cells and frames.
 
         Parameters
         ----------
         measured : array, shape (rows, columns)
-            Readings without the resistance in series, in the readout's unit.
+            Readings without the resistance in series, in the readout's unit, as predicted.
         scene : RecognitionScene
         """
         layout = scene.panel.modules
@@ -145,10 +149,23 @@ class ModelErrors:
             for channel in (row_channel, column_channel):
                 on_channel = channel.reshape(-1, 1) == np.unique(channel)
                 effects.append(self.channel_ohm * on_channel)
-        effects.append(self.reference * total)
+            effects.append(self.reference * total)
         if self.reading_error:
             effects.append(np.diag(self.reading_error * total[:, 0]))
-        return np.hstack(effects)
+        return np.hstack([np.zeros((total.size, 0)), *effects])
+
+    def gain(self, shifts: Array, scene: RecognitionScene) -> Array:
+        """Return the derivative of f + E δ by f, (cells,): E depends linearly on the readings f.
+
+        Parameters
+        ----------
+        shifts : array, shape (offsets,)
+            δ.
+        scene : RecognitionScene
+        """
+        shape = scene.panel.shape
+        none, one = (self.offsets(end, scene) for end in (np.zeros(shape), np.ones(shape)))
+        return np.asarray(1 + (one - none) @ shifts)
 
 
 # Of ln r: the longest Gauss-Newton step, and the largest change by a load. Beyond, a cell is open
@@ -282,7 +299,8 @@ class Baseline:
     ) -> "Baseline":
         """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
 
-        It is determined without outliers.
+        It is determined without outliers. E belongs to f(r0), as in `Observation.offsets`: with E
+        of R0, an unchanged frame would differ from the baseline by the squares of its errors.
 
         Parameters
         ----------
@@ -294,8 +312,7 @@ class Baseline:
             Root of the covariance of random errors that the readings share.
         """
         circuit = scene.circuit
-        spread = model_errors.offsets(measured, scene)
-        cells, offsets = spread.shape
+        cells, offsets = model_errors.offsets(measured, scene).shape
         mean = np.zeros(cells + offsets)
         prior = np.eye(cells + offsets)
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
@@ -311,8 +328,10 @@ class Baseline:
         def model(state: Array) -> tuple[Array, Array, Array]:
             resistance = np.exp(state[:cells].reshape(measured.shape))
             network = circuit.network(resistance, circuit.ties(resistance), scene.wiring)
+            spread = model_errors.offsets(network.reading(), scene)
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
-            return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
+            slope = model_errors.gain(state[cells:], scene)[:, None] * network.sensitivity()
+            return residual, np.hstack([slope, spread]), np.diag(noise) + shared
 
         # A first fit identifies outliers; the second one, without them, is solved to convergence.
         coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
@@ -446,11 +465,9 @@ class Observation:
 
     @cached_property
     def _gain(self) -> Array:
-        """Derivative of f + E δ by f, (cells,): E depends linearly on the readings f."""
-        errors = self.baseline.model_errors
-        ends = (np.zeros(self.measured.shape), np.ones(self.measured.shape))
-        none, one = (errors.offsets(end, self.baseline.scene) for end in ends)
-        return np.asarray(1 + (one - none) @ self.baseline.offsets)
+        """Derivative of f + E δ by f, (cells,)."""
+        baseline = self.baseline
+        return baseline.model_errors.gain(baseline.offsets, baseline.scene)
 
     def covariance(self, network: RecognitionNetwork, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings about those of a network, (cells, cells).

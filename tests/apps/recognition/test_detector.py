@@ -35,6 +35,7 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import (
     SD,
     Verdict,
+    along_diameter,
     field_fit,
     potts_cost,
     prior,
@@ -239,6 +240,31 @@ def test_static_errors_of_readings_are_allowed_for(reading_error: float) -> None
         assert verdict.goodness > MAX_MEAN_SQUARE or verdict.sucks_at(None) < 0.5
 
 
+def test_unloaded_readings_do_not_differ_from_their_baseline() -> None:
+    """However much they are off: squares of errors of 5 % would be many times the noise."""
+    recording = recorded(unmodelled=Unmodelled(reading_error=0.05), frames=1)
+    resting = recording.readings()[[0, 1, 2]].mean()
+    errors = ModelErrors(reading_error=0.05)
+    baseline = Baseline.of(resting.value, resting.sigma, recording.scene, errors)
+    frame = Observation(resting.value, resting.sigma, baseline, np.zeros(PANEL.shape))
+    assert np.all(np.abs(frame.residual()) < 0.2 * resting.sigma.ravel())
+
+
+@pytest.mark.parametrize("away", [-0.3, -0.15, 0.15, 0.3])
+def test_a_profile_leads_a_fit_out_of_a_shallower_valley(away: float) -> None:
+    detector = Detector(6.0)
+    verdict = detector.verdict(frames_of(recorded(MOUTH))[-1])
+    fitting = detector.fitting(verdict.best.candidate, verdict.frame)
+    whitening = fitting.errors(verdict.best, verdict.best.scatter)
+    best = fitting.best(verdict.best.parameters, whitening)
+    start = best.parameters + away * (np.arange(len(best.parameters)) == 2)
+    held = fitting.best(start, whitening, held=2)
+    assert held.cost > best.cost + 10
+    found = along_diameter(fitting, held, fitting.about(held.parameters, whitening))
+    assert found.cost < best.cost + 1
+    assert found.parameters[2] == pytest.approx(best.parameters[2], abs=0.02)
+
+
 @pytest.mark.slow
 def test_the_field_ignores_a_single_outlying_reading() -> None:
     blocks = [
@@ -305,6 +331,19 @@ def test_an_error_of_the_reference_explains_no_change_of_cells() -> None:
         assert len(attachments_of(verdict.frame, verdict, 0.0)) == len(FEET)
         misfits.append(verdict.fits[0].chi2)
     assert misfits[1] > 0.8 * misfits[0]
+
+
+def test_voltages_leave_a_large_error_of_the_reference_to_the_cells() -> None:
+    """They depend on the cells over the reference alone, which is common to all frames."""
+    readout = LoadedColumnsReadout(polarity="down", load_ohm=4700.0, adc_bits=10, noise_lsb=1)
+    scene = Scene(Panel(8, 8, 10.0), readout, purpose="mat")
+    rod = Rod(centre_mm=(16, 21), diameter_mm=28, mass_g=733)
+    exact, doubtful = (
+        mat_frame(scene, [rod], replace(ModelErrors(), reference=error)) for error in (0.0, 0.25)
+    )
+    resting = np.exp(np.median(doubtful.baseline.logarithm))
+    assert resting == pytest.approx(3050, rel=0.1)
+    np.testing.assert_allclose(doubtful.free_map, exact.free_map, atol=0.02)
 
 
 def test_no_load_is_no_verdict_where_its_misfit_refutes_it() -> None:

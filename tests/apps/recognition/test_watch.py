@@ -109,7 +109,7 @@ def test_a_departed_load_is_not_claimed_where_the_circuit_does_not_explain_the_r
     known = known_before(recording)
     claimed, silent = (
         replaced.answer(every_frame(recording, replaced))
-        for replaced in (known, dataclasses.replace(known, explained=False))
+        for replaced in (known, dataclasses.replace(known, explained=lambda: False))
     )
     assert "in its unloaded frames, and left" in claimed.why
     assert "in its unloaded frames, and left" not in silent.why
