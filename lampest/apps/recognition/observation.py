@@ -24,7 +24,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
-from lampest.panel.systematic import systematic_of
+from lampest.panel.systematic import USUAL, systematic_of
 
 # Edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm.
 PATCH_SHARE = 0.6
@@ -100,8 +100,11 @@ class ModelErrors:
         if scene.systematic is None:
             return errors
         sizes = systematic_of(scene) or Systematic()
-        # Of a uniform distribution of that half width.
-        reference = float(sizes.reference_tolerance) / np.sqrt(3)
+        # Of a uniform distribution of that half width. E δ is of first order: a larger error, such
+        # as that of a pin's pull-ups, scales all cells and hardly their changes, but E δ would
+        # explain a light contact by it.
+        tolerance = min(float(sizes.reference_tolerance), float(USUAL.reference_tolerance))
+        reference = tolerance / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
     def resting_sd(self, seconds: float) -> float:

@@ -1,7 +1,9 @@
 """Contacts of a map of changes: what is one, what are two, and which cells they have."""
 
 import numpy as np
+import pytest
 
+from docs.studies.contacts import MAT, trial
 from lampest import Panel
 from lampest.apps.recognition.contacts import contacts_of
 
@@ -81,3 +83,11 @@ def test_one_unloaded_cell_between_two_loads_makes_them_two_contacts() -> None:
     assert len(contacts_of(PANEL, change, SD)) == 2
     change[3:6, 6] = -0.8
     assert len(contacts_of(PANEL, change, SD)) == 1
+
+
+@pytest.mark.slow
+def test_internal_pull_ups_of_unknown_size_hide_no_light_contact() -> None:
+    """A rod of 51 g beside one of 222 g: the tolerance of 43 % of the pull-ups explained it."""
+    light = trial(50, 11, MAT)
+    assert light.circuit == "pull_ups" and len(light.rods) == 2
+    assert light.right
