@@ -49,6 +49,10 @@ MIN_CELL_FACTOR = 1e-3
 # take four times as long.
 MAX_CHI_SQUARE = 10.0
 CELL_PRECISION = UNKNOWN_SD**-2  # prior precision of log r of a cell that no reading determines
+# Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and
+# one reading on 12 x 8 cells leave 1.4, and distinguishable circuits at most 0.2
+# (docs/studies/model_check.py).
+MAX_CELL_SD = 0.5
 
 
 @cache
@@ -201,6 +205,12 @@ class CellsFit(SumOfSquares):
         # log cells
         variance = np.sum((dry @ self.covariance) * dry, axis=1)
         return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.cells.shape)
+
+
+def well_determined(fits: Sequence[CellsFit]) -> bool:
+    """Return whether linear theory holds: the median standard deviation of log cells is small."""
+    deviations = [np.sqrt(np.diag(fit.covariance)) for fit in fits]
+    return not np.median(deviations) > MAX_CELL_SD
 
 
 def fitted(

@@ -15,7 +15,7 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted
+from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.fitted_pair import FittedPair
@@ -30,10 +30,6 @@ from lampest.panel.readouts.branches import branch
 DOUBTFUL_GAIN = 15.0
 # Of the largest resistance in series that readings allow: all of it would short the panel.
 MAX_SERIES_SHARE = 0.98
-# Median standard deviation of the log cells beyond which linear theory does not hold: 8 bits and
-# one reading on 12 x 8 cells leave 1.4, and distinguishable circuits at most 0.2
-# (docs/studies/model_check.py).
-MAX_CELL_SD = 0.5
 SERIES_POINTS = 5  # resistances in series that are tried, before a search about the best one
 # Fractions of the channel before that a converter may keep.
 MEMORIES = (0.01, 0.02, 0.04, 0.08, 0.16)
@@ -201,8 +197,7 @@ def _needs_rivals(specified: Explanation) -> bool:
     pair = specified.pair
     if pair is None or pair.beyond_noise < MIN_EVIDENCE_GAIN:
         return False
-    deviations = [np.sqrt(np.diag(fit.covariance)) for fit in specified.fits]
-    return not np.median(deviations) > MAX_CELL_SD
+    return well_determined(specified.fits)
 
 
 def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> list[Explanation]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import CellsFit, fitted
+from lampest.estimate.cells_fit import CellsFit, fitted, well_determined
 from lampest.estimate.changed_cells import MOVED_COST, mostly_still, usual_starts
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.fitted_pair import FittedPair
@@ -192,7 +192,7 @@ def share_of_motion(
         near = fit.cells
         of_frame = Displacement(*(part[frame] for part in moved))
         frame_changes = _Frame.of((base, fit), of_frame, errors_tried)
-        if frame_changes.is_mostly_still:
+        if frame_changes.is_mostly_still and well_determined((base, fit)):
             compared.append(frame_changes)
             noise = readings.known_sigma[frame]
             displacements += float(np.sum((of_frame.value / noise) ** 2))

@@ -64,6 +64,7 @@ def detect(
     )
     from lampest.apps.recognition.detect.pressed import pressed
     from lampest.files.hdf5 import format_of
+    from lampest.files.whole import refuse_inputs
     from lampest.runs.results import read_results
 
     sources = recordings_in(files)
@@ -88,15 +89,17 @@ def detect(
                     answer_recording(source, patch, named, threshold, on_case, check=not no_check)
                 )
     answers = named_apart([unchecked.answer for unchecked in pending])
+    if out is None:
+        out = _folder_of_answers(sources, answers, is_results=is_results[0])
     if not json_:
+        # Before anything is said.
+        refuse_inputs(_tables(out, loads))
         _say_answers(answers)
     answers = _with_checks(answers, pending)
     if json_:
         content = [answer.content() for answer in answers]
         screen.say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
         return
-    if out is None:
-        out = _folder_of_answers(sources, answers, is_results=is_results[0])
     _tell(answers, loads, out, everything=all_)
 
 
@@ -135,6 +138,16 @@ def _say_answers(answers: "Sequence[Detected]") -> None:
         screen.say(f"{answer.recording}: {answer.sentence}" if several else answer.sentence)
 
 
+def _tables(folder: Path, loads: "Sequence[PressedCells]") -> list[Path]:
+    """Return the files of the answers without pictures: events, visits, and pressed cells."""
+    from lampest.apps.recognition.detect import visits
+    from lampest.apps.recognition.detect.answer import FILE
+    from lampest.apps.recognition.detect.pressed import FILE as PRESSED
+
+    names = (FILE, visits.FILE, *((PRESSED,) if loads else ()))
+    return [folder / name for name in names]
+
+
 def _tell(
     answers: "Sequence[Detected]",
     loads: "Sequence[PressedCells]",
@@ -152,16 +165,12 @@ def _tell(
     )
     from lampest.apps.recognition.detect.pressed import FILE as PRESSED
     from lampest.apps.recognition.detect.pressed import pressed_table, write_pressed
-    from lampest.files.whole import refuse_inputs
 
     season = visits.visits_of(answers)
     # days and nights, and hours, are counted for animals alone
     animals = [answer for answer in answers if not answer.mat]
     counted = visits.visits_of(animals)
-    files = [folder / FILE, folder / visits.FILE]
-    if loads:
-        files.append(folder / PRESSED)
-    refuse_inputs(files)
+    files = _tables(folder, loads)
     write_detections(folder / FILE, answers)
     visits.write_visits(folder / visits.FILE, season)
     if loads:
