@@ -16,8 +16,8 @@ import pytest
 from attack.attack import PASSED, Outcomes, Rng, attack, called
 
 import lampest
-from lampest.files.checksums import DATASETS
 from lampest.files import typed
+from lampest.files.checksums import DATASETS
 from lampest.files.typed import Validated
 
 WRONG_VALUES: tuple[Any, ...] = (
