@@ -118,7 +118,8 @@ class Look:
     time_s : float
         Time of the recognition, or at which the load left.
     held : array, shape (rows, columns)
-        `pressed` part of the change, when the load was weakest in its place.
+        ln r/r0 of the cells that fell, or of all if none did, when the load was weakest in its
+        place.
     reached : array, shape (rows, columns)
         Largest |ln r/r0| that every cell may have had since the load arrived; 0 of free cells.
     pulled : float
@@ -142,7 +143,10 @@ class Look:
         It follows none where the pattern of the change is another one. A weaker change is what the
         load holds by; a stronger one is a pull.
         """
-        change = pressed(verdict.changed)
+        # Every load presses, and a pull hardly changes what is pressed. A film under suction may
+        # keep more of a pull than the load caused before.
+        fallen = np.minimum(verdict.changed, 0.0)
+        change = fallen if np.any(fallen) else verdict.changed
         touched = (verdict.changed != 0) | (verdict.best.change != 0)
         frame = verdict.frame
         most = np.abs(frame.free_map) + NOISE_REACH * frame.free_sd
@@ -177,15 +181,6 @@ class Look:
     def fading(self, time: float) -> Array:
         """Return the scores of the residue of a load that left, (discs,)."""
         return np.asarray(self.size / (1 + max(time - self.time_s, 0.0) / FOLLOWS_S))
-
-
-def pressed(change: Array) -> Array:
-    """Return the negative part of ln r/r0, (rows, columns); all of it where none is negative.
-
-    Every load presses, and a pull hardly changes what is pressed. A film under suction may keep
-    more of a pull than the load caused before it.
-    """
-    return np.minimum(change, 0.0) if np.any(change < 0) else change
 
 
 def latest(window: Frames) -> Frames:
