@@ -19,6 +19,7 @@ from lampest.estimate.outliers import WINDOW
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.stream import CarriedOver, Stream
+from lampest.estimate.usual_scale import with_usual_scale
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
@@ -216,14 +217,16 @@ def first_stream(
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    Of a single network all frames of `deciding_frames` count, of several the first. Without
-    measured frames the estimator is unchanged.
+    It has the prior of `with_usual_scale`. Of a single network all frames of `deciding_frames`
+    count, of several the first. Without measured frames the weights are unchanged.
 
     Parameters
     ----------
     estimator : Estimator
     networks : sequence of (Recording, Readings, Readings)
     """
+    part, _, resting = networks[0]
+    estimator = with_usual_scale(estimator, part.scene, resting)
     if not estimator.automatic or estimator.auto_weight.per == "frame":
         return estimator
     count = 1 if len(networks) > 1 else None

@@ -10,6 +10,7 @@ from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import SequenceState, Step
+from lampest.estimate.usual_scale import with_usual_scale
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
@@ -125,6 +126,7 @@ class Stream(SequenceState):
         """
         estimator.check(scene)
         _check_frame(resting, scene)
+        estimator = with_usual_scale(estimator, scene, resting)
         hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
         track = (
             Track(Shared.of(scene, hidden), noise=frame)

@@ -21,8 +21,9 @@ from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.multistart import evaluated, scattered, solved_from
 from lampest.solvers.solution import Settings, Solution
 
-# Cells up to which `strongest` is verified: a frame takes IPOPT about half a second.
-MAX_CELLS = 256
+# Cells up to which `strongest` is verified: beyond, the witness takes longer than all solves of a
+# short recording (docs/studies/speed.md).
+MAX_CELLS = 144
 SAME_COST = 1e-6  # relative difference of costs below which two optima are one
 
 
@@ -33,7 +34,7 @@ class Verify(Configuration):
     Attributes
     ----------
     frames : 'none', 'strongest', 'all' or float
-        'strongest' is the frame of the largest change from rest, on panels of up to 256 cells; a
+        'strongest' is the frame of the largest change from rest, on panels of up to 144 cells; a
         number is the share of the frames, evenly spread.
 
     Raises ValueError unless a share lies between 0 and 1.

@@ -328,6 +328,7 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
         yield place
 
 
+@cache
 def schema_of(kind: Any) -> TypeAdapter[Any] | None:
     """Return the validator of a type; None if YAML cannot express the type."""
     try:

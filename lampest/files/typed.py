@@ -5,10 +5,10 @@ import itertools
 import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cache, wraps
 from types import UnionType
-from typing import Any, ClassVar, ParamSpec, TypeVar
+from typing import Annotated, Any, ClassVar, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,37 +169,40 @@ def _signature(owner: Any) -> inspect.Signature:
 
 @cache
 def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
-    """Return functions (value, label) → validated value by parameter.
-
-    Types without a check are omitted.
-    """
+    """Return functions (value, label) → validated value by parameter."""
     try:
         hints = typing.get_type_hints(owner, include_extras=True)
     except NameError:  # a class in a notebook, or types that are imported for type checkers only
         return {}
-    checks = {word: _check_of(hint) for word, hint in hints.items()}
-    return {word: check for word, check in checks.items() if check is not None}
+    return {word: _check_of(hint) for word, hint in hints.items()}
 
 
-def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
+def _check_of(hint: Any) -> Callable[[Any, str], Any]:
     """Return a function (value, label) → validated argument of a type.
 
-    None for a type without a check.
+    The schema of the type is made when an argument needs it.
     """
-    is_union = typing.get_origin(hint) in (typing.Union, UnionType)
-    parts = typing.get_args(hint) if is_union else (hint,)
+    parts = _alternatives(hint)
     kinds = tuple(part for part in parts if isinstance(part, type))
-    validator = schema_of(hint)
     is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
     dtype = np.float64 if "float64" in str(hint) else None
+    finished = _finished(parts)
+    items = _finished(_items(parts))
 
     def checked(value: Any, label: str) -> Any:
+        if isinstance(value, finished):
+            return value
+        if (
+            items
+            and type(value) in (list, tuple)
+            and all(isinstance(item, items) for item in value)
+        ):
+            return tuple(value)
         if is_array:
-            if value is None and type(None) in parts:
-                return None
             return np.asarray(real_array(value, label), dtype)
+        validator = schema_of(hint)
         if validator is None:
-            if isinstance(value, kinds):
+            if not kinds or isinstance(value, kinds):
                 return value
             needed = " or ".join(kind.__name__ for kind in kinds)
             raise InputError(f"{label}: {needed} is needed, not {in_words(value)}")
@@ -209,7 +212,38 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
         except InputError as error:
             raise InputError(f"{label}: {error}") from error
 
-    return checked if is_array or validator or (kinds and hint is not type(None)) else None
+    return checked
+
+
+def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
+    """Return those of the types whose objects are valid as they are.
+
+    These are None, and dataclasses, which validated their own arguments: an object of a field's
+    type needs no schema of all that it contains.
+    """
+    finished: list[type[Any]] = []
+    for part in parts:
+        if isinstance(part, type) and (part is type(None) or is_dataclass(part)):
+            finished.append(part)
+        elif typing.get_origin(part) is Annotated and isinstance(part.__metadata__[0], ByKind):
+            finished += _finished(typing.get_args(part.__origin__))
+    return tuple(finished)
+
+
+def _items(parts: Iterable[Any]) -> tuple[Any, ...]:
+    """Return the types of the items of the sequence among types; () unless there is one."""
+    items = [
+        typing.get_args(part)[0]
+        for part in parts
+        if typing.get_origin(part) is Sequence or typing.get_args(part)[1:] == (Ellipsis,)
+    ]
+    return _alternatives(items[0]) if len(items) == 1 else ()
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """Return the types of a union, or the type."""
+    is_union = typing.get_origin(hint) in (typing.Union, UnionType)
+    return typing.get_args(hint) if is_union else (hint,)
 
 
 def _plain(value: Any, label: str) -> Any:
@@ -305,6 +339,7 @@ class ByKind:
         return getattr(value, "kind", None)
 
 
+@cache
 def kinds_of(member: Any) -> tuple[str, ...]:
     """Return the values of a class's `kind: Literal[...]`; () without such a field."""
     return typing.get_args(typing.get_type_hints(member).get("kind"))

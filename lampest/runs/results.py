@@ -329,7 +329,7 @@ def _write_series(group: h5py.Group, case: CaseResult, series: Iterable[Series])
             group[part.path].make_scale(part.name)
         else:
             axes[part.path] = part.axes
-    for folder in {path.partition("/")[0] for path in axes if "/" in path}:
+    for folder in sorted({path.partition("/")[0] for path in axes if "/" in path}):
         hdf5.set_attributes(group[folder], NX_class="NXcollection")
     hdf5.attach_scales(group, axes)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 import pytest
 from fuzz.batches import content, same
 from support import METHODS, invented_case
@@ -94,3 +95,22 @@ def test_the_place_of_a_large_file_is_the_disk(
     monkeypatch.setattr(hdf5, "new_large_file" if limit else "new_file", None)
     write_results(tmp_path / "r.h5", references)
     assert read_results(tmp_path / "r.h5").estimators() == tuple(METHODS[:2])
+
+
+def test_the_bytes_of_a_file_do_not_depend_on_the_order_of_sets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Processes order sets of texts differently: folders are written by name."""
+    folders = list[str]()
+    set_attributes = hdf5.set_attributes
+
+    def noted(node: Any, **attributes: Any) -> None:
+        if attributes.get("NX_class") == "NXcollection":
+            folders.append(node.name)
+        set_attributes(node, **attributes)
+
+    monkeypatch.setattr(hdf5, "set_attributes", noted)
+    named = {"gradient": np.ones(3)}
+    case = invented_case(METHODS[0], "a", weight_sigma=named, misfit=named)
+    write_results(tmp_path / "case.h5", [case])
+    assert len(folders) == 4 and folders == sorted(folders)

@@ -92,7 +92,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/howto/methods.md": [
         ("up to 144 cells", method.NODAL_CELLS, 144),
         ("at no more than two frames a second", 1 / method.NODAL_PERIOD, 2),
-        ("on panels of up to 256 cells", witness.MAX_CELLS, 256),
+        ("on panels of up to 256 cells", method.FALLBACK_CELLS, 256),
+        ("on panels of at most 144 cells", witness.MAX_CELLS, 144),
     ],
     "docs/howto/error_bars.md": [
         ("every verified estimate of up to 600 cells", trust_region.MATRIX_CELLS, 600),

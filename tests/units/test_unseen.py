@@ -22,8 +22,10 @@ from lampest import (
 from lampest.audit.advice import Audit
 from lampest.audit.finding import with_lines
 from lampest.audit.verdict import verdict
+from lampest.cost.terms import term_kind
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
+from lampest.estimate.usual_scale import with_usual_scale
 
 INPUTS = DrivenReadout(
     drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1
@@ -73,6 +75,54 @@ def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
     estimate = lampest.reconstruct(made, [Misfit(weighting="noise")])
     lower, upper = estimate.cell_resistance_lower[-1], estimate.cell_resistance_upper[-1]
     assert np.all((lower <= cells()) & (cells() <= upper))
+
+
+@pytest.mark.parametrize("formulation", ["reduced", "nodal"])
+def test_the_unloaded_panel_and_usual_cells_choose_scales_that_no_reading_shows(
+    formulation: Any,
+) -> None:
+    shape = (8, 8)
+    readout = replace(INPUTS, adc_bits=12)
+    resting = 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(shape))
+    pressed = resting.copy()
+    pressed[1:3, 2:4] = 1200.0
+    exact = np.stack([readout.exact_reading(cells) for cells in [resting] * 4 + [pressed] * 2])
+    draws = 0.5 * readout.lsb_volt * np.random.default_rng(9).standard_normal(exact.shape)
+    codes = readout.code_from_volt(exact + draws).astype(float)
+    scene = Scene(Panel(*shape), readout)
+    made = Recording.from_array(codes, unit="code", scene=scene, baseline=4)
+    estimate = lampest.reconstruct(made, formulation=formulation)
+    change = np.log1p(estimate.relative_change[-1] / 100) - np.log(pressed / resting)
+    assert np.abs(change - np.median(change, axis=0)).max() < 0.05
+    assert np.abs(np.median(change, axis=0)).max() < 0.2
+    assert not estimate.open_cell.any() and not estimate.at_lower_bound.any()
+    lower, upper = estimate.cell_resistance_lower, estimate.cell_resistance_upper
+    assert lower is not None and upper is not None
+    assert np.all((lower[-1] < pressed) & (pressed < upper[-1]))
+    # no bar promises what no reading shows
+    assert np.log(upper[-1] / lower[-1]).min() > np.log(10)
+
+
+def test_estimators_of_circuits_that_show_the_scale_stay_as_they_are() -> None:
+    estimator = lampest.Estimator((Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)))
+    for readout, kinds in ((LoadedColumnsReadout(), ()), (INPUTS, ("log_ratio", "usual_scale"))):
+        made = recording(readout, readout)
+        given = with_usual_scale(estimator, made.scene, made.readings())
+        assert tuple(map(term_kind, given.terms)) == ("misfit", "log_gradient", *kinds)
+        assert with_usual_scale(given, made.scene, made.readings()) == given
+
+
+def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
+    made = recording(INPUTS, INPUTS)
+    readings = made.readings()
+    assert readings.sigma is not None
+    priors = [
+        with_usual_scale(lampest.Estimator((misfit,)), made.scene, readings).terms[1:]
+        for misfit in (Misfit(weighting="noise"), Misfit())
+    ]
+    square = np.mean(readings.sigma**2)
+    for by_noise, plain in zip(*priors, strict=True):
+        assert plain.weight == pytest.approx(float(by_noise.weight) * square)
 
 
 def test_codes_that_are_rounded_down_are_named_where_readings_are_redundant() -> None:
