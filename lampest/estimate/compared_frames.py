@@ -159,4 +159,27 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
                 f"readings of frame {frames.named[frame]} break a law of the circuit by "
                 f"{beyond}: {test.law}"
             )
-    return ""
+    return below_series(rival, frames)
+
+
+def below_series(rival: Rival, frames: ComparedFrames) -> str:
+    """Return the reading that lies significantly below its series resistance, in words.
+
+    It is '' where there is none.
+    """
+    scene = rival.scene
+    readings = rival.readings
+    if scene.circuit.unit != "ohm" or readings.sigma is None:
+        return ""
+    remaining = scene.circuit.from_recorded(rival.recorded, scene)
+    read = (readings.seen > 0) & np.isfinite(remaining)
+    excess = np.where(read, -remaining / readings.sigma, -np.inf)
+    if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
+        return ""
+    place = np.unravel_index(np.argmax(excess), excess.shape)
+    frame, row, column = place
+    return (
+        f"the reading of row {row}, column {column} in frame {frames.named[frame]} lies "
+        f"{-remaining[place]:.3g} ohm "
+        f"below its series resistance, {excess[place]:.3g} times its noise"
+    )

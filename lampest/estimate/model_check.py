@@ -12,16 +12,15 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.estimate.compared_frames import ComparedFrames, broken_law
+from lampest.estimate.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
 from lampest.estimate.explanation import Explanation, better_rival
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.files.applications import applications
-from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
-from lampest.posterior.interval import largest_of
 from lampest.recording.readings import mean_change
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -121,7 +120,7 @@ class Question(ComparedFrames):
         It is '' where there is none.
         """
         unexplained = "" if self.explanation is None else _unexplained(self.explanation, self)
-        return unexplained or broken_law(self.specified, self) or self.below
+        return unexplained or broken_law(self.specified, self)
 
     @cached_property
     def below(self) -> str:
@@ -129,22 +128,7 @@ class Question(ComparedFrames):
 
         It is '' where there is none.
         """
-        scene = self.specified.scene
-        readings = self.specified.readings
-        if scene.circuit.unit != "ohm" or readings.sigma is None:
-            return ""
-        remaining = scene.circuit.from_recorded(self.specified.recorded, scene)
-        read = (readings.seen > 0) & np.isfinite(remaining)
-        excess = np.where(read, -remaining / readings.sigma, -np.inf)
-        if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
-            return ""
-        place = np.unravel_index(np.argmax(excess), excess.shape)
-        frame, row, column = place
-        return (
-            f"the reading of row {row}, column {column} in frame {self.named[frame]} lies "
-            f"{-remaining[place]:.3g} ohm "
-            f"below its series resistance, {excess[place]:.3g} times its noise"
-        )
+        return below_series(self.specified, self)
 
     @property
     def _few_bounds(self) -> bool:
