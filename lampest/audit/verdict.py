@@ -7,8 +7,10 @@ import numpy as np
 
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
+from lampest.estimate.explanation import MIN_RISEN
 from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
+from lampest.estimate.rivals import changes_beyond_noise
 from lampest.files.errors import InputError
 from lampest.panel.readouts.unseen import unseen_sentence
 from lampest.recording.recording import UNLOADED
@@ -44,6 +46,7 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
     yield from _fewer_bits(prepared)
+    yield from _falling_codes(prepared)
     yield from _another_panel(prepared)
     try:
         shown = health or Health.of(prepared.recording)
@@ -69,6 +72,26 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
                 f"no code is above {2**bits - 1:,} of {2**readout.adc_bits - 1:,}: does the "
                 f"converter have {bits} bits (adc_bits)?"
             )
+
+
+def _falling_codes(prepared: Prepared) -> Iterator[str]:
+    """Yield the doubt that codes fall where a load presses, as behind inverting amplifiers.
+
+    Each reading of an amplifier is that of one cell: any codes have cells that explain them.
+    """
+    recording = prepared.recording
+    readout = recording.scene.readout
+    if not hasattr(readout, "feedback_ohm") or recording.scene.panel.modules is not None:
+        return
+    assert readout is not None
+    if readout.converter is not None:
+        return
+    change = changes_beyond_noise(recording.scene, prepared.cleaned.readings, recording.role)
+    if (change > 0).any(axis=0).sum() >= MIN_RISEN and not (change < 0).any():
+        yield (
+            "loads raise resistances only: do codes fall behind an inverting amplifier "
+            "(converter: inverting amplifier)?"
+        )
 
 
 def _another_panel(prepared: Prepared) -> Iterator[str]:

@@ -20,7 +20,13 @@ from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.compared_frames import ComparedFrames, broken_law
 from lampest.estimate.fitted_pair import FittedPair
 from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
-from lampest.estimate.rivals import Rival, changes_beyond_noise, rivals_of, rounded_down
+from lampest.estimate.rivals import (
+    Rival,
+    changes_beyond_noise,
+    other_converters,
+    rivals_of,
+    rounded_down,
+)
 from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.branches import branch
@@ -47,6 +53,9 @@ SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
 # Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.
 SAME_COST = SMALL_CHI_SQUARE
+# Of a circuit under which a load lowers no resistance, in -2 ln evidence: a press does, and a rim
+RISING_COST = 24.0
+MIN_RISEN = 3  # cells: fewer may be a cup's alone
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
 
 
@@ -217,7 +226,10 @@ def _likely_rivals(frames: ComparedFrames, specified: Explanation | None) -> lis
     limit = np.inf if specified is None else specified.score - SAME_SCORE
     rivals = [
         rival
-        for rival in rivals_of(frames.specified, reversed_too=mostly_increases)
+        for rival in (
+            *rivals_of(frames.specified, reversed_too=mostly_increases),
+            *other_converters(frames.specified, reversed_too=mostly_increases),
+        )
         if not broken_law(_without_series(rival), frames)
     ]
     explanations = []
@@ -257,12 +269,22 @@ def _best_candidate(
         # Among rivals a resistance in series is one more parameter, and so is a memory.
         has_series = candidate.rival.in_series is not None
         has_memory = candidate.rival.scene.converter_memory != specified_memory
-        return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory)
+        rises = RISING_COST * _only_rises(candidate)
+        return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory) + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order
     least = min(map(cost, valid), default=0.0)
     tied = [candidate for candidate in valid if cost(candidate) <= least + SAME_COST]
     return min(tied, key=lambda tie: (tie.rival.order is not None, cost(tie)), default=None)
+
+
+def _only_rises(candidate: Explanation) -> bool:
+    """Return whether every moved cell has a larger resistance under load."""
+    if candidate.pair is None or candidate.pair.moved.sum() < MIN_RISEN:
+        return False
+    resting, loaded = (fit.cells for fit in candidate.fits)
+    moved = candidate.pair.moved.reshape(resting.shape)
+    return bool(np.all(loaded[moved] > resting[moved]))
 
 
 def _compared(

@@ -23,7 +23,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, DrivenReadout, Readout
-from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.characteristic import Characteristic, Known, known
 from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
@@ -37,6 +37,7 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
+ESP32_BITS = 12  # of the ADC of an ESP32 (its technical reference manual, chapter on the SAR ADC)
 BY_COLUMNS = "readings listed column by column (lampest import --transpose)"
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
 # Largest noise of a resistance with which the divider's function of Gaussian voltages is still
@@ -175,18 +176,41 @@ def rounded_down(specified: Rival) -> Rival | None:
 
     Such codes stand half a step too low. None where the scene states the converter.
     """
-    readout: Any = specified.scene.readout
+    readout = specified.scene.readout
     if readout is None or readout.converter is not None:
         return None
     half = readout.lsb_volt / 2
     ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
+    kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
+    return _with_converter(specified, ends, kind)
+
+
+def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
+    """Generate the specified circuit with converters of another range, where it states none.
+
+    Those of an esp32 have 12 bits. An inverting amplifier is tried where readings may fall with a
+    load (`reversed_too`).
+    """
+    readout = specified.scene.readout
+    if readout is None or readout.converter is not None:
+        return
+    names: list[Known] = ["inverting amplifier"] if reversed_too else []
+    names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
+    for name in names:
+        ends = known(name, readout.full_scale_volt)
+        yield _with_converter(specified, ends, f"readout.converter: {name}")
+
+
+def _with_converter(specified: Rival, ends: Characteristic, kind: str) -> Rival:
+    """Return the specified circuit whose codes stand for voltages of another range."""
+    readout: Any = specified.scene.readout
     circuit = _changed(readout, converter=ends)
-    volt = readout.volt_from_recorded(specified.recorded)
+    codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
     return replace(
         specified,
         scene=replace(specified.scene, readout=circuit),
-        recorded=circuit.recorded_from_volt(volt + half),
-        kind=f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)",
+        recorded=circuit.recorded_from_volt(circuit.volt_from_code(codes)),
+        kind=kind,
     )
 
 

@@ -773,7 +773,7 @@ def recognised_row() -> list[Any]:
     initial = replace(initial, present=True, level=replace(initial.level, since_s=3.0))
     loaded = np.log(readings.value[3].ravel())
     best = np.eye(len(verdict.fits))[int(np.argmax(verdict.shares))]
-    look = Look(verdict, np.ones(len(initial.test.loud)), 2.5)
+    look = Look.after(None, verdict, np.ones(len(initial.test.loud)), 2.5)
     states = [
         replace(initial, look=previous_look, known=known)
         for previous_look, known in product((None, look), (False, True))
@@ -826,7 +826,9 @@ def steps_row() -> list[Any]:
         states.append(watch)
         if number == 6:
             size = watch.test.sizes(watch.level.mean - resting)
-            watch = replace(watch, known=True, look=Look(verdict, size, time), former=None)
+            watch = replace(
+                watch, known=True, look=Look.after(None, verdict, size, time), former=None
+            )
         if number == 16:
             watch = watch._gone(time)
     for state in (*states, states[10].former or initial):
@@ -884,7 +886,7 @@ def swings_row() -> list[Any]:
     rod = replace(mouth, patterns=None)
     logarithm = np.log(frame.measured.ravel())
     suction = np.linalg.solve(initial.test.whitening, pattern.own[:, 0])
-    look = Look(verdict, np.ones(len(initial.test.loud)), 0.0)
+    look = Look.after(None, verdict, np.ones(len(initial.test.loud)), 0.0)
     for lasts, full_s in ((3.0, -np.inf), (6.0, -np.inf), (8.0, -np.inf), (12.0, 4.0), (12.0, 5.0)):
         at = 1.0 + np.arange(0.0, lasts, 0.25)
         swings = logarithm + 0.06 * np.outer(np.sin(2 * np.pi * at), suction)

@@ -1,5 +1,6 @@
 """What a code of the converter stands for: steps, ends, curves, and versions of files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -7,7 +8,17 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Characteristic, GroundedReadout, InputError, Panel, Recording, Scene
+from lampest import (
+    Characteristic,
+    GroundedReadout,
+    InputError,
+    LoadedColumnsReadout,
+    Panel,
+    Recording,
+    Scene,
+    VirtualGroundReadout,
+)
+from lampest.audit.advice import Audit
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.resolve import resolved_scene
 
@@ -126,3 +137,69 @@ def test_the_zero_of_a_converter_follows_from_open_cells() -> None:
     assert numbers.readout is not None and numbers.readout.zero_volt == pytest.approx(zero)
     found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise")])
     assert found.cell_resistance[-1, 2:4, 2:4] == pytest.approx(2000.0, rel=0.02)
+
+
+ESP32 = {"supply_volt": 3.3, "adc_bits": 12, "readings": 1}
+
+
+def panels() -> tuple[lampest.Array, lampest.Array]:
+    """Cells of an unloaded and of a pressed panel."""
+    resting = 5000 * np.exp(0.2 * np.random.default_rng(1).standard_normal((6, 6)))
+    pressed = resting.copy()
+    pressed[1:3, 2:4] = 1500.0
+    return resting, pressed
+
+
+def audit(built: lampest.Readout, stated: lampest.Readout, frames: int = 6) -> Audit:
+    """Audit of a press, recorded by one circuit and described as another one."""
+    rng = np.random.default_rng(1)
+    resting, pressed = panels()
+    exact = np.repeat([built.exact_reading(cells) for cells in (resting, pressed)], frames, axis=0)
+    volt = built.to_recorded(exact, Scene(Panel(6, 6), built))
+    codes = built.code_from_volt(volt + 0.5 * built.lsb_volt * rng.standard_normal(volt.shape))
+    scene = Scene(Panel(6, 6), stated)
+    recording = Recording.from_array(codes * 1.0, unit="code", scene=scene, baseline=frames)
+    return Audit(Prepared(recording))
+
+
+@pytest.mark.parametrize(
+    "stated", [LoadedColumnsReadout(load_ohm=5e3, **ESP32), GroundedReadout(**ESP32)]
+)
+def test_a_dead_zone_and_a_full_scale_of_their_own_are_named(stated: lampest.Readout) -> None:
+    audited = audit(replace(stated, converter=DEAD_ZONE), stated)
+    assert audited.verdict.mark == "no"
+    [finding] = [finding for finding in audited.advice if finding.room == "circuit"]
+    assert finding.line == "readout: {converter: esp32}"
+    assert audit(stated, stated).prepared.check.mark == "yes"
+
+
+@pytest.mark.parametrize(("drive", "bits", "mark"), [(50.0, 12, "no"), (0.0, 10, "doubtful")])
+def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
+    drive: float, bits: int, mark: str
+) -> None:
+    """Where no drive resistance couples cells, any codes have cells that explain them."""
+    stated = VirtualGroundReadout(feedback_ohm=1e3, drive_ohm=drive, adc_bits=bits, readings=1)
+    falling = Characteristic(zero_volt=stated.full_scale_volt, full_volt=0.0)
+    audited = audit(replace(stated, converter=falling), stated)
+    assert audited.verdict.mark == mark
+    assert "converter: inverting amplifier" in audited.verdict.sentence
+    assert "inverting" not in audit(stated, stated).verdict.sentence
+
+
+def test_a_converters_input_that_a_scene_leaves_out_scales_all_cells() -> None:
+    stated = LoadedColumnsReadout(polarity="down", load_ohm=35e3, drive_ohm=25.0, **ESP32)
+    prepared = audit(replace(stated, input_ohm=1e5), stated).prepared
+    found = lampest.reconstruct(prepared.recording, [lampest.Misfit()])
+    resting, pressed = panels()
+    assert 1.3 < np.median(found.cell_resistance[-1] / pressed) < 1.4
+    change = found.cell_resistance[-1] / found.baseline_resistance / (pressed / resting)
+    assert np.abs(change[pressed != resting] - 1).max() < 0.03
+    assert prepared.check.explains
+
+
+def test_amplifiers_without_a_channel_show_cells_apart() -> None:
+    """The gain Rf/Rc is 1e9 then, and no reading is that of an open cell."""
+    circuit = VirtualGroundReadout(sense_ohm=0.0, drive_ohm=20.0)
+    cells = np.array([[2e3, 8e3], [3e4, 4e3]])
+    apparent = circuit.apparent_resistance(circuit.exact_reading(cells))
+    assert np.abs(apparent / cells - 1).max() < 0.05

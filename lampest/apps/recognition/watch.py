@@ -19,6 +19,7 @@ from lampest.apps.recognition.fit import RARE_LOG_ODDS
 from lampest.apps.recognition.observation import Observation, counting
 from lampest.apps.recognition.open_lines import open_lines, without_lines
 from lampest.apps.recognition.step_test import StepTest
+from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
 from lampest.apps.recognition.watch_parts import (
     FOLLOWS_S,
@@ -29,7 +30,6 @@ from lampest.apps.recognition.watch_parts import (
     WatchSetup,
     latest,
 )
-from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNEVENLY
@@ -366,17 +366,20 @@ class Watch:
         return replace(frame, baseline=replace(baseline, covariance=covariance))
 
     def _left(self, frame: Observation) -> bool:
-        """Return whether a frame shows less of the recognised ln r/r0 than the film's residue.
+        """Return whether a frame shows no more of the load before any pull than the film's residue.
 
-        True without a load. The common change by temperature is the median over the cells that were
-        free, and is subtracted.
+        True without a load. The common change by temperature is subtracted.
         """
-        if not self._recognised:
+        if self.look is None or self.look.over:
             return True
-        before = self._before
-        common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
-        residue = NOISE_REACH * self.setup.errors.residue * np.sum(before**2)
-        return bool(np.sum((frame.map - common) * before) <= residue)
+        held = self.look.held
+        residue = self.look.most_left(self.setup.errors.residue) * np.sum(held**2)
+        return bool(np.sum((frame.map - self._common(frame.map)) * held) <= residue)
+
+    def _common(self, change: Array) -> float:
+        """Return the median of ln r/r0, (rows, columns), over the cells without a load."""
+        free = self._before == 0
+        return float(np.median(change[free])) if np.any(free) else 0.0
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
@@ -455,13 +458,16 @@ class Watch:
             return replace(self, next_s=again)
         frame = verdict.frame
         change = verdict.changed
-        # what suction opened shows by its shape alone
-        before = self._before
-        if self._recognised and self.look is not None:
-            before = np.where(before == 0, self.look.verdict.best.change, before)
-        least = NOISE_REACH * self.setup.errors.residue * np.sum(change * before)
-        # the film's residue in the cells of the former load
-        residue = self._recognised and not self.known and np.sum(change**2) <= least
+        residue = False
+        if not self.known and self.look is not None and not self.look.over:
+            held = self.look.held
+            remains = np.where(change != 0, change - self._common(frame.free_map), 0.0)
+            remains = np.minimum(remains, 0.0) if np.any(held < 0) else remains
+            remains = np.where(np.abs(remains) > MIN_FALL, np.abs(remains), 0.0)  # less is drift
+            # the film's residue in the cells of the former load, and in those that it has left
+            cells = np.where(held != 0, np.abs(held), self.look.reached)
+            least = self.look.most_left(self.setup.errors.residue) * np.sum(remains * cells)
+            residue = bool(np.sum(remains**2) <= least)
         # some steps are noise
         noise = verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing)
         if residue or noise:
@@ -470,7 +476,8 @@ class Watch:
             if self._left(frame) and not shown:
                 return self._gone(time if self.known else self.level.since_s)
             return replace(self, known=True, next_s=again, former=None)
-        look = Look(verdict, self.test.sizes(self.level.mean - self.rest.mean), time)
+        sizes = self.test.sizes(self.level.mean - self.rest.mean)
+        look = Look.after(self.look, verdict, sizes, time)
         first = not self._recognised and not self.attachments
         if first and relieved_by_departure(verdict) and self.setup.explained():
             left_s = self.level.since_s
@@ -478,6 +485,8 @@ class Watch:
             return replace(self, look=look, history=history)._gone(left_s)
         patterns = patterns_of(frame, verdict.best, self.test.whitening, self.setup.detector)
         loads = attachments_of(frame, verdict, self.level.since_s, patterns)
+        if not loads and self._recognised and self._left(frame):
+            return self._gone(time if self.known else self.level.since_s)
         if not loads:
             return replace(self, known=True, next_s=again, former=None, history=RELIEVED)
         watch = replace(

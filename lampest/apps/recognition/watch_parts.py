@@ -1,7 +1,7 @@
 """Parts of a watch: its constants, intervals without a step, and recognitions of a load."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.fit import Verdict
 from lampest.apps.recognition.observation import Baseline, ModelErrors, Observation, patch_of
 from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.files.levels import NOISE_REACH
 from lampest.panel.conditions import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -17,6 +18,9 @@ from lampest.panel.scene import Scene
 # Time constant, s, with which means follow the frames, and with which a residue fades.
 FOLLOWS_S = 20.0
 MIN_FRAMES = 3  # that a recognition needs
+# Cosine between the changes of two recognitions of one load: a rim that begins to suck, a second
+# load or a move gives less, a pull more.
+SAME_PATTERN = 0.8
 # Times in s, and readings ln y, (cells,).
 Frames = tuple[tuple[float, Array], ...]
 
@@ -113,6 +117,13 @@ class Look:
         Scores of the load.
     time_s : float
         Time of the recognition, or at which the load left.
+    held : array, shape (rows, columns)
+        ln r/r0 of the cells that fell, or of all if none did, when the load was weakest in its
+        place.
+    reached : array, shape (rows, columns)
+        Largest |ln r/r0| that every cell may have had since the load arrived; 0 of free cells.
+    pulled : float
+        Strongest change since then over `held`, less what has faded of it: a pull has more.
     over : bool
         Whether the load has left.
     """
@@ -120,7 +131,52 @@ class Look:
     verdict: Verdict
     size: Array
     time_s: float
+    held: Array
+    reached: Array
+    pulled: float = 1.0
     over: bool = False
+
+    @classmethod
+    def after(cls, former: "Look | None", verdict: Verdict, size: Array, time: float) -> "Look":
+        """Return the recognition at a time in s that follows a former one of the same loads.
+
+        It follows none where the pattern of the change is another one. A weaker change is what the
+        load holds by; a stronger one is a pull.
+        """
+        # Every load presses, and a pull hardly changes what is pressed. A film under suction may
+        # keep more of a pull than the load caused before.
+        fallen = np.minimum(verdict.changed, 0.0)
+        change = fallen if np.any(fallen) else verdict.changed
+        touched = (verdict.changed != 0) | (verdict.best.change != 0)
+        frame = verdict.frame
+        most = np.abs(frame.free_map) + NOISE_REACH * frame.free_sd
+        reached = np.where(touched, most, 0.0)
+        if former is None or former.over:
+            return cls(verdict, size, time, change, reached)
+        look = cls(verdict, size, time, change, np.maximum(former.reached, reached))
+        squares = float(np.sum(former.held**2))
+        along = float(np.sum(change * former.held))
+        if along < SAME_PATTERN * np.sqrt(squares * np.sum(change**2)) or along <= 0:
+            return look
+        ratio = along / squares
+        faded = 1 + (former.pulled - 1) / (1 + max(time - former.time_s, 0.0) / FOLLOWS_S)
+        if ratio < 1:
+            return replace(look, pulled=faded / ratio)
+        return replace(look, held=former.held, pulled=max(faded, ratio))
+
+    def most_left(self, residue: float) -> float:
+        """Return the largest share of `held` that the film may show once the load has left.
+
+        Without a pull it is NOISE_REACH standard deviations of the residue in the film. After a
+        pull the film keeps more of `held`; the load has left where the readings are nearer to the
+        expected residue than to `held`.
+
+        Parameters
+        ----------
+        residue : float
+            Standard deviation of the residue, over the ln r/r0 that left it.
+        """
+        return min(NOISE_REACH * residue * self.pulled, (1 + residue * self.pulled) / 2)
 
     def fading(self, time: float) -> Array:
         """Return the scores of the residue of a load that left, (discs,)."""

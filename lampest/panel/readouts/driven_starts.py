@@ -54,7 +54,7 @@ class DrivenStarts(DrivenNetwork):
             return self._of_uniform_panels(measured)
         load = self._reference(equation)
         drive = equation.drive
-        volt = np.maximum(measured / equation.gain, OPEN_SHARE * self.driving_volt)
+        volt = np.maximum(measured, OPEN_SHARE * self.driving_volt) / equation.gain
         # (Vcc − V_d)/I with the current I = V/(c·Rs): the sum of cell, load and drive
         total = load * (self.driving_volt - self._lost(volt / load)) / volt
         return np.asarray(np.maximum(total - load - drive, MIN_LOAD_SHARE * total))

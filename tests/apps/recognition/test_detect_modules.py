@@ -169,7 +169,7 @@ def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("seed", range(1, 5))
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     slid, mouth, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
     answer = answered(slid)

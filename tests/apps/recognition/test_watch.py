@@ -205,6 +205,21 @@ def test_the_leaving_one_of_two_loads_is_reported_without_its_memory(other: Shap
     )
 
 
+@pytest.mark.parametrize(
+    ("pressure_kpa", "factor", "diameter_mm", "memory_share"), [(-6, 8, 33, 0.0), (-5, 6, 40, 0.05)]
+)
+def test_a_pull_ends_no_visit_and_leaves_no_phantom(
+    pressure_kpa: float, factor: float, diameter_mm: float, memory_share: float
+) -> None:
+    """A pull of six seconds; the mouth leaves, and comes back."""
+    mouth = dataclasses.replace(MOUTH, pressure_kpa=pressure_kpa, diameter_mm=diameter_mm)
+    pulling = dataclasses.replace(mouth, pressure_kpa=factor * pressure_kpa)
+    courses = (mouth, 8, 16), (pulling, 16, 22), (mouth, 22, 34), (mouth, 44, 50)
+    answer = answered(recording_with(*courses, frames=60, memory_share=memory_share))
+    visits = [(attachment.since_s, attachment.until_s) for attachment in answer.attachments]
+    assert visits == [(8.0, 34.0), (44.0, 50.0)]
+
+
 @pytest.mark.slow
 def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     """At a frame a second, while the temperature sways readings by 3 % in two hours."""
