@@ -173,6 +173,14 @@ def test_a_dead_zone_and_a_full_scale_of_their_own_are_named(stated: lampest.Rea
     assert audit(stated, stated).prepared.check.mark == "yes"
 
 
+def test_a_dead_zone_below_which_most_readings_are_zero_is_asked_for() -> None:
+    stated = GroundedReadout(load_ohm=150.0, **ESP32)
+    question = "does the converter read nothing below some voltage"
+    hidden = audit(replace(stated, converter=DEAD_ZONE), stated).verdict
+    assert hidden.mark == "doubtful" and question in hidden.sentence
+    assert question not in audit(stated, stated).verdict.sentence
+
+
 @pytest.mark.parametrize(("drive", "bits", "mark"), [(50.0, 12, "no"), (0.0, 10, "doubtful")])
 def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
     drive: float, bits: int, mark: str
