@@ -17,7 +17,7 @@ from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
-MAX_ZEROS = 0.1  # of the readings: with as many bounds no cells are fitted
+MAX_ZEROS = 0.1  # of the readings
 WHOLE = 1e-3  # distance of a code from a whole number
 # By the readings alone, of the panel that is taken, against one that reads alike.
 CLEAR_LOG_ODDS = math.log(1000)
@@ -77,10 +77,15 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
 
 
 def _many_zeros(prepared: Prepared) -> Iterator[str]:
-    """Yield the doubt that readings of 0 are those of a dead zone, not of open cells."""
+    """Yield the doubt that readings of 0 are those of a dead zone, not of open cells.
+
+    It counts where they are so many that no cells are fitted.
+    """
     recording = prepared.recording
     readout = recording.scene.readout
     if readout is None or readout.converter is not None or recording.scene.panel.modules:
+        return
+    if prepared.question.explanation is not None:
         return
     codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
     share = float(np.mean(codes[np.isfinite(codes)] < 0.5)) if np.isfinite(codes).any() else 0.0
