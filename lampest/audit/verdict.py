@@ -17,6 +17,7 @@ from lampest.recording.recording import UNLOADED
 
 OF_CIRCUIT = ("lines", "order")  # rooms of health whose findings contradict the scene
 
+MAX_ZEROS = 0.1  # of the readings
 WHOLE = 1e-3  # distance of a code from a whole number
 # By the readings alone, of the panel that is taken, against one that reads alike.
 CLEAR_LOG_ODDS = math.log(1000)
@@ -46,6 +47,7 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
     if prepared.noise.model_factor > 1:
         yield f"readings are missed by {prepared.noise.model_factor:.2g} times their noise"
     yield from _fewer_bits(prepared)
+    yield from _many_zeros(prepared)
     yield from _falling_codes(prepared)
     yield from _another_panel(prepared)
     try:
@@ -72,6 +74,26 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
                 f"no code is above {2**bits - 1:,} of {2**readout.adc_bits - 1:,}: does the "
                 f"converter have {bits} bits (adc_bits)?"
             )
+
+
+def _many_zeros(prepared: Prepared) -> Iterator[str]:
+    """Yield the doubt that readings of 0 are those of a dead zone, not of open cells.
+
+    It counts where they are so many that no cells are fitted.
+    """
+    recording = prepared.recording
+    readout = recording.scene.readout
+    if readout is None or readout.converter is not None or recording.scene.panel.modules:
+        return
+    if prepared.question.explanation is not None:
+        return
+    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
+    share = float(np.mean(codes[np.isfinite(codes)] < 0.5)) if np.isfinite(codes).any() else 0.0
+    if share > MAX_ZEROS:
+        yield (
+            f"{100 * share:.0f} % of the readings are 0: are these cells open, or does the "
+            "converter read nothing below some voltage (converter: esp32, or its zero_volt)?"
+        )
 
 
 def _falling_codes(prepared: Prepared) -> Iterator[str]:

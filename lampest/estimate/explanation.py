@@ -49,7 +49,8 @@ SERIES_ACCURACY = 0.05  # of that search, as a share of their distance
 SAME_SCORE = 1e-3  # scores that differ by less are rounding's
 # Fits end within some hundredths of their smallest χ², rivals within SMALL_CHI_SQUARE.
 SAME_COST = SMALL_CHI_SQUARE
-# Of a circuit under which a load lowers no resistance, in -2 ln evidence: a press does, and a rim
+# Of a circuit under which a load lowers no resistance, in -2 ln evidence, beside one of falling
+# codes: a press lowers some, and so does a cup's rim.
 RISING_COST = 24.0
 MIN_RISEN = 3  # cells: fewer may be a cup's alone
 FAR = 100.0  # in scores, beyond what channels and the selection of moved cells change
@@ -260,11 +261,15 @@ def _best_candidate(
         if still and not broken_law(candidate.rival, frames) and candidate.rival.name:
             valid.append(candidate)
 
+    reversible = any(
+        getattr(candidate.rival.scene.readout, "code_sign", 1.0) < 0 for candidate in valid
+    )
+
     def cost(candidate: Explanation) -> float:
         # Among rivals a resistance in series is one more parameter, and so is a memory.
         has_series = candidate.rival.in_series is not None
         has_memory = candidate.rival.scene.converter_memory != specified_memory
-        rises = RISING_COST * _only_rises(candidate)
+        rises = RISING_COST * (reversible and _only_rises(candidate))
         return candidate.beyond_noise + PARAMETER_COST * (has_series + has_memory) + rises
 
     # of circuits that differ in the names of lines alone, the one that keeps the file's order

@@ -16,7 +16,6 @@ from lampest.estimate.compared_frames import ComparedFrames
 from lampest.estimate.explanation import MEMORIES as TRIED
 from lampest.estimate.explanation import Explanation, may_gain_by_memory
 from lampest.panel.panel import Array
-from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -125,13 +124,11 @@ def _cost(explanation: Explanation | None) -> float:
 
 def with_estimated_memory(
     recording: Recording,
-) -> tuple[Recording, tuple[float, float] | str | None]:
+) -> tuple[Recording, tuple[float, float] | str]:
     """Return the recording with a number for `converter_memory: estimated`.
 
     Also return the estimate or the reason for none.
     """
-    if recording.scene.converter_memory != ESTIMATED:
-        return recording, None
     estimate = estimated_memory(recording)
     share = None if isinstance(estimate, str) else estimate[0]
     return replace(recording, scene=replace(recording.scene, converter_memory=share)), estimate

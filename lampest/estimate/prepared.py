@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.alike import PanelChoice
-from lampest.estimate.memory import with_estimated_memory
 from lampest.estimate.model_check import EXPLAINED, ModelCheck, Question, check_of_modules
 from lampest.estimate.module_noise import noise_of_modules
 from lampest.estimate.noise import NoiseEstimate, estimate_noise
@@ -29,8 +28,8 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.effects import EFFECTS, Effect
-from lampest.panel.estimated import estimated_lines
 from lampest.panel.panel import Array, Modules
+from lampest.panel.sizes import ESTIMATED
 from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.recording.readings import Readings
@@ -121,7 +120,11 @@ class Prepared:
     def cleaned(self) -> Cleaned:
         """The readings of a single network without outliers."""
         recording = with_saturated_stage(self.recording)
-        recording, memory = with_estimated_memory(recording)
+        memory: tuple[float, float] | str | None = None
+        if recording.scene.converter_memory == ESTIMATED:
+            from lampest.estimate.memory import with_estimated_memory  # for this key alone
+
+            recording, memory = with_estimated_memory(recording)
         if self.recording.scene.outliers == "keep":
             frozen = np.zeros(recording.scene.panel.shape, dtype=bool)
             outliers = np.zeros(recording.recorded.shape, dtype=bool)
@@ -239,6 +242,8 @@ class Prepared:
         question = replace(self.question, named_errors=self._named_errors)
         if question.fault:
             return check
+        from lampest.panel.estimated import estimated_lines  # for a sentence of the check alone
+
         sizes = {
             key: size
             for key, size in self.noise.estimated.items()

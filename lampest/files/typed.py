@@ -339,10 +339,12 @@ class ByKind:
         return getattr(value, "kind", None)
 
 
-@cache
+_hints = cache(typing.get_type_hints)
+
+
 def kinds_of(member: Any) -> tuple[str, ...]:
     """Return the values of a class's `kind: Literal[...]`; () without such a field."""
-    return typing.get_args(typing.get_type_hints(member).get("kind"))
+    return typing.get_args(_hints(member).get("kind"))
 
 
 def shipped(union: Any) -> tuple[type[Any], ...]:

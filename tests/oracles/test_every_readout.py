@@ -601,6 +601,27 @@ def test_a_start_of_equal_cells_reproduces_the_readings(readout: Any) -> None:
     assert readout.start(exact, np.full(cells.shape, UPPER_OHM)).max() <= UPPER_OHM
 
 
+def test_uniform_panels_of_a_circuit_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run asks the same circuits for each of its recordings."""
+    solved = list[Any]()
+    kind = lampest.VirtualGroundReadout
+    exact_reading = kind.exact_reading
+
+    def counted(self: Any, cells: Any, *further: Any) -> Any:
+        solved.append(cells)
+        return exact_reading(self, cells, *further)
+
+    monkeypatch.setattr(kind, "exact_reading", counted)
+    cells = cells_of(shape=(ROWS, COLUMNS))
+    for ohm in (71.23, 71.23):  # of no other test
+        circuit = kind(drive_ohm=ohm, sense_ohm=ohm, feedback_ohm=150.0)
+        measured = exact_reading(circuit, cells)
+        solved.append(None)
+        start = circuit.start(measured, np.full(cells.shape, np.inf))
+        assert_allclose(start, cells, rtol=MAX_START_ERROR)
+    assert len(solved) > 3 and solved[-1] is None
+
+
 def test_an_unknown_readout_is_reported_on_writing_and_reading(tmp_path: Path) -> None:
     recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE_READOUT), frames=2))
     odd = replace(recording, scene=replace(recording.scene, readout=Divider()))

@@ -142,13 +142,20 @@ def test_the_zero_of_a_converter_follows_from_open_cells() -> None:
 ESP32 = {"supply_volt": 3.3, "adc_bits": 12, "readings": 1}
 
 
+def panels() -> tuple[lampest.Array, lampest.Array]:
+    """Cells of an unloaded and of a pressed panel."""
+    resting = 5000 * np.exp(0.2 * np.random.default_rng(1).standard_normal((6, 6)))
+    pressed = resting.copy()
+    pressed[1:3, 2:4] = 1500.0
+    return resting, pressed
+
+
 def audit(built: lampest.Readout, stated: lampest.Readout, frames: int = 6) -> Audit:
     """Audit of a press, recorded by one circuit and described as another one."""
     rng = np.random.default_rng(1)
-    resting = 5000 * np.exp(0.2 * rng.standard_normal((6, 6)))
-    pressed = resting.copy()
-    pressed[1:3, 2:4] = 1500.0
-    volt = np.repeat([built.exact_reading(cells) for cells in (resting, pressed)], frames, axis=0)
+    resting, pressed = panels()
+    exact = np.repeat([built.exact_reading(cells) for cells in (resting, pressed)], frames, axis=0)
+    volt = built.to_recorded(exact, Scene(Panel(6, 6), built))
     codes = built.code_from_volt(volt + 0.5 * built.lsb_volt * rng.standard_normal(volt.shape))
     scene = Scene(Panel(6, 6), stated)
     recording = Recording.from_array(codes * 1.0, unit="code", scene=scene, baseline=frames)
@@ -166,6 +173,14 @@ def test_a_dead_zone_and_a_full_scale_of_their_own_are_named(stated: lampest.Rea
     assert audit(stated, stated).prepared.check.mark == "yes"
 
 
+def test_a_dead_zone_below_which_most_readings_are_zero_is_asked_for() -> None:
+    stated = GroundedReadout(load_ohm=150.0, **ESP32)
+    question = "does the converter read nothing below some voltage"
+    hidden = audit(replace(stated, converter=DEAD_ZONE), stated).verdict
+    assert hidden.mark == "doubtful" and question in hidden.sentence
+    assert question not in audit(stated, stated).verdict.sentence
+
+
 @pytest.mark.parametrize(("drive", "bits", "mark"), [(50.0, 12, "no"), (0.0, 10, "doubtful")])
 def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
     drive: float, bits: int, mark: str
@@ -177,6 +192,17 @@ def test_codes_that_fall_behind_an_inverting_amplifier_are_named(
     assert audited.verdict.mark == mark
     assert "converter: inverting amplifier" in audited.verdict.sentence
     assert "inverting" not in audit(stated, stated).verdict.sentence
+
+
+def test_a_converters_input_that_a_scene_leaves_out_scales_all_cells() -> None:
+    stated = LoadedColumnsReadout(polarity="down", load_ohm=35e3, drive_ohm=25.0, **ESP32)
+    prepared = audit(replace(stated, input_ohm=1e5), stated).prepared
+    found = lampest.reconstruct(prepared.recording, [lampest.Misfit()])
+    resting, pressed = panels()
+    assert 1.3 < np.median(found.cell_resistance[-1] / pressed) < 1.4
+    change = found.cell_resistance[-1] / found.baseline_resistance / (pressed / resting)
+    assert np.abs(change[pressed != resting] - 1).max() < 0.03
+    assert prepared.check.explains
 
 
 def test_amplifiers_without_a_channel_show_cells_apart() -> None:

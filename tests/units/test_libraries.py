@@ -9,7 +9,9 @@ import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -118,6 +120,21 @@ def test_detect_writes_everything_but_pictures_without_matplotlib(
     assert {path.name for path in tmp_path.iterdir()} == {"detections.h5", "visits.csv"}
     captured = capsys.readouterr()
     assert "lampest[plots]" in captured.out + captured.err
+
+
+def test_detect_prints_its_warnings_before_it_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed = list[str]()
+
+    def draw(answers: Any, season: Any, folder: Path) -> list[Path]:
+        printed.extend(capsys.readouterr())
+        return [folder / "picture.png"]
+
+    monkeypatch.setattr("lampest.apps.recognition.commands._draw", draw)
+    answer = Detected.unknown("mat", "one frame shows no change; three are needed")
+    _tell([replace(answer, warnings=("of the check",))], [], tmp_path, everything=False)
+    assert "of the check" in "".join(printed) and "picture.png" in capsys.readouterr().out
 
 
 def loaded_modules(code: str) -> set[str]:

@@ -118,6 +118,11 @@ class CircuitLines:
                 "the C library has no diodes: drive the lines without one, or estimate on a "
                 "computer"
             )
+        if readout.unseen_scales(*shape):
+            raise InputError(
+                "the C library has no prior of scales that no reading shows: give each sensed line "
+                "a resistor (load_ohm), or estimate on a computer"
+            )
         equation = equation_of(readout, *shape)
         if len(equation.ties) > 1:
             raise InputError("the C library has no multiplexers in parallel (readout.groups)")

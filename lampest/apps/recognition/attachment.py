@@ -107,9 +107,14 @@ class Attachment:
     def strongest_kpa(self) -> Pair | None:
         """Strongest suction, kPa, and its standard deviation.
 
-        It is the suction that exceeds all others by more than its error.
+        It is the suction that exceeds all others by more than its error, of those that are at least
+        as strong as the typical one.
         """
-        return min(self.suctions, key=lambda pair: pair[0] + pair[1], default=None)
+        typical = self.suction_kpa
+        if typical is None:
+            return None
+        strong = [pair for pair in self.suctions if pair[0] <= typical[0]]
+        return min(strong, key=lambda pair: pair[0] + pair[1])
 
     @property
     def breathing_hz(self) -> Pair | None:

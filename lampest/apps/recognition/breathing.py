@@ -1,7 +1,12 @@
 """Breathing of an attachment: the odds of all windows together.
 
-Also whether suction or the rim alone oscillates. Each window has a `Breath`. The odds of full
-windows multiply; of incomplete ones, two in a row have to agree.
+Also whether suction or the rim alone oscillates. Each window has a `Breath`. Windows of one load
+share the form of its rim, the film and the amplitude of a steady swing, so that their ln odds w are
+correlated by ρ, and N of them have the ln odds
+
+    Σ w / (1 + (N − 1) ρ).
+
+Of incomplete windows, two in a row have to agree.
 """
 
 from collections.abc import Sequence
@@ -17,6 +22,10 @@ from lampest.apps.recognition.fit import RARE_LOG_ODDS
 # duration over which a rhythm is steady, and the least that determines one
 WINDOW_S = 8.0
 MIN_WINDOW_S = 4.5
+# correlation ρ of the ln odds of two windows of one load, and number of windows that count: each
+# window takes from the earlier ones the inverse of it
+SHARED = 0.5
+REMEMBERED = 4.0
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 # of suction that oscillates against the rim alone, and against the place or the tilt
 CAUSE_ODDS = PRIOR_ODDS / 2
@@ -34,6 +43,8 @@ class Breathing:
     causes, previous_causes : float
         ln odds that the suction oscillates, without the prior odds, with and without the last
         window.
+    windows : float
+        Number N of windows in the previous odds.
     suction : float
         Probability that the suction oscillates, by all windows; 1 before the first one.
     last : float
@@ -49,6 +60,7 @@ class Breathing:
     previous_odds: float = 0.0
     causes: float = 0.0
     previous_causes: float = 0.0
+    windows: float = 0.0
     suction: float = 1.0
     last: float = PRIOR_SUCTION
     hertz: Pair | None = None
@@ -74,19 +86,36 @@ class Breathing:
     def _caused(self, suction: float) -> "Breathing":
         """Return the breath if suction oscillates in the last window with this probability."""
         window = logit(suction) - np.log(CAUSE_ODDS)
-        causes = float(np.clip(self.previous_causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        causes = self._together(self.previous_causes, window, -MAX_LOG_ODDS)
         return replace(self, suction=float(expit(causes + np.log(CAUSE_ODDS))), causes=causes)
 
     def _closed(self, time: float) -> "Breathing":
         """Return the breath whose last window, which ends at a time in s, is complete."""
-        return replace(self, previous_odds=self.odds, previous_causes=self.causes, full_s=time)
+        return replace(
+            self,
+            previous_odds=self.odds,
+            previous_causes=self.causes,
+            windows=self._counted,
+            full_s=time,
+        )
+
+    @property
+    def _counted(self) -> float:
+        """Number of windows with the last one."""
+        return 1 + (1 - 1 / REMEMBERED) * self.windows
+
+    def _together(self, previous: float, window: float, least: float) -> float:
+        """Return the ln odds of the earlier windows and of one more, at least a value."""
+        total = previous * (1 + (max(self.windows, 1.0) - 1) * SHARED)
+        total = (1 - 1 / REMEMBERED) * total + window
+        return float(np.clip(total / (1 + (self._counted - 1) * SHARED), least, MAX_LOG_ODDS))
 
     def after(self, breath: Breath | None, time: float, *, full: bool) -> "Breathing":
         """Return the breath after a window that ends at a time in s.
 
         The odds of a full window are kept. Assumptions: one mouth in twenty never shows its breath,
         because it is faint or at half the frame rate, and a mouth pauses in one window of twenty.
-        The odds of full windows multiply. Of incomplete windows, two successive ones have to agree
+        Of incomplete windows, two successive ones have to agree
         that the suction oscillates: with the last one alone, two of 75 shaken cups were taken for
         lampreys for a second (docs/studies/mouths.md).
         """
@@ -98,9 +127,9 @@ class Breathing:
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""
-        # ln odds ← clip(ln odds + ln(0.05 + 0.95 B), −ln 20, 10)
+        # w = ln(0.05 + 0.95 B), B the odds of the window
         window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + breath.odds)
-        odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
+        odds = self._together(self.previous_odds, float(window), -RARE_LOG_ODDS)
         # Where nothing oscillates, a window shows no cause.
         suction = breath.suction if breath.odds > 0 else PRIOR_SUCTION
         agreed = suction if full else min(suction, self.last)

@@ -155,7 +155,7 @@ def _tell(
     *,
     everything: bool,
 ) -> None:
-    """Write the files of the answers, and print their warnings and tables."""
+    """Write the files of the answers, print their warnings and tables, and draw the pictures."""
     from lampest.apps.recognition.detect import visits
     from lampest.apps.recognition.detect.answer import (
         FILE,
@@ -175,9 +175,6 @@ def _tell(
     visits.write_visits(folder / visits.FILE, season)
     if loads:
         write_pressed(folder / PRESSED, loads)
-    drawing = find_spec("matplotlib") is not None
-    if drawing:
-        files += _draw(answers, counted, folder)
     for answer in answers:
         screen.print_notes(f"warning: {answer.recording}: {line}" for line in answer.warnings)
     screen.print_table(event_table(answers))
@@ -188,6 +185,9 @@ def _tell(
         screen.print_table(pressed_table(loads))
         for answer in answers:
             screen.print_notes(f"{answer.recording}: {note}" for note in answer.notes)
+    drawing = find_spec("matplotlib") is not None
+    if drawing:
+        files += _draw(answers, counted, folder)
     for path in files:
         screen.say(path)
     if not drawing:

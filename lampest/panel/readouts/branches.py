@@ -42,20 +42,19 @@ LINE_FACTORS = np.geomspace(1e-2, 1e2, 17)  # of the cells of a line, on the way
 MIN_FACTOR = 1.3  # of the cells of a line beyond its fold
 
 
-def uniform_panels(reading: Callable[[Array], Array], measured: Array) -> list[Array]:
+def uniform_panels(log_medians: Array, measured: Array) -> list[Array]:
     """Return the uniform panels whose median reading is the measured one.
 
     Shape (rows, columns), ohm each. Where none is, the one that comes nearest.
 
     Parameters
     ----------
-    reading : callable
-        Readings of cells (rows, columns) ohm.
+    log_medians : array, shape (levels,)
+        Logarithms of the median readings of uniform panels of LEVELS.
     measured : array, shape (rows, columns)
         Positive readings.
     """
-    log_medians = [np.log(np.median(reading(np.full(measured.shape, level)))) for level in LEVELS]
-    excess = np.array(log_medians) - np.log(np.median(measured))
+    excess = log_medians - np.log(np.median(measured))
     crossings = np.flatnonzero(excess[:-1] * excess[1:] <= 0)
     if not crossings.size:
         return [np.full(measured.shape, LEVELS[np.argmin(np.abs(excess))])]

@@ -138,7 +138,7 @@ class DrivenStarts(DrivenNetwork):
         elif self.unseen_scales(*measured.shape):
             firsts = [self.uniform_start(measured)]
         else:
-            firsts = uniform_panels(self.exact_reading, positive)
+            firsts = uniform_panels(log_medians(self, *measured.shape), positive)
         if len(firsts) == 1 and equation.plain and np.isfinite(equation.states.load).all():
             alternation = Alternation(
                 equation,
@@ -169,7 +169,7 @@ class DrivenStarts(DrivenNetwork):
         return every_panel(
             lambda cells: self.network(cells, self.ties(measured)),
             measured,
-            [*firsts, *uniform_panels(self.exact_reading, measured)],
+            [*firsts, *uniform_panels(log_medians(self, *measured.shape), measured)],
             tolerance,
             0 if self.driven == "rows" else 1,
         )
@@ -178,7 +178,7 @@ class DrivenStarts(DrivenNetwork):
         if self._equation(measured.shape).floating or self.unseen_scales(*measured.shape):
             return []
         positive = np.maximum(measured, OPEN_SHARE * measured.max())
-        firsts = uniform_panels(self.exact_reading, positive)
+        firsts = uniform_panels(log_medians(self, *measured.shape), positive)
         if len(firsts) == 1:
             return []
         return self._panels_from(positive, firsts, np.full(measured.shape, np.inf))
@@ -190,6 +190,16 @@ class DrivenStarts(DrivenNetwork):
         return panels_alike(
             lambda cells: self.network(cells, self.ties(measured)), measured, firsts, upper
         )
+
+
+@lru_cache(maxsize=128)
+def log_medians(circuit: DrivenNetwork, rows: int, columns: int) -> Array:
+    """Return the logarithms of the median readings of uniform panels of LEVELS, (levels,).
+
+    The check of a circuit asks for some ten circuits, the same for each recording of a panel.
+    """
+    panels = (np.full((rows, columns), level) for level in LEVELS)
+    return np.array([np.log(np.median(circuit.exact_reading(cells))) for cells in panels])
 
 
 @lru_cache(maxsize=32)

@@ -648,6 +648,12 @@ def test_idle_lines_held_behind_a_drive_resistor_are_refused():
         CircuitLines.of(lampest.DrivenReadout(idle_ohm=0.0), (4, 4))
 
 
+def test_inputs_without_a_resistor_are_refused():
+    inputs = lampest.DrivenReadout(drive_ohm=45.0, idle_ohm=45.0, load_ohm=np.inf)
+    with pytest.raises(lampest.InputError, match="prior of scales that no reading shows"):
+        CircuitLines.of(inputs, (4, 4))
+
+
 def test_milliseconds_are_a_range_of_cycles_of_the_manual():
     trade = Trade(Budget(2, 8, 0.0), 0.1, 0.1, 0.1, 1e6, 1.2e6)
     np.testing.assert_allclose(trade.milliseconds("cortex-m4f"), [16.0, 18.0])

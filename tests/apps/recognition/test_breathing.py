@@ -173,6 +173,31 @@ def test_odds_and_cause_of_a_window_count_together() -> None:
     assert swinging.after(shaken, 14.0, full=True).probability < 0.1
 
 
+def test_many_like_windows_are_little_surer_than_a_few() -> None:
+    """A weak swing at the edge of the band, for a quarter of an hour, as a quiet cup has it."""
+    weak = Breath(0.8, 0.93, (0.53, 0.03), (0.01, 0.003))
+    clear = Breath(6.0, 0.97, (1.1, 0.1), (0.08, 0.01))
+    few, many, mouth = Breathing(), Breathing(), Breathing()
+    for number in range(112):
+        many = many.after(weak, 8.0 * number, full=True)
+        few = many if number == 3 else few
+        mouth = mouth.after(clear, 8.0 * number, full=True)
+    assert few.probability - 0.05 < many.probability < 0.85
+    assert mouth.probability > 0.98
+
+
+def test_a_mouth_that_breathes_again_is_recognised_within_half_a_minute() -> None:
+    silent = Breath(-6.0, 0.9, (1.1, 0.1), (0.08, 0.01))
+    clear = Breath(8.0, 0.99, (1.1, 0.1), (0.08, 0.01))
+    breathing = Breathing()
+    for number in range(100):
+        breathing = breathing.after(silent, 8.0 * number, full=True)
+    assert breathing.probability < 0.06
+    for number in range(100, 103):
+        breathing = breathing.after(clear, 8.0 * number, full=True)
+    assert breathing.probability > 0.9
+
+
 def test_a_single_incomplete_window_decides_no_cause() -> None:
     shown = Breath(8.0, 0.99, (1.1, 0.1), (0.08, 0.01))
     once = Breathing().after(shown, 5.0, full=False)

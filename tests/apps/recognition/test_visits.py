@@ -122,6 +122,30 @@ def test_a_mouth_of_the_same_size_is_a_possible_return() -> None:
     assert [visit.may_be_visit for visit in visits_of([detected_loads(*loads)])] == [None, None, 1]
 
 
+def test_two_animals_of_about_one_size_each_return_to_their_own_visit() -> None:
+    visits = visits_of(
+        [
+            detected_loads(
+                load(0.0, 100.0, 30.0),
+                load(120.0, 200.0, 32.0),
+                load(300.0, 400.0, 30.4),
+                load(500.0, 600.0, 32.2),
+                load(700.0, 800.0, 30.9),
+                load(900.0, None, 30.8),
+            )
+        ]
+    )
+    assert [visit.may_be_visit for visit in visits] == [None, None, 1, 2, 3, 5]
+
+
+def test_the_strongest_suction_is_not_weaker_than_the_typical_one() -> None:
+    """A stronger one with a large error, and a weaker one with a small error."""
+    suctions = ((-12.0, 6.0), (-11.0, 5.0), (-8.0, 0.5))
+    sucked = replace(load(0.0, 100.0), suctions=suctions)
+    assert sucked.suction_kpa == (-11.0, 5.0) and sucked.strongest_kpa in suctions[:2]
+    assert replace(sucked, suctions=()).strongest_kpa is None
+
+
 def test_visits_of_several_recordings_are_sorted_by_time() -> None:
     late = detected_loads(load(10.0, 20.0))
     early = detected_loads(load(10.0, 20.0), start="2026-05-03T10:00:00+00:00")

@@ -10,6 +10,8 @@ from math import hypot, isnan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
 from lampest.files import hdf5
 from lampest.files.whole import write_whole
@@ -20,6 +22,7 @@ PICTURE = "visits.png"
 DAY_HOURS = (6, 18)  # of the clock: from the first on and before the second it is day
 REVISIT_H = 24.0  # between the end of a visit and one that may be by the same animal
 HOUR_S = 3600.0
+ALIKE = 2.0  # standard deviations of the difference of the diameters of one animal
 COLUMNS = {
     "visit": "number of the visit, in the order of time",
     "recording": "name of the recording",
@@ -41,7 +44,7 @@ COLUMNS = {
     "breathing_depth": "relative amplitude of the suction by breathing",
     "pumps": "number of times that the suction was pumped up; empty where it was not observed",
     "pump_interval_s": "mean time between pumps, s",
-    "may_be_visit": "number of the last earlier visit that may be by the same animal",
+    "may_be_visit": "number of the earlier visit that may be by the same animal",
     "why": "why the answer is no more specific",
 }
 
@@ -107,7 +110,8 @@ def numbered(rows: Iterable[Visit]) -> list[Visit]:
     clocked = sorted((visit for visit in visits if visit.begin is not None), key=_since_epoch)
     ordered = [*clocked, *(visit for visit in visits if visit.begin is None)]
     counted = [replace(visit, visit=number) for number, visit in enumerate(ordered, 1)]
-    return [replace(visit, may_be_visit=_earlier(visit, counted)) for visit in counted]
+    earlier = _earlier(counted)
+    return [replace(visit, may_be_visit=earlier.get(visit.visit)) for visit in counted]
 
 
 def _since_epoch(visit: Visit) -> float:
@@ -180,26 +184,36 @@ def _clock(start: str | None, seconds: float) -> str | None:
     return (begin + timedelta(seconds=round(seconds, 1))).isoformat(timespec="milliseconds")
 
 
-def _earlier(visit: Visit, visits: Sequence[Visit]) -> int | None:
-    """Return the number of the last ended visit of a lamprey of about the same diameter.
+def _earlier(visits: Sequence[Visit]) -> dict[int, int]:
+    """Return the number of the earlier visit that each visit of a lamprey may continue.
 
-    Diameters are about the same within two standard deviations of the difference. Without a clock
-    only visits of one recording are compared.
+    Diameters are about the same within two standard deviations of the difference, |z| < 2. Every
+    visit is continued at most once, so that the sum of 4 − z² is largest (an assignment problem).
+    Without a clock only visits of one recording are compared.
     """
-    if visit.answer != LAMPREY or visit.diameter_mm is None or visit.diameter_sd_mm is None:
-        return None
-    last = None
-    for earlier in visits:
-        if earlier.visit >= visit.visit or earlier.answer != LAMPREY or earlier.left == "no":
-            continue
-        if earlier.diameter_mm is None or earlier.diameter_sd_mm is None:
-            continue
-        difference_sd = hypot(visit.diameter_sd_mm, earlier.diameter_sd_mm)
-        alike = abs(visit.diameter_mm - earlier.diameter_mm) < 2 * difference_sd
-        pause_s = _pause_s(earlier, visit)
-        if alike and pause_s is not None and 0 <= pause_s < REVISIT_H * HOUR_S:
-            last = earlier.visit
-    return last
+    # Only visits are assigned; most commands need none.
+    from scipy.optimize import linear_sum_assignment
+
+    sized = [
+        visit
+        for visit in visits
+        if visit.answer == LAMPREY and visit.diameter_mm is not None and visit.diameter_sd_mm
+    ]
+    gain = np.zeros((len(sized), len(sized)))
+    for row, visit in enumerate(sized):
+        for column, earlier in enumerate(sized[:row]):
+            pause_s = _pause_s(earlier, visit) if earlier.left == "yes" else None
+            if pause_s is None or not 0 <= pause_s < REVISIT_H * HOUR_S:
+                continue
+            difference = (visit.diameter_mm or 0.0) - (earlier.diameter_mm or 0.0)
+            difference_sd = hypot(visit.diameter_sd_mm or 0.0, earlier.diameter_sd_mm or 0.0)
+            gain[row, column] = max(ALIKE**2 - (difference / difference_sd) ** 2, 0.0)
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    return {
+        sized[row].visit: sized[column].visit
+        for row, column in zip(rows, columns, strict=True)
+        if gain[row, column] > 0
+    }
 
 
 def _pause_s(earlier: Visit, later: Visit) -> float | None:
