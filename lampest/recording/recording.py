@@ -16,7 +16,6 @@ from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
-from lampest.panel.scene_file import read_scene, scene_text
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
 from lampest.recording.file import create_frames_group, read_frames, recording_file
 from lampest.recording.readings import Readings, check_sigma
@@ -231,7 +230,7 @@ class Recording(Validated):
         Recording(recording: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)
         """
         array = values.astype(float)
-        known = read_scene(scene) if isinstance(scene, str | Path) else scene
+        known = _scene_of(scene)
         requested = ("rows", "columns") if known is None else known.panel.shape
         if (
             array.ndim != 3
@@ -294,7 +293,7 @@ class Recording(Validated):
         >>> lampest.Recording.from_dataframe(table, rows=1, columns=2)
         Recording(recording: 2 frames (0 unloaded) of 1 × 2 cells, 0 to 0.5 s)
         """
-        known = read_scene(scene) if isinstance(scene, str | Path) else scene
+        known = _scene_of(scene)
         understood = applications().required("foreign", "a table", "from_dataframe")
         values, named, panel, clock = understood(table, unit, known, rows, columns)
         made = cls.from_array(
@@ -382,6 +381,8 @@ class Recording(Validated):
         hdf5.set_attributes(file, **FILE_ATTRIBUTES)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(self.scene.circuit))
+        from lampest.panel.scene_file import scene_text  # for files that are written
+
         hdf5.write_text(entry, "scene", scene_text(self.scene))
         if self.start_time is not None:
             hdf5.write_text(entry, "start_time", self.start_time)  # NeXus has it under this name
@@ -440,3 +441,12 @@ class Recording(Validated):
         if len(frames) == 0:
             raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
         return frames
+
+
+def _scene_of(scene: Scene | str | Path | None) -> Scene | None:
+    """Return a scene, read from its file where a path is given."""
+    if not isinstance(scene, str | Path):
+        return scene
+    from lampest.panel.scene_file import read_scene  # where a file is read alone
+
+    return read_scene(scene)
