@@ -35,8 +35,8 @@ def recordings(right: int) -> Iterator[tuple[str, Recording]]:
             scene = Scene(Panel(side, side), readout, series)
             yield f"circuit {name} {side} {seed}", measured(scene, cells, rng)
     for side, seed in ((6, 400), (6, 401), (10, 400), (10, 401), (16, 400)):
-        for told, recording in wrong(seed, side, 10):
-            yield f"wrong {told} {side} {seed}", recording
+        for fault, recording in wrong(seed, side, 10):
+            yield f"wrong {fault} {side} {seed}", recording
     for seed in range(90000, 90000 + right):
         drawn = sound(seed)
         if drawn is not None:

@@ -233,8 +233,8 @@ class Prepared:
     def _with_named_errors(self, check: ModelCheck) -> ModelCheck:
         """Return the check of a circuit with the errors that the scene names beside noise.
 
-        It is doubtful where the recording itself tells their size: so may a wrong circuit. Errors
-        of readings beyond LARGEST_READING_ERROR are those of another circuit.
+        It is doubtful where the recording determines their size, because such errors may also hide
+        a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of another one.
         """
         size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
         if self._named_errors is None or size > LARGEST_READING_ERROR:

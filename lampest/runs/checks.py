@@ -117,7 +117,7 @@ def kept_check(path: Path) -> RecordingCheck | None:
     """Return the check of a recording that a run has kept; None without one.
 
     Runs are looked for in `results` of the current folder and of the recording's, where they
-    write unless told otherwise.
+    write by default.
     """
     for parent in {Path.cwd(), path.parent.resolve()}:
         for folder in sorted(parent.glob(f"results/*/{CASES}")):

@@ -203,8 +203,8 @@ def test_detect_names_no_visits_and_animals_where_all_panels_are_mats(
     completed = lampest("detect", "s/example.h5", "s/next.h5", "--all")
     assert completed.code == 0
     assert completed.out.startswith("2 recordings: 2 contacts\n")
-    told = completed.out.replace("results/contacts/visits.csv", "")
-    assert not re.search("visit|attach|lamprey|suck|breath|pump", told, re.IGNORECASE)
+    printed = completed.out.replace("results/contacts/visits.csv", "")
+    assert not re.search("visit|attach|lamprey|suck|breath|pump", printed, re.IGNORECASE)
 
 
 def test_commands_of_the_previous_release_work_and_name_the_new_ones(lampest: Command) -> None:

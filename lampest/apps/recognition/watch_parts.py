@@ -26,7 +26,7 @@ Frames = tuple[tuple[float, Array], ...]
 
 
 def assumed_to_explain() -> bool:
-    """Return True: of a circuit that nobody has checked."""
+    """Return True, the outcome for a circuit that was not checked."""
     return True
 
 
