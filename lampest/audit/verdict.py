@@ -58,7 +58,10 @@ def _doubts(prepared: Prepared, health: Health | None) -> Iterator[str]:
 
 
 def _fewer_bits(prepared: Prepared) -> Iterator[str]:
-    """Yield the doubt that codes are those of a converter with fewer bits than the scene's."""
+    """Yield the doubt that codes are those of a converter with fewer bits than the scene's.
+
+    Readings pile up at its last code then, and none is above.
+    """
     recording = prepared.recording
     readout = recording.scene.readout
     if readout is None or readout.converter is not None or recording.scene.panel.modules:
@@ -69,10 +72,11 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
         return
     largest = float(codes.max())
     for bits in (8, 10, 12):
-        if bits < readout.adc_bits and 2 ** (bits - 1) < largest < 2**bits:
+        end = 2**bits - 1
+        if bits < readout.adc_bits and largest == end and np.sum(codes == end) > 1:
             yield (
-                f"no code is above {2**bits - 1:,} of {2**readout.adc_bits - 1:,}: does the "
-                f"converter have {bits} bits (adc_bits)?"
+                f"readings pile up at {end:,} of {2**readout.adc_bits - 1:,}, and none is above: "
+                f"does the converter have {bits} bits (adc_bits)?"
             )
 
 

@@ -153,8 +153,23 @@ def test_codes_that_are_rounded_down_are_named_where_readings_are_redundant() ->
 
 
 def test_codes_of_fewer_bits_are_asked_for() -> None:
+    """They pile up at the last code of fewer bits; a panel that reads little has no such pile."""
     built = LoadedColumnsReadout(load_ohm=3e4, adc_bits=10, readings=1)
     scene = LoadedColumnsReadout(load_ohm=3e4, adc_bits=12, readings=1)
     question = "does the converter have 10 bits"
-    assert question in verdict(EXPLAINED, Prepared(recording(scene, built))).sentence
+    at_end = recording(scene, built)
+    pile = at_end.recorded.copy()
+    pile[4:, 0, :2] = 1023 * scene.lsb_volt
+    at_end = replace(at_end, recorded=pile)
+    assert question in verdict(EXPLAINED, Prepared(at_end)).sentence
     assert question not in verdict(EXPLAINED, Prepared(recording(scene, scene))).sentence
+    low = LoadedColumnsReadout(load_ohm=600.0, adc_bits=12, readings=1)
+    assert (
+        "does the converter have" not in verdict(EXPLAINED, Prepared(recording(low, low))).sentence
+    )
+
+
+def test_a_circuit_with_feedback_is_checked() -> None:
+    """Among its rivals, those in parallel groups cannot have it."""
+    follows = DrivenReadout(load_ohm=1e4, idle_volt="follows", idle_ohm=70.0)
+    assert Prepared(recording(follows, follows)).check.explains is not None
