@@ -30,7 +30,6 @@ from .cost.terms import Weight as Weight
 from .cost.terms import term_types as term_types
 from .estimate.estimates import Estimates as Estimates
 from .estimate.estimator import AutoWeight as AutoWeight
-from .estimate.estimator import Bounds as Bounds
 from .estimate.estimator import Estimator as Estimator
 from .estimate.methods import MethodName
 from .estimate.methods.approximate import LinearisedMethod as LinearisedMethod
@@ -39,7 +38,6 @@ from .estimate.methods.approximate import UncorrectedMethod as UncorrectedMethod
 from .estimate.methods.method import Method as Method
 from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
-from .estimate.model_check import ModelCheck as ModelCheck
 from .estimate.objective import Tare as Tare
 from .estimate.own_program import OwnProgram as OwnProgram
 from .estimate.own_program import OwnSolution as OwnSolution
@@ -48,6 +46,7 @@ from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
 from .estimate.witness import Verify as Verify
 from .files.errors import InputError as InputError
+from .inference.model_check import ModelCheck as ModelCheck
 from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature
@@ -113,6 +112,7 @@ from .runs.results import Results as Results
 from .runs.results import StepFigures as StepFigures
 from .runs.results import read_results as read_results
 from .runs.results import write_results as write_results
+from .solvers.posed import Bounds as Bounds
 from .solvers.solution import Outcome as Outcome
 from .solvers.solution import Settings as Settings
 from .solvers.solution import Solution as Solution

@@ -15,19 +15,19 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
-from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
-from lampest.estimate.compared_frames import ComparedFrames, broken_law
-from lampest.estimate.fitted_pair import FittedPair
-from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
-from lampest.estimate.rivals import (
+from lampest.files.errors import BROKEN, InputError
+from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
+from lampest.inference.rivals import (
     Rival,
     changes_beyond_noise,
     other_converters,
     rivals_of,
     rounded_down,
 )
-from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
