@@ -24,10 +24,7 @@ Kind = TypeVar("Kind")
 
 
 class Checked(ABCMeta):
-    """Metaclass that validates the arguments of a dataclass by its fields' types.
-
-    Those of its subclasses are validated by their fields' types, too.
-    """
+    """Metaclass that validates the arguments of dataclasses and their subclasses by field types."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         """Return an object.
@@ -217,10 +214,10 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any]:
 
 
 def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
-    """Return those of the types whose objects are valid as they are.
+    """Return those of the types whose objects need no validation: None, and dataclasses.
 
-    These are None, and dataclasses, which validated their own arguments: an object of a field's
-    type needs no schema of all that it contains.
+    Dataclasses have validated their own arguments. An object of such a type needs no schema of all
+    that it contains.
     """
     finished: list[type[Any]] = []
     for part in parts:
@@ -262,7 +259,7 @@ def _plain(value: Any, label: str) -> Any:
 def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
     """Return the objects of a class that applications and installed packages add to lampest.
 
-    Packages register them in a group of entry points, and are ordered by name.
+    Packages register objects in a group of entry points, and are ordered by name.
 
     Raises InputError if an object cannot be loaded, or is of another class.
     """
@@ -383,8 +380,8 @@ def _listed(union: Any) -> tuple[type[Any], ...]:
 def shipped(union: Any) -> tuple[type[Any], ...]:
     """Return the classes of a union by kind without those of installed packages.
 
-    It serves code that runs while a module is imported: packages import that module, and cannot be
-    loaded before it.
+    Code that runs while a module is imported needs this function, because packages import that
+    module and cannot be loaded before it.
     """
     named = dict.fromkeys(_marker(union).members.values())
     return (*map(loaded, named), *_listed(union))
