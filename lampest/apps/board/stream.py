@@ -10,8 +10,9 @@ from lampest.apps.board.port import SILENCE_SECONDS, Board, NoBoardError
 from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, Message
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import COUNTER, recorded_of_sums
 

@@ -20,14 +20,14 @@ import numpy as np
 from lampest.apps.calibration.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
-from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import RESISTORS
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import BROKEN, InputError
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.prepared import Prepared
+from lampest.inference.rivals import RESISTORS
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.readouts.lines import SeriesPerLine, of_side

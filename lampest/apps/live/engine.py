@@ -23,14 +23,14 @@ from lampest.apps.live.state import NOTICED_PERCENT, Findings, PanelState, solve
 from lampest.apps.live.watcher import News, Scan, Unloaded, watcher
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import (
+from lampest.files.errors import InputError
+from lampest.inference.outliers import (
     frozen_readings,
     impossible_readings,
     without_outliers,
     without_readings,
 )
-from lampest.estimate.prepared import Prepared
-from lampest.files.errors import InputError
+from lampest.inference.prepared import Prepared
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 

@@ -10,11 +10,11 @@ from lampest.apps.live.message import BOTH, NOTHING, PRESSING, SUCKING, UNKNOWN,
 from lampest.apps.live.watcher import Scan
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.levels import OUTLIER_THRESHOLD
+from lampest.inference.outliers import FramesBefore
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track

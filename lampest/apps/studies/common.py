@@ -15,7 +15,7 @@ import numpy as np
 
 from lampest.apps.studies.study import column, named_values
 from lampest.cost.terms import Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import reconstruct
@@ -36,6 +36,7 @@ from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.recording.stored import joined
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
+from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import STRICT, Settings
 
 CONFIGS = shipped_folder() / "configs"
