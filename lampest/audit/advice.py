@@ -15,9 +15,9 @@ from lampest.audit.effects import effects_to_try, unnamed_effects
 from lampest.audit.finding import Finding, with_line
 from lampest.audit.health import Health
 from lampest.audit.verdict import verdict
-from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
+from lampest.inference.model_check import ModelCheck
+from lampest.inference.prepared import Prepared
 
 # 'readout.kind: grounded', 'drive_ohm near 1100', 'readout.groups: [[0, 1], [2, 3]]'
 ENTRY = re.compile(r"([a-z_.]+)(?:: | near )(\[\[.*?\]\]|[^,()]+)")

@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
-from lampest.estimate.memory import estimated_memory, memory_gain
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.resolve import specified
-from lampest.estimate.saturation import saturated
-from lampest.estimate.scan_motion import READING_ERRORS, share_of_motion
-from lampest.estimate.still_cells import significant_reading_error
-from lampest.estimate.variance_components import unloaded_scatter
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.memory import estimated_memory, memory_gain
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
+from lampest.inference.prepared import Prepared
+from lampest.inference.resolve import specified
+from lampest.inference.saturation import saturated
+from lampest.inference.scan_motion import READING_ERRORS, share_of_motion
+from lampest.inference.still_cells import significant_reading_error
+from lampest.inference.variance_components import unloaded_scatter
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.recording.readings import strongest_frame

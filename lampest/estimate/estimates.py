@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
-from lampest.estimate.warnings import unsolved
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
+from lampest.inference.model_check import ModelCheck
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.prepared import Prepared
+from lampest.inference.warnings import unsolved
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty

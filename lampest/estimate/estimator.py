@@ -6,7 +6,6 @@ from functools import cached_property
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
-from lampest.estimate.objective import Bounds as Bounds
 from lampest.estimate.objective import Objective, Tare, checked_terms
 from lampest.estimate.witness import Verify
 from lampest.files.applications import applications
@@ -15,6 +14,7 @@ from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
 from lampest.recording.readings import Readings
+from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings, Solver
 
 

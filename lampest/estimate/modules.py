@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.module_noise import MAX_NAMED, named_modules
-from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.module_noise import MAX_NAMED, named_modules
+from lampest.inference.noise import NoiseEstimate
 from lampest.panel.faults import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout

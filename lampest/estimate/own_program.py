@@ -29,20 +29,21 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
-from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, ProgramResult
 from lampest.formulation.ipopt import Interface, Limits
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
+from lampest.inference.prepared import Prepared
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.by_ipopt import ACCURACY, STATUS
 from lampest.solvers.multistart import evaluated
+from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import VERIFIED, Settings, Status
 
 AT_BOUND = 1e-7  # distance to a bound, in units of the program, within which it holds an unknown

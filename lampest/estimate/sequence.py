@@ -10,19 +10,19 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, Term
 from lampest.estimate.batch import push_block
-from lampest.estimate.deciding import baseline_readings, deciding_frames
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import Network, begin_networks, network_readings, network_scenes
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.outliers import WINDOW
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.estimate.usual_scale import with_usual_scale
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.compared_frames import baseline_readings, deciding_frames
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.outliers import WINDOW
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change

@@ -8,11 +8,11 @@ import numpy as np
 
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.usual_scale import with_usual_scale
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.noise import NoiseEstimate
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared

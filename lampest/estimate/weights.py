@@ -18,10 +18,10 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data
-from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.objective import Objective
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA
+from lampest.inference.compared_frames import MAX_NEIGHBOURS
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE

@@ -14,7 +14,7 @@ import numpy as np
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side
-from lampest.panel.readouts.wiring import Wiring, contact_responses, wire_responses
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 
@@ -191,6 +191,8 @@ def _curve(network: Network, measured: Array, scene: Scene, size: float) -> Arra
 
 def _wire(network: Network, measured: Array, scene: Scene, size: float) -> Array:
     """Return the columns of an additional wire resistance of all rows, and of all columns."""
+    from lampest.panel.readouts.wired_network import wire_responses  # for this error alone
+
     return size * wire_responses(network, (scene.wiring or Wiring()).lines)
 
 
@@ -329,6 +331,8 @@ class Shared:
         """
         parts = list[Array]()
         if self.contact_root is not None:
+            from lampest.panel.readouts.wired_network import contact_responses  # for contacts alone
+
             parts.append(contact_responses([network]) @ self.contact_root)
         if self.systematic is not None:
             joint = () if self.root is None else self.estimated

@@ -27,7 +27,7 @@ class FrameNoise:
         Relative standard deviation of a frame's gain, a common factor of its voltages.
     common_ripple, line_ripple : array, shape (channels of a scanned line, n)
         Ripple common to all lines, and of each line alone, in volt; see
-        `lampest.estimate.variance_components`.
+        `lampest.inference.variance_components`.
     effect_errors : array, shape (2, n, rows, columns), or None
         Remaining errors of corrected effects, one standard deviation each, as fractions of the
         readings: in the unloaded panel, and in frames.

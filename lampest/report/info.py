@@ -124,7 +124,7 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
     """
     # With all of the estimate, which results do without.
     from lampest.audit.advice import Audit
-    from lampest.estimate.prepared import Prepared
+    from lampest.inference.prepared import Prepared
 
     audit = Audit(Prepared(recording))
     yield from _lines(_content(recording))
@@ -206,7 +206,7 @@ def apply_advice(path: str | Path) -> list[str]:
     """
     from lampest.audit.advice import Audit
     from lampest.audit.finding import with_lines
-    from lampest.estimate.prepared import Prepared
+    from lampest.inference.prepared import Prepared
 
     path = Path(path)
     own(path)

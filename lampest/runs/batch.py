@@ -20,7 +20,6 @@ from typing import Literal
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import Parts, asked_frames, reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
@@ -34,6 +33,7 @@ from lampest.files.whole import (
     remove_own,
     sparing,
 )
+from lampest.inference.prepared import Prepared
 from lampest.panel.estimated import about_recordings
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened

@@ -40,8 +40,8 @@ from lampest.runs.columns import (
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
-    from lampest.estimate.model_check import ModelCheck
     from lampest.estimate.state import Step
+    from lampest.inference.model_check import ModelCheck
 
 
 def _declared(

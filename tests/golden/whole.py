@@ -36,12 +36,12 @@ from lampest.cli import program
 from lampest.cost import problem
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
-from lampest.estimate import model_error
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.prepared import Prepared
 from lampest.files import hdf5
 from lampest.files.checksums import lookup3
 from lampest.files.errors import InputError
+from lampest.inference import model_error
+from lampest.inference.prepared import Prepared
 from lampest.recording.simulation import simulation
 from lampest.recording.stored import save_parts
 from lampest.report.info import checked_sentence, describe

@@ -18,10 +18,10 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.audit.advice import entry_line
-from lampest.estimate.memory import estimated_memory, memory_gain
-from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import Rival
+from lampest.inference.memory import estimated_memory, memory_gain
+from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
+from lampest.inference.prepared import Prepared
+from lampest.inference.rivals import Rival
 from lampest.panel.readouts.readout import Readout, with_memory
 
 FRAMES = 6  # unloaded ones, and as many loaded ones

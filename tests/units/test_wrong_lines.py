@@ -4,7 +4,7 @@ import numpy as np
 
 from lampest import DrivenReadout, GroundedReadout, Panel, Scene, TwoPointReadout
 from lampest.audit.finding import Finding, with_lines
-from lampest.estimate.rivals import BY_COLUMNS, Rival, rivals_of
+from lampest.inference.rivals import BY_COLUMNS, Rival, rivals_of
 
 KIND = "readout: {kind: grounded, driven: rows, sense: one, load_ohm: 2000}"
 SERIES = "series_resistance_ohm: 2140"

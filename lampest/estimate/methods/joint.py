@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
-from lampest.estimate.assumptions import ASSUMED
+from lampest.inference.assumptions import ASSUMED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty

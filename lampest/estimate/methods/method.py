@@ -17,10 +17,9 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
-from lampest.estimate.alike import STILL, nearest_panel, noise_share
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import UNKNOWN_SD, AnyState, SequenceState, Step
+from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.estimate.witness import compared, testimony
 from lampest.files.errors import BROKEN
@@ -28,6 +27,8 @@ from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
 from lampest.formulation.patterns import EXCITATIONS
+from lampest.inference.alike import STILL, nearest_panel, noise_share
+from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring

@@ -29,8 +29,6 @@ from numpy.typing import NDArray
 from lampest.cost.losses import Squared
 from lampest.cost.problem import NO_DUAL, Data
 from lampest.cost.terms import Misfit, Term
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.changed_cells import touching
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import AnyState, SequenceState, Step
@@ -38,6 +36,8 @@ from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
 from lampest.files.typed import check_positive_fields
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.changed_cells import touching
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.linear import IGNORANCE

@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 
 from lampest.panel.addressed import AddressedNetwork
 from lampest.panel.difference_network import HeldNetwork
-from lampest.panel.impedance import inverse_of
-from lampest.panel.network import Network
+from lampest.panel.network import Network, inverse_of
 from lampest.panel.panel import Array, connected_parts
 from lampest.panel.readouts.diode import Diode
 from lampest.panel.readouts.equation import Equation, LineStates, equation_of
@@ -57,7 +56,8 @@ from lampest.panel.readouts.readout import (
     Readout,
     Surroundings,
 )
-from lampest.panel.readouts.wiring import WiredNetwork, Wiring
+from lampest.panel.readouts.wired_network import WiredNetwork
+from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.tied_network import TiedNetwork
 
 

@@ -26,10 +26,10 @@ from lampest.panel.readouts.lines import (
 from lampest.panel.readouts.readout import (
     MIN_LOAD_SHARE,
     SHORT_SHARE,
+    USUAL_OHM,
 )
 from lampest.panel.readouts.unseen import Scale, unseen_scales
 
-USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
 LARGEST_OHM = 1e8  # of such cells: insulation beside usual ones
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell

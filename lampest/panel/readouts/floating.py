@@ -14,10 +14,18 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.typed import typed
-from lampest.panel.impedance import inverse_of, log_determinant
 from lampest.panel.kirchhoff import line_sums
 from lampest.panel.line_blocks import LineBlocks
-from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across
+from lampest.panel.network import (
+    Entries,
+    Loading,
+    Network,
+    NormalByLines,
+    Numbers,
+    across,
+    inverse_of,
+    log_determinant,
+)
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 

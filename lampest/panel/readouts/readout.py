@@ -12,14 +12,13 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.impedance import inverse_of
-from lampest.panel.network import Network
+from lampest.panel.network import Network, inverse_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
-from lampest.panel.readouts.wiring import WiredNetwork, Wiring
-from lampest.panel.tied_network import TiedNetwork
+from lampest.panel.readouts.wiring import Wiring
 
+USUAL_OHM = 10_000.0  # of cells whose scale no resistor sets
 MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at the end of the range
 # Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
 SHORT_SHARE = 1e-6
@@ -234,7 +233,11 @@ class Readout(Converter, ABC):
         Raises numpy.linalg.LinAlgError if a line is not connected.
         """
         if wiring is not None:
+            from lampest.panel.readouts.wired_network import WiredNetwork  # for wire alone
+
             return WiredNetwork.solve(cell_resistance, ties, self, wiring)
+        from lampest.panel.tied_network import TiedNetwork  # not for floating lines
+
         return TiedNetwork(cell_resistance, inverse_of(1 / cell_resistance, ties), self)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:

@@ -10,8 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.impedance import inverse_of
-from lampest.panel.network import Network, NormalByLines, SecondOrder
+from lampest.panel.network import Network, NormalByLines, SecondOrder, inverse_of
 from lampest.panel.panel import Array, EachModule, Modules
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.floating import (
@@ -22,7 +21,6 @@ from lampest.panel.readouts.floating import (
     uniform_factor,
 )
 from lampest.panel.readouts.lines import Groups, check_apart, check_groups
-from lampest.panel.readouts.parallel import ParallelDividers
 from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
 from lampest.panel.readouts.wiring import Wiring
 
@@ -91,6 +89,8 @@ class TwoPointReadout(Divider):
         """
         if self.groups is None or len(self.groups) < 2:
             return self
+        from lampest.panel.readouts.parallel import ParallelDividers  # for groups alone
+
         numbers = {
             field.name: getattr(self, field.name) for field in fields(self) if field.name not in OWN
         }

@@ -8,7 +8,7 @@ the unloaded panel b and a frame f share change the estimated log cells by a z, 
 where U is the response of the readings to the errors (`lampest.panel.systematic`), and K the
 inverse of the readings' Jacobian. Over the still cells d = a z + noise. Each reading has an error
 of its own, N(0, e²). The posterior of e combines the evidence of the changes, with moved cells
-selected for each e (`lampest.estimate.changed_cells`), and the likelihood of the unloaded panel.
+selected for each e (`lampest.inference.changed_cells`), and the likelihood of the unloaded panel.
 Given e, the still cells determine the posterior of z. Of errors that are too large for linear
 theory only e is estimated.
 """
@@ -19,12 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import FIT, CellsFit, cells_alone, fitted
-from lampest.estimate.changed_cells import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, UNUSUAL
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import FIT, CellsFit, data_of_cells, fitted
+from lampest.inference.changed_cells import MIN_STILL_SHARE, Changes, Chosen, away_from_changed
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -513,7 +512,7 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array) -> CellsFit:
     moved = np.abs(change - middle) > UNUSUAL * np.sqrt(2 * np.diag(fit.covariance)).reshape(
         change.shape
     )
-    data = cells_alone().data(fit.readings.alone(), Background(scene))
+    data = data_of_cells(scene, fit.readings)
     cells = np.where(moved, fit.cells, near * np.exp(middle))
     return CellsFit.at(
         scene, data, replace(fit.readings, value=data.network(0, cells).reading()), cells
@@ -550,7 +549,7 @@ def _unloaded_costs(scene: Scene, resting: Readings, fit: CellsFit | None, tried
     ------
     Errors of `BROKEN`.
     """
-    data = cells_alone().data(resting.alone(), Background(scene))
+    data = data_of_cells(scene, resting)
     plain = resting.plain.ravel()
     share = np.abs(recorded_share(resting.value, scene))
     cells = np.log(data.uniform_start[0])

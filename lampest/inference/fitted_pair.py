@@ -6,7 +6,7 @@ frame f the log cells that no load touches change by
     d = a θ + noise,   a = K_f U_f − K_b U_b,
 
 where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The
-evidence is computed with a and without (`lampest.estimate.changed_cells`). Effects in the network
+evidence is computed with a and without (`lampest.inference.changed_cells`). Effects in the network
 itself are estimated together with the cells and d, by Gauss-Newton steps.
 """
 
@@ -17,9 +17,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import FIT, CellsFit
-from lampest.estimate.changed_cells import (
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import FIT, CellsFit
+from lampest.inference.changed_cells import (
     PARAMETER_COST,
     Changes,
     away_from_changed,

@@ -15,19 +15,19 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
-from lampest.estimate.cells_fit import CellsFit, fitted
-from lampest.estimate.deciding import baseline_readings, deciding_frames
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
-from lampest.estimate.variance_components import MIN_EXCESS
 from lampest.files.levels import TWO_SIDED
+from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.inference.compared_frames import baseline_readings, deciding_frames
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
+from lampest.inference.variance_components import MIN_EXCESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
+from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 
 KEY = "systematic.model_error"
 # Their largest twentieth measures the tail; with fewer, a single outlier would decide it.
@@ -153,10 +153,13 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
         return
 
     def posed(penalty: Term, background: Background) -> tuple[list[Data], Cost]:
-        objective = Estimator((Misfit(weighting="noise"), penalty), "reduced")
-        solves = [objective.data(readings[number].alone(), background) for number in frames]
+        terms = (Misfit(weighting="noise"), penalty)
+        solves = [
+            data_of_solve(terms, Bounds(), readings[number].alone(), background)
+            for number in frames
+        ]
         similar = [data for data in solves if data.partial == solves[0].partial]
-        return similar, objective.cost(scene, 1, partial=solves[0].partial)
+        return similar, cost_of_solve(terms, scene, partial=solves[0].partial)
 
     yield posed(LogGradient(weight=1.0), Background(scene))
     fit = fitted(scene, resting, patient=True) if np.any(recording.role == UNLOADED) else None

@@ -2,7 +2,7 @@
 
 One frame: are there positive cells that explain the readings within their noise, and do the
 readings satisfy the circuit's inequalities? Two frames: does another circuit, or an effect beside
-the circuit, explain them with a larger evidence (`lampest.estimate.explanation`)? The verdict is a
+the circuit, explain them with a larger evidence (`lampest.inference.explanation`)? The verdict is a
 sentence. Panels of modules have one from the modules whose readings change most.
 """
 
@@ -12,13 +12,18 @@ from functools import cached_property
 
 import numpy as np
 
-from lampest.estimate.compared_frames import ComparedFrames, below_series, broken_law
-from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
-from lampest.estimate.explanation import Explanation, better_rival
-from lampest.estimate.fitted_pair import FittedPair
-from lampest.estimate.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.files.applications import applications
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.inference.compared_frames import (
+    MAX_NEIGHBOURS,
+    ComparedFrames,
+    baseline_readings,
+    below_series,
+    broken_law,
+)
+from lampest.inference.explanation import Explanation, better_rival
+from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
 from lampest.recording.readings import mean_change

@@ -13,18 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import fitted
-from lampest.estimate.changed_cells import mostly_still
-from lampest.estimate.converter_zero import ZERO, with_converter_ends
-from lampest.estimate.fitted_pair import FittedPair
-from lampest.estimate.model_error import scaled, with_model_error
-from lampest.estimate.noise import BROKE_DOWN, NoiseEstimate, without_effects
-from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.saturation import passed_range
-from lampest.estimate.scan_motion import READING_ERRORS, UNKNOWN_SHARE, Share, share_of_motion
-from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import fitted
+from lampest.inference.changed_cells import mostly_still
+from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.model_error import scaled, with_model_error
+from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
+from lampest.inference.nuisances import CircuitEffects
+from lampest.inference.saturation import ZERO, passed_range, with_converter_ends
+from lampest.inference.scan_motion import READING_ERRORS, UNKNOWN_SHARE, Share, share_of_motion
+from lampest.inference.still_cells import shared_errors
 from lampest.panel.effects import Effect, LineLeak, LooseContact
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.characteristic import MAX_VOLT

@@ -1,6 +1,6 @@
 """Effects beside the circuit: leaks of wet lines, loose contacts, common creep of the film.
 
-All effects are tried by linear theory on a pair of frames (`lampest.estimate.fitted_pair`). The
+All effects are tried by linear theory on a pair of frames (`lampest.inference.fitted_pair`). The
 best ones then enter the network itself. An effect is named if the evidence gains by
 MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
 """
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
-from lampest.estimate.fitted_pair import FittedPair, without_late
 from lampest.files.levels import SIGNIFICANT
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.fitted_pair import FittedPair, without_late
 from lampest.panel.effects import EFFECTS, Effect, LooseContact
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings

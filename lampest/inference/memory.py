@@ -2,7 +2,7 @@
 
 It is estimated from the unloaded panel and a loaded frame. With a wrong share every change of a
 cell appears in the next channel, too, so that more cells seem to have moved. The evidence of the
-pair of frames (`lampest.estimate.fitted_pair`) is compared over MEMORIES, all equally probable
+pair of frames (`lampest.inference.fitted_pair`) is compared over MEMORIES, all equally probable
 before, relative to the misfit of still cells. Nothing is determined where most cells moved: any
 share then explains them.
 """
@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
-from lampest.estimate.compared_frames import ComparedFrames
-from lampest.estimate.explanation import MEMORIES as TRIED
-from lampest.estimate.explanation import Explanation, may_gain_by_memory
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.compared_frames import ComparedFrames
+from lampest.inference.explanation import MEMORIES as TRIED
+from lampest.inference.explanation import Explanation, may_gain_by_memory
 from lampest.panel.panel import Array
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording

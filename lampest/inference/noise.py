@@ -1,6 +1,6 @@
 """Noise of a recording, estimated from its own frames, and readings with the corresponding σ.
 
-The scatter of unloaded frames (`lampest.estimate.variance_components`) is compared with the
+The scatter of unloaded frames (`lampest.inference.variance_components`) is compared with the
 specified noise. Specified noise is replaced only where the frames contradict it; noise, gain and
 ripple that a scene leaves open are taken from them. `NoiseEstimate` holds the result, with a
 sentence for each number and contradiction.
@@ -12,11 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.alike import PanelChoice
-from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
-from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.estimate.scan_motion import Share, displacement
-from lampest.estimate.variance_components import (
+from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.alike import PanelChoice
+from lampest.inference.nuisances import CircuitEffects, remaining_errors, without_effects_of
+from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.inference.scan_motion import Share, displacement
+from lampest.inference.variance_components import (
     MIN_EXCESS,
     NO_RIPPLE,
     Scatter,
@@ -24,7 +25,6 @@ from lampest.estimate.variance_components import (
     repeated_scatter,
     unloaded_scatter,
 )
-from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS

@@ -15,21 +15,20 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
-from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
-from lampest.estimate.compared_frames import ComparedFrames, broken_law
-from lampest.estimate.fitted_pair import FittedPair
-from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
-from lampest.estimate.rivals import (
+from lampest.files.errors import BROKEN, InputError
+from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
+from lampest.inference.rivals import (
     Rival,
     changes_beyond_noise,
     other_converters,
     rivals_of,
     rounded_down,
 )
-from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.branches import branch
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -168,7 +167,7 @@ def _fits(
         fit = fitted(rival.scene, frame, start, patient=patient)
         # of two panels that read alike the one that continues the unloaded panel is meant
         elsewhere = chosen is None and fit is not None and bool(fits)
-        if elsewhere and fit and branch(fit.network) != branch(fits[0].network):
+        if elsewhere and fit and fit.network.branch != fits[0].network.branch:
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
         if fit is None or not (patient or fit.within_noise):
             return ()

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampest.estimate.outliers import QUIET_SHARE
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
+from lampest.inference.outliers import QUIET_SHARE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_scan_lines
 from lampest.posterior.interval import chi_square_tail
