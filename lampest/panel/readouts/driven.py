@@ -133,7 +133,7 @@ class DrivenCircuit(DrivenStarts):
     ) -> Array:
         """Return recorded values with the channels added to the resistances.
 
-        They are added to drive_ohm, and to sense_ohm unless it is zero.
+        Channels add to drive_ohm, and to sense_ohm unless it is zero.
         """
         actual = self.with_channels(row_ohm, column_ohm)
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
@@ -160,7 +160,8 @@ class DrivenCircuit(DrivenStarts):
     def line_numbers(self) -> tuple[LineNumber, ...]:
         """Return the numbers to calibrate.
 
-        They are drive resistances, which include channels, and reference resistors.
+        Calibration estimates drive resistances, which include channels, reference resistors, and a
+        diode's drop.
         """
         drive = LineNumber("drive_ohm", (self.driven,), channel=True)
         reference = getattr(self, self.of_sensed[0])

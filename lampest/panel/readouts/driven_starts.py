@@ -39,16 +39,16 @@ class DrivenStarts(DrivenNetwork):
     """Base of circuits with driven and sensed lines: cells at which solves begin."""
 
     def _reference(self, equation: Equation) -> Array:
-        """Return the resistor that scales a reading, (rows, columns) ohm.
+        """Return the resistor Rs that scales a reading, (rows, columns) ohm.
 
-        It is Rs. Where no resistor sets the scale of cells, it is one that gives usual cells.
+        Where no resistor sets the scale of cells, the usual resistance of cells takes its place.
         """
         return np.where(np.isfinite(equation.load), equation.load, USUAL_OHM)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Return the resistance of a single divider with this reading.
 
-        It is Rs·((Vcc − V_d)·c/V − 1) − Rd.
+        For a reading V the resistance is Rs·((Vcc − V_d)·c/V − 1) − Rd.
         """
         equation = self._equation(measured.shape)
         if self._by_uniform_panels(equation, measured):
@@ -63,9 +63,9 @@ class DrivenStarts(DrivenNetwork):
     def uniform_start(self, measured: Array) -> Array:
         """Return r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, (…, rows, columns) ohm, for idle lines at ground.
 
-        This is exact for Rd = Rp = 0, where no sensed line depends on another one or on its load.
-        Where idle lines float, or are at ground through more than a cell has, it is the apparent
-        resistance.
+        The formula is exact for Rd = Rp = 0, where no sensed line depends on another one or on its
+        load. Where idle lines float, or are at ground through more than a cell has, the start is
+        the apparent resistance.
         """
         equation = self._equation(measured.shape)
         if self._by_uniform_panels(equation, measured):
@@ -116,9 +116,9 @@ class DrivenStarts(DrivenNetwork):
     def nearly_shorted(self, measured: Array) -> Array:
         """Return cells that count as shorts, (…, rows, columns) ohm.
 
-        They are also bounded by a share of the uniform start. With idle lines at ground the
-        apparent resistance is many times too large, and so is the nearest uniform panel where
-        readings lie beyond those of all.
+        A share of the uniform start bounds them, too, because with idle lines at ground the
+        apparent resistance is many times too large. So is the nearest uniform panel where a reading
+        lies beyond those of all.
         """
         start = self.uniform_start(measured)
         if self._by_uniform_panels(self._equation(measured.shape), measured):
@@ -142,10 +142,10 @@ class DrivenStarts(DrivenNetwork):
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Return cells that reproduce the readings, (rows, columns) ohm.
 
-        They are found by alternation of potentials and cells (`Alternation`), or, where it moves
-        away or several panels give the same readings, by Newton's method from uniform panels.
-        Without loads the equations of floating lines determine ratios of cells alone, and the start
-        is the uniform one.
+        The search alternates between potentials and cells (`Alternation`). Where this moves away or
+        several panels give the same readings, Newton's method starts from uniform panels. Without
+        loads the equations of floating lines determine ratios of cells alone, and the start is the
+        uniform one.
         """
         equation = self._equation(measured.shape)
         if equation.floating:
@@ -222,9 +222,13 @@ def log_medians(circuit: DrivenNetwork, rows: int, columns: int) -> Array:
 
 @lru_cache(maxsize=32)
 def uniform_readings(circuit: DrivenNetwork, rows: int, columns: int) -> tuple[Array, Array]:
-    """Return resistances of uniform panels, (levels,) ohm, and their readings.
+    """Return uniform panels and their readings.
 
-    The readings have shape (levels, rows, columns).
+    Returns
+    -------
+    levels : array, shape (levels,)
+        Resistances of the panels in ohm.
+    readings : array, shape (levels, rows, columns)
     """
     levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
     panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
