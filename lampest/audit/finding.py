@@ -65,9 +65,16 @@ def with_line(scene: Scene, line: str) -> Scene:
 def with_lines(
     scene: Scene, findings: Iterable[Finding]
 ) -> tuple[Scene, tuple[str, ...], tuple[str, ...]]:
-    """Return the scene with the lines of findings, and the lines that it took.
+    """Return the scene with the lines of findings.
 
-    Also return sentences on those that it did not take.
+    Returns
+    -------
+    scene : Scene
+        The scene with all lines that fit it.
+    accepted : tuple of str
+        Lines that the scene took.
+    refused : tuple of str
+        Sentences on the other lines.
     """
     accepted = list[str]()
     refused = list[str]()

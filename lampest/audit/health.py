@@ -307,7 +307,7 @@ def _cells(view: _View) -> Iterator[Finding]:
 def _shorted_cells(view: _View) -> Iterator[Finding]:
     """Find cells whose readings are those of a short circuit in every frame.
 
-    These readings are also far from all others.
+    A finding requires readings that are far from all others.
     """
     cells = np.full(view.scene.panel.shape, view.usual_ohm)
     usual = middle(view.resting)
@@ -444,8 +444,8 @@ def _frames(view: _View) -> Iterator[Finding]:
 def repeated_frames(recording: Recording) -> NDArray[np.intp]:
     """Return the frames that equal the one before in every reading.
 
-    They are returned where noise changes some readings in nearly all others. Frames without a value
-    are no copies.
+    Frames count as repeated only where noise changes some readings in nearly all others. Frames
+    without a value are no copies.
     """
     value = recording.recorded[:, recording.scene.requested]
     compared = np.isfinite(value[1:]) & np.isfinite(value[:-1])

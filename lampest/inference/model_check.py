@@ -80,7 +80,7 @@ class ModelCheck:
     def mark(self) -> str:
         """The verdict: 'yes', 'no', or 'doubtful'.
 
-        It is 'doubtful' where the circuit was not checked or something speaks against it.
+        A circuit is 'doubtful' where it was not checked, or where something speaks against it.
         """
         if self.explains is False:
             return "no"
@@ -122,17 +122,14 @@ class Question(ComparedFrames):
     def fault(self) -> str:
         """The reason why the circuit cannot have made the readings, in words.
 
-        It is '' where there is none.
+        The text is '' where no reason is known.
         """
         unexplained = "" if self.explanation is None else _unexplained(self.explanation, self)
         return unexplained or broken_law(self.specified, self)
 
     @cached_property
     def below(self) -> str:
-        """The reading that lies significantly below its series resistance, in words.
-
-        It is '' where there is none.
-        """
+        """A sentence on the reading that lies significantly below its series resistance, or ''."""
         return below_series(self.specified, self)
 
     @property
@@ -216,7 +213,7 @@ class Question(ComparedFrames):
     def effects(self, kinds: Sequence[type[Effect]] = EFFECTS) -> CircuitEffects:
         """Return the effects beside the circuit.
 
-        They are from the frames that changed most and from the last frame.
+        The evidence is taken from the frames that changed most and from the last frame.
         """
         scene = self.specified.scene
         explanation = self.explanation

@@ -35,9 +35,7 @@ MIN_REMAINING = 0.1  # of a reading: the lower limit of a corrected reading
 
 @dataclass(frozen=True, eq=False)
 class BetterExplanation:
-    """A better explanation of the readings than the scene's circuit.
-
-    It is another circuit, or an effect beside it.
+    """Another circuit, or an effect besides the scene's, that explains the readings better.
 
     Attributes
     ----------
@@ -74,7 +72,7 @@ class BetterExplanation:
 def candidates(shape: tuple[int, ...], kinds: Sequence[type[Effect]] = EFFECTS) -> list[Effect]:
     """Return all effects that are tried on a panel.
 
-    Those since the unloaded frames come first, then the constant ones.
+    Effects since the unloaded frames come first, then the constant ones.
     """
     rows, columns = shape
     return [
@@ -188,10 +186,7 @@ def _with_added_effects(
 
 
 def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> Iterator[FittedPair]:
-    """Generate the pairs with one more effect.
-
-    They are those of the MAX_CANDIDATES best effects of linear theory.
-    """
+    """Generate the pairs with one more effect, the best MAX_CANDIDATES effects of linear theory."""
     effects = candidates(pair.shape, kinds)
     scores = pair.scores_with(pair.effects, pair.columns(effects))
     for number in np.argsort(scores)[:MAX_CANDIDATES]:
@@ -205,7 +200,7 @@ def _with_one_more_effect(pair: FittedPair, kinds: Sequence[type[Effect]]) -> It
 def _common_change_in_words(pair: FittedPair) -> str:
     """Return the common change of all cells that no load touches, in words.
 
-    It is '' where that may be chance, or a load's rim.
+    The text is '' for a change that may be chance, or a load's rim.
     """
     change, sd = (
         float(ASSUMED.common_change * part[0]) for part in (pair.evidence.size, pair.evidence.sd)
@@ -256,12 +251,10 @@ def without_effects_of(
 def remaining_errors(pair: FittedPair) -> Array:
     """Return the change of the readings by one posterior standard deviation of each effect.
 
-    It is a fraction of the readings.
-
     Returns
     -------
     array, shape (2, effects, rows, columns)
-        Of the unloaded panel, then of the frame.
+        Fractions of the readings of the unloaded panel, then of the frame.
     """
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
     errors = np.zeros((2, len(sd), *pair.shape))

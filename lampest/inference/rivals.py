@@ -189,8 +189,8 @@ def rounded_down(specified: Rival) -> Rival | None:
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
     """Generate the specified circuit with converters of another range, where it states none.
 
-    Those of an esp32 have 12 bits. An inverting amplifier is tried where readings may fall with a
-    load (`reversed_too`).
+    An esp32 is tried for readings of 12 bits. An inverting amplifier is tried where readings may
+    fall with a load (`reversed_too`).
     """
     readout = specified.scene.readout
     if readout is None or readout.converter is not None:
@@ -413,8 +413,8 @@ def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
 def _sense(first: Array, second: Array) -> float:
     """Return the sign of the covariance of two sets of log resistances.
 
-    It is positive if a load moves both in one direction. Values that are not finite are ignored;
-    without any other the result is 0.
+    The sign is positive if a load moves both in one direction. Values that are not finite are
+    ignored; without any other the result is 0.
     """
     finite = np.isfinite(first) & np.isfinite(second)
     count = max(finite.sum(), 1)
