@@ -33,11 +33,10 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.stream import Stream
 from lampest.files.errors import BROKEN
 from lampest.formulation.patterns import EXCITATIONS
-from lampest.panel.readouts import (
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
     VirtualGroundReadout,
 )
 from lampest.panel.scene import Scene

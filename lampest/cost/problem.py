@@ -19,7 +19,6 @@ from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.branches import branch
 from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
@@ -300,8 +299,8 @@ class Evaluation:
 
     @property
     def branch(self) -> Array:
-        """Branch of every frame's panel, (…, frames); see `readouts.branches.branch`."""
-        return np.stack([branch(network) for network in self.networks], axis=-1)
+        """Branch of every frame's panel, (…, frames); see `Network.branch`."""
+        return np.stack([network.branch for network in self.networks], axis=-1)
 
     @property
     def costs(self) -> Array:

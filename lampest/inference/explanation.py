@@ -29,7 +29,6 @@ from lampest.inference.rivals import (
     rounded_down,
 )
 from lampest.panel.panel import Array
-from lampest.panel.readouts.branches import branch
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -168,7 +167,7 @@ def _fits(
         fit = fitted(rival.scene, frame, start, patient=patient)
         # of two panels that read alike the one that continues the unloaded panel is meant
         elsewhere = chosen is None and fit is not None and bool(fits)
-        if elsewhere and fit and branch(fit.network) != branch(fits[0].network):
+        if elsewhere and fit and fit.network.branch != fits[0].network.branch:
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
         if fit is None or not (patient or fit.within_noise):
             return ()

@@ -1,6 +1,6 @@
 """Effects outside the scene, and their influence on readings.
 
-They are leaks between lines and contact resistances.
+The effects are leaks between lines and contact resistances.
 """
 
 from abc import ABC, abstractmethod
@@ -63,7 +63,7 @@ class Effect(ABC):
     def added(self, scene: Scene, network: Network) -> Array:
         """Return the effect's contribution to the readings, (rows, columns).
 
-        It is that beside the changed network.
+        The influence of the changed network is not included.
         """
         return np.zeros(network.conductance.shape)
 
@@ -132,9 +132,14 @@ EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)
 def with_effects(
     effects: Sequence[Effect], scene: Scene, network: Network
 ) -> tuple[Network, Array]:
-    """Return the network with all effects, and their further contribution.
+    """Return the network with all effects.
 
-    The contribution is to its readings, (rows, columns).
+    Returns
+    -------
+    network : Network
+        The changed network.
+    added : array, shape (rows, columns)
+        Contribution of the effects to the readings besides the changed network.
     """
     added = sum(
         (effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape)

@@ -1,8 +1,8 @@
-"""The convex start.
+"""The convex start of a frame.
 
-It is the cells that minimise a convex function whose gradient is the misfit of two-point readings.
-Of plain least squares it is the answer wherever cells can reproduce all readings, see
-`convex_start`.
+The start minimises a convex function of the cells whose gradient is the misfit of two-point
+readings. Where cells can reproduce all readings, the start is the solution of plain least squares,
+see `convex_start`.
 """
 
 from contextlib import suppress
@@ -16,9 +16,9 @@ from lampest.panel.panel import Array
 
 
 def convex_is_the_answer(cost: Cost, data: Data) -> bool:
-    """Return whether the convex start minimises the cost.
+    """Return whether the cost is plain least squares of readings with a unique inverse.
 
-    It does for plain least squares of readings with a unique inverse.
+    The convex start minimises such a cost.
     """
     return all(term.reads_measurement for term in cost.terms) and data.readout.unique
 
@@ -26,8 +26,9 @@ def convex_is_the_answer(cost: Cost, data: Data) -> bool:
 def convex_cells(data: Data, near: Array | None) -> Array:
     """Return the readout's start of every frame, (frames, rows, columns) ohm.
 
-    Of two-point readings it is the convex one. `near` is an estimate of the same shape from which
-    it is computed, or None. If the computation breaks down, the uniform start is returned.
+    The start of two-point readings is the convex one. `near` is an estimate of the same shape at
+    which the computation begins, or None. If the computation breaks down, the uniform start is
+    returned.
     """
     places = [None] * len(data.measured) if near is None else list(near)
     with suppress(*BROKEN):
@@ -41,10 +42,7 @@ def convex_cells(data: Data, near: Array | None) -> Array:
 
 
 def by_convex_program(start: Evaluation) -> Evaluation:
-    """Return the point at the convex start near a point, where that minimises the cost.
-
-    Else the same point is returned.
-    """
+    """Return the evaluation at the convex start where it minimises the cost, else `start`."""
     if not convex_is_the_answer(start.cost, start.data):
         return start
     cells = convex_cells(start.data, start.cell_resistance)

@@ -151,10 +151,7 @@ class Barrier:
 
     @classmethod
     def of(cls, start: Evaluation) -> "Barrier":
-        """Return the first iterate, a point inside the bounds.
-
-        It has z·(g − g_low) = w·(g_high − g) = μ.
-        """
+        """Return the first iterate, inside the bounds with z·(g − g_low) = w·(g_high − g) = μ."""
         low = 1 / start.data.upper
         high = 1 / start.data.lower
         conductance = 1 / start.cell_resistance
@@ -194,24 +191,18 @@ class Barrier:
 
     @property
     def added(self) -> float:
-        """Complementarity Σ z·(g − g_low) + w·(g_high − g).
-
-        It is an estimate of the cost that the barrier adds.
-        """
+        """Complementarity Σ z·(g − g_low) + w·(g_high − g), which estimates the barrier's cost."""
         return float(np.sum(self.multipliers * self.distances))
 
     @property
     def stiffness(self) -> Array:
-        """Second derivative of the barrier, z/(g − g_low) + w/(g_high − g).
-
-        It is zero for cells that cannot move.
-        """
+        """Second derivative z/(g − g_low) + w/(g_high − g) of the barrier; zero for fixed cells."""
         return np.asarray(over(self.multipliers, self.distances).sum(axis=0))
 
     def merit(self, mean: float) -> float:
         """Return the barrier function φ − μ Σ log(g − g_low) − μ Σ log(g_high − g).
 
-        It is infinite outside the bounds.
+        The function is infinite outside the bounds.
         """
         distances = self.distances[:, self.moving]
         if not np.all(distances > 0):
@@ -252,7 +243,7 @@ class Barrier:
     def newton_step(self, push: Array) -> Array:
         """Return the step (∂²φ/∂g² + stiffness)⁻¹·push.
 
-        Where that matrix is indefinite, the Gauss–Newton matrix is used. Conjugate gradients solve
+        The Gauss–Newton matrix replaces ∂²φ/∂g² if the sum is indefinite. Conjugate gradients solve
         for relative steps δg/g, whose Hessian is ∇²φ + diag(∇φ) + stiffness·g².
         """
         chosen = np.flatnonzero(self.moving)
@@ -301,9 +292,9 @@ class Barrier:
         return solved.step
 
     def put_at_bounds(self) -> Evaluation:
-        """Return the evaluation with cells put at bounds.
+        """Return the evaluation with cells moved to their bounds.
 
-        They are put at each bound whose barrier curvature exceeds their own.
+        A cell is moved to a bound if the curvature of the bound's barrier exceeds the cell's own.
         """
         data = self.at.data
         # In the conductance: z/(g − g_low) > ∂²φ/∂g² of the cell's own reading and penalties

@@ -1,6 +1,4 @@
-"""Projected trust-region Newton method with potentials eliminated.
-
-It is the solver of the reduced formulation.
+"""Projected trust-region Newton method for the reduced formulation, potentials eliminated.
 
 An iteration: active set, direction by Steihaug and Toint's conjugate gradients with the exact ∇²φ,
 projection on the bounds, acceptance, radius. The unknowns are relative changes s of the

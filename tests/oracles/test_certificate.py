@@ -20,10 +20,10 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import (
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    Readout,
     VirtualGroundReadout,
 )
 from lampest.solvers.certificate import certificate, clear_of_rounding

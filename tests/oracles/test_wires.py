@@ -21,7 +21,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
 from lampest.panel.readouts.wiring import (
     ContactPrior,

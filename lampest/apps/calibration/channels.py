@@ -1,9 +1,9 @@
-"""Calibration of channels, series resistance and reference.
+"""Calibration of channels, series resistance and reference from recordings under many loads.
 
-It is made from ordinary recordings under many loads. Under a wrong circuit, untouched cells seem to
-move when others do. The smoother's cost has the errors z that all frames share as unknowns. Every
-block of frames gives an estimate z with the precision Λ of its likelihood, where the cells are
-integrated out by the Schur complement. All blocks together give the posterior N(ẑ, C),
+The recordings are ordinary ones, without known resistors. Under a wrong circuit, untouched cells
+seem to move when others do. The smoother's cost has the errors z that all frames share as unknowns.
+Every block of frames gives an estimate z with the precision Λ of its likelihood, where the cells
+are integrated out by the Schur complement. All blocks together give the posterior N(ẑ, C),
 
     C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z,
 
@@ -218,10 +218,7 @@ def _rounded(readout: Any) -> Any:
 
 
 def _circuit(scene: Scene) -> Scene:
-    """Return the scene without loads, environment and film.
-
-    It is the part that all recordings must share.
-    """
+    """Return the scene without loads, environment and film: the part that all recordings share."""
     return replace(
         scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None
     )

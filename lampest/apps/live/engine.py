@@ -116,7 +116,7 @@ class Engine:
     def tare(self) -> None:
         """Replace the baseline by the mean of the next frames, as many as the first one had.
 
-        This is thread-safe.
+        The method is thread-safe.
         """
         self._zero_asked.set()
         self._watch(self._baseline)
@@ -218,7 +218,7 @@ class Engine:
     def _with_findings(self, state: PanelState) -> PanelState:
         """Return the state with the findings of second looks.
 
-        It is without second looks if their process died.
+        If the process of second looks has died, the state solves every frame completely.
         """
         while not self._found.empty():
             findings = self._found.get()

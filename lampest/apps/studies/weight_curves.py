@@ -218,9 +218,10 @@ def free_evidence(model: LinearModel, weight: float) -> float:
 def bound_evidence(model: LinearModel) -> float:
     """Return the part of −2 ln evidence by cells at a bound.
 
-    It is Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt). t is the distance of a cell from its bound,
-    and g and a are slope and curvature of cost/s². The free cells are integrated over a Gaussian.
-    With both parts, evidences with different active sets are comparable.
+    The sum over these cells is Σ (ln 2π − 2 ln ∫₀^∞ exp(−(g t + a t²)/2) dt), where t is the
+    distance of a cell from its bound, and g and a are slope and curvature of cost/s². The free
+    cells are integrated over a Gaussian. With both parts, evidences with different active sets are
+    comparable.
     """
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
@@ -297,7 +298,7 @@ class Curves:
 def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     """Return curves over 33 weights, equally spaced in log λ, solved from the first mark outwards.
 
-    They cover the weights for which the penalty matters, at most four decades beyond the marks.
+    The range has the weights for which the penalty matters, at most four decades beyond the marks.
 
     Parameters
     ----------
