@@ -213,7 +213,7 @@ def _dead_lines(view: _View) -> Iterator[Finding]:
                     "lines",
                     f"{name}{plural} dead: {numbers}",
                     "no reading of theirs shows a current in any frame, all others do",
-                    f"faults: {{dead_{name}s: {dead.tolist()}}}",
+                    {"faults": {f"dead_{name}s": dead.tolist()}},
                 )
 
 
@@ -237,7 +237,7 @@ def _touching_lines(view: _View) -> Iterator[Finding]:
                         "lines",
                         f"{name}s {', '.join(map(str, group))} are shorted",
                         "they read the same in every frame",
-                        f"faults: {{joined_{name}s: [{list(group)}]}}",
+                        {"faults": {f"joined_{name}s": [list(group)]}},
                     )
 
 
@@ -330,7 +330,7 @@ def _shorted_cells(view: _View) -> Iterator[Finding]:
             "cells",
             f"shorted cells: {', '.join(map(str, shorted))}",
             "the readings are those of a short circuit in every frame",
-            f"faults: {{shorted: {shorted}}}",
+            {"faults": {"shorted": shorted}},
         )
 
 

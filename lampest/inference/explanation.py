@@ -291,7 +291,7 @@ def _compared(
 ) -> BetterExplanation:
     """Return the best candidate as better, as nearly as good, or as neither."""
     if specified is None or best.pair is None:
-        return BetterExplanation(best.rival.name)
+        return BetterExplanation(best.rival.name, addition=best.rival.addition)
     gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
@@ -304,7 +304,13 @@ def _compared(
         return BetterExplanation(nearly=best.rival.name if doubtful else "")
     moved = int(best.pair.moved.sum())
     moved_as_specified = int(specified.pair.moved.sum())
-    return BetterExplanation(best.rival.name, frames.loaded, moved, moved_as_specified)
+    return BetterExplanation(
+        best.rival.name,
+        frames.loaded,
+        moved,
+        moved_as_specified,
+        addition=best.rival.addition,
+    )
 
 
 def some_in_series(

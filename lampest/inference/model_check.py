@@ -6,9 +6,10 @@ the circuit, explain them with a larger evidence (`lampest.inference.explanation
 sentence. Panels of modules have one from the modules whose readings change most.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,8 @@ class ModelCheck:
         Whether `better` names effects beside the circuit.
     loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
+    addition : mapping
+        Entries of a scene that state `better`; empty where none do.
     doubts : tuple of str
         Reasons why a circuit that explains the readings is not certain.
 
@@ -75,6 +78,7 @@ class ModelCheck:
     by_effect: bool = False
     loaded_at_rest: bool = False
     doubts: tuple[str, ...] = ()
+    addition: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def mark(self) -> str:
@@ -158,6 +162,7 @@ class Question(ComparedFrames):
             besides.common_change,
             bool(best.name) and best is besides,
             besides.loaded_at_rest,
+            addition=best.addition,
         )
         doubts = []
         if noise > 1:
@@ -270,11 +275,20 @@ def check_of_modules(
     )
     if len(checks) < layout.count:
         sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
-    better = next((check.better for check in agreeing.values() if check.better), "")
+    better = next((check for check in agreeing.values() if check.better), None)
     loaded = any(check.loaded_at_rest for check in checks.values())
     doubts = tuple(dict.fromkeys(doubt for check in agreeing.values() for doubt in check.doubts))
     noise = max(check.noise for check in checks.values())
-    return ModelCheck(verdict, sentence, better, noise, loaded_at_rest=loaded, doubts=doubts)
+    return ModelCheck(
+        verdict,
+        sentence,
+        "" if better is None else better.better,
+        noise,
+        by_effect=better is not None and better.by_effect,
+        loaded_at_rest=loaded,
+        doubts=doubts,
+        addition={} if better is None else better.addition,
+    )
 
 
 def _joint_verdict(verdicts: Sequence[bool | None]) -> bool | None:

@@ -5,8 +5,9 @@ best ones then enter the network itself. An effect is named if the evidence gain
 MIN_EVIDENCE_GAIN. Readings can be corrected for the effects that were found.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.fitted_pair import FittedPair, without_late
 from lampest.panel.effects import EFFECTS, Effect, LooseContact
 from lampest.panel.panel import Array
+from lampest.panel.sizes import ESTIMATED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
@@ -51,6 +53,8 @@ class BetterExplanation:
         noise.
     nearly : str
         A circuit in words that explains the readings better, but not significantly; ''.
+    addition : mapping
+        Entries of a scene that state the circuit or the effects; empty where none do.
     """
 
     name: str = ""
@@ -59,6 +63,7 @@ class BetterExplanation:
     count_as_specified: int = 0
     fits_noise: bool = True
     nearly: str = ""
+    addition: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def reason(self) -> str:
@@ -144,7 +149,12 @@ def find_effects(
         counts = (int(grown.moved.sum()), int(pair.moved.sum()))
         taken_off = bool(certain.effects) and fits_noise
         besides = CircuitEffects(
-            names, name, *counts, fits_noise, pair=certain if taken_off else None
+            names,
+            name,
+            *counts,
+            fits_noise,
+            addition={effect.key: ESTIMATED for effect in grown.effects},
+            pair=certain if taken_off else None,
         )
     return besides if besides.name else replace(besides, common_change=common)
 

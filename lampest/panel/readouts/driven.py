@@ -28,7 +28,6 @@ from lampest.panel.readouts.lines import (
     with_channels,
 )
 from lampest.panel.readouts.readout import (
-    SHORT_SHARE,
     FreeTest,
     Surroundings,
 )
@@ -63,16 +62,6 @@ class DrivenCircuit(DrivenStarts):
         current = current + NOISE_REACH * np.sqrt(self._sum_together((noise * by_volt) ** 2))
         bound = np.maximum(self._driven_volt(current, equation.drive), 0) / current - equation.load
         return np.asarray(np.maximum(bound, least))
-
-    def nearly_shorted(self, measured: Array) -> Array:
-        """Return cells that count as shorts, (…, rows, columns) ohm.
-
-        A share of the uniform start bounds them, too, because with idle lines at ground the
-        apparent resistance is many times too large.
-        """
-        return np.asarray(
-            np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured))
-        )
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return the tests v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k and Σ_i v_ij ≤ Vcc.

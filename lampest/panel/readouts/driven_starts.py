@@ -25,6 +25,7 @@ from lampest.panel.readouts.lines import (
 )
 from lampest.panel.readouts.readout import (
     MIN_LOAD_SHARE,
+    SHORT_SHARE,
     USUAL_OHM,
 )
 from lampest.panel.readouts.unseen import Scale, unseen_scales
@@ -101,11 +102,28 @@ class DrivenStarts(DrivenNetwork):
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """Return the resolution limit, see `Readout.resolution`.
 
-        Without a scale it is that of any cell: no reading says more.
+        Without a scale it is that of any cell: no reading says more. Where no closed form gives a
+        cell by its reading, it is the largest limit of uniform panels: a press moves the readings
+        of other cells beyond those of any uniform panel.
         """
-        if self.unseen_scales(*measured.shape[-2:]):
+        rows, columns = measured.shape[-2:]
+        if self.unseen_scales(rows, columns):
             return np.full(measured.shape, LARGEST_OHM)
+        if self._by_uniform_panels(self._equation(measured.shape), measured):
+            return np.asarray(uniform_responses(self, rows, columns) / sigma)
         return super().resolution(measured, sigma)
+
+    def nearly_shorted(self, measured: Array) -> Array:
+        """Return cells that count as shorts, (…, rows, columns) ohm.
+
+        A share of the uniform start bounds them, too, because with idle lines at ground the
+        apparent resistance is many times too large. So is the nearest uniform panel where a reading
+        lies beyond those of all.
+        """
+        start = self.uniform_start(measured)
+        if self._by_uniform_panels(self._equation(measured.shape), measured):
+            return SHORT_SHARE * np.minimum(start, USUAL_OHM)
+        return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * start))
 
     def _by_uniform_panels(self, equation: Equation, measured: Array) -> bool:
         """Return whether no closed form gives a cell by its reading, but a uniform panel does."""
@@ -215,3 +233,17 @@ def uniform_readings(circuit: DrivenNetwork, rows: int, columns: int) -> tuple[A
     levels = np.geomspace(LEVELS[0], LEVELS[-1], UNIFORM_LEVELS)
     panels = np.broadcast_to(levels[:, None, None], (len(levels), rows, columns))
     return levels, circuit.exact_reading(panels)
+
+
+@lru_cache(maxsize=32)
+def uniform_responses(circuit: DrivenNetwork, rows: int, columns: int) -> Array:
+    """Return the largest |∂y/∂g|, (rows, columns), of each cell of uniform panels of LEVELS.
+
+    In volt·ohm: over the noise it is the resistance that an open cell is told from.
+    """
+    responses = []
+    for level in LEVELS:
+        cells = np.full((rows, columns), level)
+        network = circuit.network(cells, circuit.ties(cells))
+        responses.append(np.abs(network.own_response()) * level)
+    return np.asarray(np.max(responses, axis=0))
