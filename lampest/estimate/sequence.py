@@ -115,7 +115,14 @@ class MeasuredPart:
             [int, int, Callable[[], Estimates] | None], None
         ] = lambda done, frames, so_far: None,
     ) -> tuple[Stream, Estimates]:
-        """Return the stream after these frames, and their estimates; see `reconstruct`."""
+        """Solve these frames; see `reconstruct`.
+
+        Returns
+        -------
+        stream : Stream
+            The stream after these frames.
+        estimates : Estimates
+        """
         readings = self.readings[self.frames]
         count = len(self.frames)
         method = stream.estimator.method
@@ -217,8 +224,9 @@ def first_stream(
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    It has the prior of `with_usual_scale`. Of a single network all frames of `deciding_frames`
-    count, of several the first. Without measured frames the weights are unchanged.
+    Weights have the prior of `with_usual_scale`. Of a single network all frames of
+    `deciding_frames` count, of several the first. Without measured frames the weights are
+    unchanged.
 
     Parameters
     ----------
@@ -246,7 +254,7 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """Return the data from which weights are chosen.
 
-    They are one frame, with its baseline where terms compare the two.
+    The data are one frame, with its baseline where terms compare the two.
     """
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
@@ -392,9 +400,16 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     """Return the lead and the prepared sample of a stored recording, see `Parts`.
 
-    Reads the whole recording once.
+    The whole recording is read once.
 
     Raises InputError where no frame is measured.
+
+    Returns
+    -------
+    lead : Recording
+        The first unloaded frames, or the measured ones of the opening.
+    sample : Prepared
+        The lead with the frames around the strongest one.
     """
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
@@ -424,10 +439,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
-    """Return the indices of a part's own measured frames.
-
-    Those of the lead and of the margins are not included.
-    """
+    """Return the indices of a part's own measured frames, without the lead and the margins."""
     number = recording.number
     assert number is not None
     return np.flatnonzero(
