@@ -1,4 +1,4 @@
-"""Acceptance of a step: whether the cost falls by enough of what the quadratic model predicts.
+"""Acceptance of a step that lowers the cost by a share of the quadratic model's prediction.
 
 Source: Nocedal & Wright, Numerical Optimization, 2006, algorithms 3.1 and 4.1.
 """

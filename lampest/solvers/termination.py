@@ -14,7 +14,7 @@ History = Sequence[tuple[float, float]]
 
 
 def late_or_stalled(data: Data, history: History) -> Status | None:
-    """Return why a solve ends before an optimum: its time is over, or it has stalled. None: not.
+    """Return the status of a solve that is overdue or stalled, or None.
 
     Parameters
     ----------
