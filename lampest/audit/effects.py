@@ -1,12 +1,13 @@
 """Effects that a recording shows and its scene does not name.
 
-Each comes with its evidence and the line to add. They are searched for on request, in finished
-readings. No estimate depends on them.
+Each effect comes with its evidence and the line to add. The search is made on request, in finished
+readings; no estimate depends on it.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +110,7 @@ def searched(evidence: Gathered) -> tuple[Finding, ...]:
 def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
     """Return findings of errors that widen σ, which the scene does not name.
 
-    They are advised where readings have a misfit that nothing else explains.
+    The advice applies where readings have a misfit that nothing else explains.
     """
     sentences = {
         "systematic.reading_error": "each reading may be off, the same in all frames",
@@ -123,12 +124,11 @@ def effects_to_try(scene: Scene) -> tuple[Finding, ...]:
 
 
 def _finding(sentence: str, key: str, value: str) -> Finding:
-    """Return the finding of an effect with the line of its dotted key."""
-    *rooms, name = key.split(".")
-    line = f"{name}: {value}"
-    for room in reversed(rooms):
-        line = f"{room}: {{{line}}}"
-    return Finding("effects", sentence, "", line)
+    """Return the finding of an effect with the entry of its dotted key."""
+    addition: Any = value
+    for part in reversed(key.split(".")):
+        addition = {part: addition}
+    return Finding("effects", sentence, "", addition)
 
 
 def _saturation(evidence: Gathered) -> Iterator[Finding]:
@@ -167,9 +167,8 @@ def _besides(evidence: Gathered) -> Iterator[Finding]:
         and evidence.prepared.check.by_effect
         and evidence.names_none("leaks", "contacts")
     ):
-        key = "leaks" if "leak" in besides.name else "contacts"
         sentence = f"{besides.name} explains the readings better: {besides.reason}"
-        yield _finding(sentence, key, ESTIMATED)
+        yield Finding("effects", sentence, "", besides.addition)
     if besides.common_change and evidence.names_none("creep", "temperature", "film"):
         yield _finding(besides.common_change, "creep", ESTIMATED)
 

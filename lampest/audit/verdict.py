@@ -83,7 +83,7 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
 def _many_zeros(prepared: Prepared) -> Iterator[str]:
     """Yield the doubt that readings of 0 are those of a dead zone, not of open cells.
 
-    It counts where they are so many that no cells are fitted.
+    The doubt arises where so many readings are 0 that no cells are fitted.
     """
     recording = prepared.recording
     readout = recording.scene.readout

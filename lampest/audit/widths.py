@@ -1,8 +1,9 @@
 """Widths of error bars by their causes.
 
 The errors of a cell's estimate without a penalty are K(U z + ε) to first order, with the gain K of
-the fit, errors z that all frames share and the noise ε. Each has a part of the variance. Those of a
-change ln(r/r0) are K_f(U_f z + ε_f) − K_b(U_b z + ε_b), of the frame f and the unloaded panel b.
+the fit, errors z that all frames share and the noise ε. Each has a part of the variance. The errors
+of a change ln(r/r0) are K_f(U_f z + ε_f) − K_b(U_b z + ε_b), of the frame f and the unloaded panel
+b.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """Frames of many streams at once.
 
-They are taken in batches over a leading axis where possible, all others one by one.
+Frames that permit it are solved in batches over a leading axis, all others one by one.
 """
 
 import os
@@ -160,16 +160,23 @@ def _solved_block(stream: Stream, readings: Readings) -> dict[int, tuple[Stream,
 
 
 def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
-    """Return the frames that lead, and the nearest leader of every frame, by number.
+    """Choose the frames that lead, and a leader for every frame.
 
     The first frame leads. Every further leader is the frame that differs most from those before it,
-    until √n of n frames lead, or no frame differs by more than noise.
-    Source: Gonzalez, Theor. Comput. Sci. 38, 293, 1985 (farthest-first traversal).
+    until √n of n frames lead, or no frame differs by more than noise. Source: Gonzalez, Theor.
+    Comput. Sci. 38, 293, 1985 (farthest-first traversal).
 
     Parameters
     ----------
     readings : Readings
         Frames, (frames, rows, columns).
+
+    Returns
+    -------
+    leaders : list of int
+        Numbers of the leading frames.
+    nearest : list of int
+        Number of the nearest leader of every frame.
     """
     count = len(readings.value)
     sigma = 1.0 if readings.sigma is None else readings.sigma
@@ -189,7 +196,7 @@ def leading_frames(readings: Readings) -> tuple[list[int], list[int]]:
 def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
     """Return every stream with its solved baseline.
 
-    It is solved with weights that streams of one group choose together.
+    The streams of one group choose the weights of the baselines together.
     """
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
@@ -210,8 +217,8 @@ def _solved_together(
 ) -> dict[int, tuple[Stream, Step]]:
     """Return the streams after their frame and the frame's step by number.
 
-    They are those that batches can solve. Streams with the same cost are one batch; large batches
-    are split among threads.
+    Only streams that batches can solve are included. Streams with the same cost are one batch;
+    large batches are split among threads.
     """
     groups = dict[Hashable, list[int]]()
     batchable = dict[int, Stream]()

@@ -128,7 +128,7 @@ def network_readings(scene: Scene, readings: Readings) -> list[Readings]:
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     """Return the scene of the whole image.
 
-    It has a block diagonal network and places that include the seams.
+    The scene has a block diagonal network, and places that include the seams.
 
     Raises InputError where a module is wired or has no two-point readout, and where error bars are
     requested.
@@ -277,7 +277,7 @@ class ModulesStream(Stream):
     def rested_whole(self) -> "ModulesStream":
         """Return the stream with the joined baselines of the modules.
 
-        It is unchanged where no module has one.
+        If no module has a baseline, the stream is unchanged.
         """
         steps = [None if module is None else module.baseline for module in self.modules]
         if not any(steps):

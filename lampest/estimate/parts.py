@@ -157,9 +157,16 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     """Return the lead and the prepared sample of a stored recording, see `Parts`.
 
-    Reads the whole recording once.
+    The whole recording is read once.
 
     Raises InputError where no frame is measured.
+
+    Returns
+    -------
+    lead : Recording
+        The first unloaded frames, or the measured ones of the opening.
+    sample : Prepared
+        The lead with the frames around the strongest one.
     """
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
@@ -189,10 +196,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
-    """Return the indices of a part's own measured frames.
-
-    Those of the lead and of the margins are not included.
-    """
+    """Return the indices of a part's own measured frames, without the lead and the margins."""
     number = recording.number
     assert number is not None
     return np.flatnonzero(

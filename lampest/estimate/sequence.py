@@ -102,7 +102,14 @@ class MeasuredPart:
             [int, int, Callable[[], Estimates] | None], None
         ] = lambda done, frames, so_far: None,
     ) -> tuple[Stream, Estimates]:
-        """Return the stream after these frames, and their estimates; see `reconstruct`."""
+        """Solve these frames; see `reconstruct`.
+
+        Returns
+        -------
+        stream : Stream
+            The stream after these frames.
+        estimates : Estimates
+        """
         readings = self.readings[self.frames]
         count = len(self.frames)
         method = stream.estimator.method
@@ -222,8 +229,9 @@ def first_stream(
 def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
     """Return the estimator with open weights from the deciding frames of similar networks.
 
-    It has the priors of `with_needed_priors`. Of a single network all frames of `deciding_frames`
-    count, of several the first. Without measured frames the weights are unchanged.
+    Weights have the priors of `with_needed_priors`. Of a single network all frames of
+    `deciding_frames` count, of several the first. Without measured frames the weights are
+    unchanged.
 
     Parameters
     ----------
@@ -251,7 +259,7 @@ def _weighted(estimator: Estimator, networks: Sequence[_Network]) -> Estimator:
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """Return the data from which weights are chosen.
 
-    They are one frame, with its baseline where terms compare the two.
+    The data are one frame, with its baseline where terms compare the two.
     """
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))

@@ -87,7 +87,7 @@ class Step:
     def bare(self) -> "Step":
         """Return the step without the parts from which error bars are computed.
 
-        These parts take much memory.
+        The omitted parts take much memory.
         """
         return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 

@@ -184,6 +184,13 @@ class Stream(SequenceState):
         A frame that fails, or that has too few readings (`Readings.enough`), leaves the stream
         unchanged. Open weights are chosen again by a frame whose change from rest exceeds the
         largest one before by MIN_INCREASE. Raises InputError as `begin`.
+
+        Returns
+        -------
+        stream : Stream
+            The stream after the frame.
+        step : Step
+            Solution of the frame.
         """
         _check_frame(readings, self.scene)
         method = self.estimator.method
@@ -251,9 +258,14 @@ class Stream(SequenceState):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple["Stream", list[Step]]:
-        """Return the stream after all measured frames of a recording, and their solves.
+        """Solve all measured frames of a recording, see `Method.sequence`.
 
-        See `Method.sequence`.
+        Returns
+        -------
+        stream : Stream
+            The stream after the last frame.
+        steps : list of Step
+            One step a frame.
         """
         return self.estimator.method.sequence(self, resting, readings, on_frame)
 
@@ -289,9 +301,9 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
 class CarriedOver:
     """Memory of a stream between two parts of a long recording.
 
-    It consists of arrays by name that can be written to a file. The initial stream, with scene,
-    estimator and baseline, is not included. The last estimate, its deviation and the memory of
-    error bars are; of a panel those of each module, with its number before the names.
+    The memory consists of arrays by name that can be written to a file: the last estimate, its
+    deviation and the memory of error bars; of a panel those of each module, with its number before
+    the names. The initial stream, with scene, estimator and baseline, is not included.
     """
 
     arrays: Mapping[str, Array]

@@ -100,8 +100,8 @@ def with_chosen_weights(
 def strongest(changes: Sequence[float]) -> list[int]:
     """Return the numbers of the networks that decide the weight of all.
 
-    They are in descending order of their change from rest. The weight of a single network scatters
-    with its noise, and hardly matters where nothing touches it.
+    The order is that of descending change from rest. The weight of a single network scatters with
+    its noise, and hardly matters where nothing touches it.
     """
     return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MAX_NEIGHBOURS]
 
@@ -109,7 +109,7 @@ def strongest(changes: Sequence[float]) -> list[int]:
 def converter_and_faults(scene: Scene) -> Hashable:
     """Return a key that is equal for networks with the same faults and converter.
 
-    These networks share one weight.
+    Networks of equal key share one weight.
     """
     circuit = scene.circuit
     return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
@@ -217,9 +217,9 @@ class WeightSearch:
     def shown_variance(self) -> tuple[float, ...]:
         """Return the mean square of the residuals of each open term with an absolute loss.
 
-        It is that of the reference estimates, Σ (x̂² + diag(Z S Zᵀ)) over the residuals. The weight
-        of least risk does not tell it: an absolute loss may hold residuals that noise hides, or
-        that no one would miss. NaN of other terms.
+        For the reference estimates the mean square is Σ (x̂² + diag(Z S Zᵀ)) over the residuals.
+        The weight of least risk does not tell it: an absolute loss may hold residuals that noise
+        hides, or that no one would miss. NaN of other terms.
         """
         models = self.models(self.begun)
         variance = [np.nan] * len(self.cost.terms)
@@ -368,7 +368,17 @@ class EvidencePoint:
 
     @cached_property
     def residuals(self) -> tuple[int, float, float]:
-        """Number n of data, degrees of freedom n − γ, and Σ x²/τ² from the median of |x|/τ."""
+        """Size of the residuals of the data.
+
+        Returns
+        -------
+        count : int
+            Number n of data.
+        freedom : float
+            Degrees of freedom n − γ.
+        squares : float
+            Σ x²/τ² from the median of |x|/τ.
+        """
         model = self.errors.model
         counted = model.data_curvature > 0
         penalties = np.unique(model.penalty_term)

@@ -1,6 +1,6 @@
 """A second witness of an estimate: the frame solved again by IPOPT on the nodal program.
 
-It is solved from another start. The witness sees the data of the frame and nothing of the first
+The second solve has another start. The witness sees the data of the frame and nothing of the first
 solve: neither its cells nor what it carries.
 """
 
@@ -116,8 +116,8 @@ def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings
 def another_start(cost: Cost, data: Data, previous: Array | None) -> Evaluation:
     """Return a start that the first solve did not have.
 
-    It has equal cells, or scattered ones after a start at equal cells. Where two panels read alike,
-    the equal cells lie on the branch of the first start.
+    The start has equal cells, or scattered ones after a start at equal cells. Where two panels read
+    alike, the equal cells lie on the branch of the first start.
     """
     if previous is None:
         return evaluated(cost, data, next(scattered(data)))

@@ -6,11 +6,11 @@ import io
 import json
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, count
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -512,6 +512,28 @@ def to_yaml(value: Any) -> str:
     writer.width = 4096
     writer.dump(plain_content(value), stream)
     return stream.getvalue()
+
+
+def in_one_line(content: Any) -> str:
+    """Return a mapping as one line of YAML, such as 'readout: {kind: grounded, sense: one}'."""
+    if not isinstance(content, Mapping):
+        return _scalar_or_list(content)
+    parts = []
+    for key, value in content.items():
+        text = in_one_line(value)
+        parts.append(f"{key}: {{{text}}}" if isinstance(value, Mapping) else f"{key}: {text}")
+    return ", ".join(parts)
+
+
+def _scalar_or_list(value: Any) -> str:
+    """Return a number, a word, nothing, or a list of them in YAML."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_scalar_or_list, value))}]"
+    if isinstance(value, float) and isfinite(value):
+        return f"{value:g}"
+    if isinstance(value, float):
+        return {inf: ".inf", -inf: "-.inf"}.get(value, ".nan")
+    return "null" if value is None else str(value)
 
 
 def plain_content(value: Any) -> Any:

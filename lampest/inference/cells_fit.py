@@ -67,7 +67,7 @@ def data_of_cells(scene: Scene, readings: Readings) -> Data:
 class CellsFit(SumOfSquares):
     """Fit of the cells to one frame, as a sum of squares over log r.
 
-    It has no Jacobian on panels of more than MAX_CELLS.
+    Panels of more than MAX_CELLS have a fit without a Jacobian.
 
     Attributes
     ----------
@@ -194,8 +194,8 @@ class CellsFit(SumOfSquares):
     def amplification(self) -> Array:
         """Factor of the readings' noise once the effects are taken off, (rows, columns).
 
-        It is the standard deviation of the readings that the cells would give without effects, in
-        units of σ.
+        The factor is the standard deviation of the readings that the cells would give without
+        effects, in units of σ.
         """
         dry = self.network.sensitivity() / self.readings.known_sigma.reshape(-1, 1)
         # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the

@@ -1,10 +1,8 @@
 """Frames that decide for a recording: the unloaded panel, and the most strongly loaded frames.
 
-They choose weights, and a circuit has to explain them.
-
-Of the frames with the strongest change, those that are equal within their noise are averaged.
-Outliers and readings whose noise is not Gaussian do not count. `broken_law` tests the circuit's
-inequalities on all frames.
+Weights are chosen from these frames, and a circuit has to explain them. Of the frames with the
+strongest change, those that are equal within their noise are averaged. Outliers and readings whose
+noise is not Gaussian do not count. `broken_law` tests the circuit's inequalities on all frames.
 """
 
 from dataclasses import dataclass, replace
@@ -42,8 +40,8 @@ def deciding_frames(
 ) -> NDArray[np.intp]:
     """Return the measured frame that differs most from rest, and frames that decide with it.
 
-    These are spread evenly over the frames that differ half as far from rest. Frames without enough
-    readings are left out.
+    The further frames are spread evenly over those that differ half as far from rest. Frames
+    without enough readings are left out.
     """
     frames = recording.measured_frames()
     frames = frames[readings.enough(recording.scene)[frames]]
@@ -74,7 +72,7 @@ class ComparedFrames:
         Numbers of all frames as sentences state them.
     named_errors : array, shape (frames, rows, columns), or None
         Standard deviations of the errors that the scene names beside noise: of each reading, of
-        motion. Those of n unloaded frames are √n times the error of their mean.
+        motion. The errors of n unloaded frames are √n times the error of their mean.
     """
 
     specified: Rival
@@ -178,7 +176,7 @@ def noise_factor(resting: Readings) -> float:
 def broken_law(rival: Rival, frames: ComparedFrames) -> str:
     """Return the circuit's inequality that the readings violate significantly, in words.
 
-    It is '' where there is none.
+    The text is '' where none is violated.
     """
     readings = rival.readings
     sigma = replace(
@@ -197,9 +195,9 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
 
 
 def below_series(rival: Rival, frames: ComparedFrames) -> str:
-    """Return the reading that lies significantly below its series resistance, in words.
+    """Return a sentence on the reading that lies significantly below its series resistance.
 
-    It is '' where there is none.
+    The sentence is '' where no reading does.
     """
     scene = rival.scene
     readings = rival.readings

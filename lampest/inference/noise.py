@@ -116,18 +116,19 @@ class NoiseEstimate:
 
     @property
     def error_in_sigma(self) -> float:
-        """Part of `reading_error` that σ of the readings includes.
-
-        It is a fraction of the reading.
-        """
+        """Part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
         return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
-        """Standard deviations of a frame's gain and of its ripple.
+        """Standard deviations of the errors that the readings of a frame share.
 
-        They are those of the gain, %, of the ripple common to all lines and of each line's own,
-        LSB.
+        Returns
+        -------
+        gain : float
+            In percent.
+        common_ripple, line_ripple : float
+            Ripple common to all lines, and each line's own, in LSB.
         """
         if self.frame is None:
             return 0.0, 0.0, 0.0
@@ -330,7 +331,7 @@ def _with_estimated_frame_noise(
 ) -> NoiseEstimate:
     """Return the noise with the gain and the ripple that the scene calls `estimated`.
 
-    They are determined from the unloaded frames.
+    The unloaded frames determine both.
     """
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())

@@ -233,8 +233,9 @@ class Prepared:
     def _with_named_errors(self, check: ModelCheck) -> ModelCheck:
         """Return the check of a circuit with the errors that the scene names beside noise.
 
-        It is doubtful where the recording determines their size, because such errors may also hide
-        a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of another one.
+        The circuit is doubtful where the recording determines their size, because such errors may
+        also hide a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of
+        another one.
         """
         size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
         if self._named_errors is None or size > LARGEST_READING_ERROR:
@@ -300,10 +301,7 @@ class Prepared:
 
     @cached_property
     def resolved(self) -> Recording:
-        """Recording with the numbers that its scene calls `estimated`.
-
-        It has them as far as it determines them.
-        """
+        """Recording with numbers where its scene says `estimated`, as far as it has them."""
         return replace(self.recording, scene=resolved_scene(self.recording.scene, self.noise))
 
     @cached_property

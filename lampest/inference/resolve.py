@@ -183,7 +183,7 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
 def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Determine the change of all cells alike since the unloaded frames.
 
-    It is determined from the cells that no load touches.
+    The cells that no load touches determine it.
     """
     scene = recording.scene
     readings = noise.readings
@@ -278,7 +278,7 @@ def resolved(
 ) -> NoiseEstimate:
     """Return the noise of a single network with all effects that its scene names.
 
-    It is returned with the model's error, too.
+    The model's error is included.
 
     Parameters
     ----------
@@ -320,11 +320,10 @@ def _as_the_whole(
 
 
 def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
-    """Return the scene with numbers in place of `estimated`.
+    """Return the scene with numbers in place of `estimated`, as far as the recording has them.
 
-    It has them as far as the recording determines them. An error that it cannot determine has its
-    prior, any other effect is absent. A number that the scene's key does not allow is the nearest
-    allowed one.
+    An error that the recording cannot determine has its prior, any other effect is absent. A number
+    that the scene's key does not allow is the nearest allowed one.
     """
     keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS]
     requested = [key for key in keys if specified(scene, key) == ESTIMATED]

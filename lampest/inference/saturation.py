@@ -156,9 +156,14 @@ def with_saturated_stage(recording: Recording) -> Recording:
 def passed_range(
     bounds: tuple[float, float], converted: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """Return the part of a range of voltages that is within a converter's, V; None if it is empty.
+    """Return the part of a range of voltages that is within a converter's; None if it is empty.
 
     A stage is found from readings with noise, so that its limit may lie beyond the converter's.
+
+    Returns
+    -------
+    (lowest, highest) : tuple of float, or None
+        In volts.
     """
     low = max(bounds[0], converted[0])
     high = min(bounds[1], converted[1])
@@ -193,9 +198,14 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
 def with_converter_ends(
     recording: Recording,
 ) -> tuple[Recording, tuple[float, float] | None]:
-    """Return the recording with a number for `zero_volt: estimated`, and this number with its sd.
+    """Replace `zero_volt: estimated` by a number.
 
-    None where its frames show none; the end of the scene without the key is taken then.
+    Returns
+    -------
+    recording : Recording
+        With the estimate, or with the end of a scene without the key.
+    zero : (float, float) or None
+        The estimate and its standard deviation in volts; None where frames show none.
     """
     readout = recording.scene.readout
     converter = None if readout is None else readout.converter

@@ -77,9 +77,9 @@ def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
 
 
 def _delays(scene: Scene, readings: Readings) -> Array:
-    """Return τ of each reading, shape (1, …).
+    """Return the delay τ of each reading from the middle of its frame, shape (1, …).
 
-    It is the delay from the middle of its frame, in periods, if a scan takes the whole period.
+    The unit is a period, if a scan takes the whole period.
     """
     channels = readings.value[0].size
     # τ of channel k of n: (k + ½)/n − ½

@@ -163,7 +163,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
 def _less_load(recording: Recording, readings: Readings) -> str:
     """Return a warning if all changes are reductions of load, otherwise ''.
 
-    It is that of a load at rest, or of a reversed circuit.
+    The cause is a load at rest, or a reversed circuit.
     """
     circuit = recording.scene.circuit
     change = changes_beyond_noise(recording.scene, readings, recording.role)

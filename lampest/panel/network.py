@@ -1,16 +1,13 @@
 """Solved networks of cells with the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
 A readout defines the ties t of the lines to ground (siemens) and the readings y = h(p, q, t) with p
-= Z_jj, q = Z_kk, t = Z_jk. All derivatives follow from these two. They are in u = log r. With D =
-Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights w of the
-readings, d(Σ w y) = tr(W dZ) with
-W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
+= Z_jj, q = Z_kk, t = Z_jk. All derivatives are with respect to u = log r, and follow from these
+two. With D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. For weights
+w of the readings, d(Σ w y) = tr(W dZ) with W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]].
 
 Where idle lines end in potentials, x is the excitation of all lines by them, and a reading depends
 on v = Z·x, too: y = h(p, q, t, e, f) with e = v_j and f = v_k. As v is linear in Z, nothing new
 enters the derivatives: with w_v the weights of v, W becomes W + ½(x w_vᵀ + w_v xᵀ).
-
-Z itself and ln det of its inverse follow by eliminating the lines of the longer side.
 """
 
 from abc import ABC, abstractmethod
@@ -131,7 +128,7 @@ class Network(ABC):
     def forward(self, step: Array) -> Array:
         """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns).
 
-        It takes (rows + columns)³ operations.
+        The product takes (rows + columns)³ operations.
         """
         return self.read_change(self.changes(step))
 
@@ -144,7 +141,7 @@ class Network(ABC):
     def adjoint(self, weights: Array) -> Array:
         """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns).
 
-        It takes (rows + columns)³ operations.
+        The product takes (rows + columns)³ operations.
         """
         return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
@@ -257,14 +254,14 @@ class Network(ABC):
     def potentials(self) -> Array:
         """Return the potential of every line, (lines, patterns) V/A.
 
-        It is that while a unit current enters line `pattern`.
+        Pattern k is a unit current into line k.
         """
         return self._impedance
 
     def leaking(self, across: Array, siemens: float) -> "Network":
         """Return the network with conductances between lines, for its readings.
 
-        It uses Woodbury's Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
+        By Woodbury's formula Z becomes Z − Z B (1/G + BᵀZB)⁻¹ BᵀZ.
 
         Parameters
         ----------
@@ -281,8 +278,9 @@ class Network(ABC):
     def condition(self) -> float:
         """Return Σ_l |L_ll Z_ll| over the lines.
 
-        It is the amplification of the rounding of L in any reading. An error ε_l of L_ll changes
-        bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN for a broken inverse.
+        The sum is the amplification of the rounding of L in any reading. An error ε_l of L_ll
+        changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. The sum is infinite or NaN for a
+        broken inverse.
         """
         driving_point = self._impedance.diagonal(axis1=-2, axis2=-1)
         return float(np.abs(line_sums(self.conductance) * driving_point).sum(axis=-1).max())
@@ -312,7 +310,7 @@ class Network(ABC):
     ) -> Entries:
         """Return the entries of ½(P + Pᵀ), P = left·right, without its other products.
 
-        They are fewer if P is symmetric.
+        A symmetric P needs fewer products.
         """
         rows = self.rows
         diagonal = np.einsum("...ij,...ji->...i", left, right)
@@ -369,10 +367,15 @@ class SecondOrder:
         return np.asarray(across(self.network.entries(self._twice)) / self.network.cell_resistance)
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """Return J·p and H·p for a step p of u, (rows, columns) each.
+        """Return the products with the Jacobian and the Hessian for a step p of u.
 
-        H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by the change of the slopes
-        of h.
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            J·p.
+        second : array, shape (rows, columns)
+            H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b), W' the change of W by that of the slopes of
+            h.
         """
         network = self.network
         currents = injected(step / network.cell_resistance, network._impedance)
@@ -385,9 +388,9 @@ class SecondOrder:
         return network.read_change(change), second / network.cell_resistance
 
     def change_of_slopes(self, change: Entries) -> list[Array]:
-        """Return w·(h_pp dp + h_pq dq + …), and the same of h_q and all others.
+        """Return the changes of the weighted slopes of h for changes (…) of the entries.
 
-        They are those for changes (…) of the entries.
+        The first one is w·(h_pp dp + h_pq dq + …) of h_p; those of h_q and all others follow.
         """
         weighted = self._weighted_curvatures
         shape = np.broadcast_shapes(*(part.shape for part in change))

@@ -35,10 +35,10 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Systematic(Configuration):
-    """Systematic errors that all readings may share.
+    """Systematic errors that all readings may share; they widen error bars and change no estimate.
 
-    They widen error bars and change no estimate. None: absent. Each is a number, or `estimated`:
-    the recording determines it once, beginning with the size of common electronics.
+    None: absent. Each is a number, or `estimated`: the recording determines it once, beginning with
+    the size of common electronics.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Systematic(Configuration):
     model_error : float or 'estimated', or None
         Standard deviation of the readings' errors of the model, in units of their noise σ, so that
         σ grows by √(1 + model_error²). 0: none. None: from evidence that no penalty can imitate;
-        'estimated': from the residuals of loaded frames, too. See `lampest.inference.model_error`.
+        'estimated': from the residuals of loaded frames, too. See `lampest.estimate.model_error`.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01

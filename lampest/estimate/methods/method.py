@@ -77,7 +77,7 @@ class Method(Configuration):
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
         """Return the solver of a cost on frames `period` seconds apart.
 
-        It is built once per process.
+        Each process builds a solver once.
         """
         return solver_of(cost, scene.circuit, scene.wiring, "reduced", settings)
 
@@ -106,15 +106,20 @@ class Method(Configuration):
         return False
 
     def data_and_start(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
-        """Return the data of a frame's solve, and its start or None.
-
-        The data of a joint first pair include the unloaded readings (paper, equations 15 and 21).
+        """Return the data of a frame's solve, and its start.
 
         Parameters
         ----------
         state : SequenceState
         readings : Readings
             (rows, columns).
+
+        Returns
+        -------
+        data : Data
+            For a joint first pair with the unloaded readings (paper, equations 15 and 21).
+        start : array, shape (frames, rows, columns), or None
+            Cells in ohm; None for the solver's own start.
         """
         objective = state.estimator
         if self.joint_start(objective) and not state.rested:
@@ -239,7 +244,15 @@ class Method(Configuration):
         return with_contacts(state, readings, solved, self._elsewhere)
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after one frame's readings (rows, columns), and the frame's step."""
+        """Solve one frame's readings (rows, columns).
+
+        Returns
+        -------
+        state : SequenceState
+            State after the frame.
+        step : Step
+            Solution of the frame.
+        """
         data, start = self.data_and_start(state, readings)
         step = self.solve(state, data, start)
         if len(data.measured) == 2:
@@ -249,10 +262,9 @@ class Method(Configuration):
     def verified(
         self, state: AnyState, readings: Readings, after: AnyState, step: Step
     ) -> tuple[AnyState, Step]:
-        """Return the state after a frame and its step, compared with a second solve.
+        """Compare the step of a frame with a second solve, by IPOPT from another start.
 
-        The second solve is by IPOPT from another start. A lower optimum of the witness takes the
-        place of the first one.
+        A lower optimum of the witness takes the place of the first one.
 
         Parameters
         ----------
@@ -262,6 +274,11 @@ class Method(Configuration):
             The frame, (rows, columns).
         after, step
             State after the frame, and its step.
+
+        Returns
+        -------
+        after, step
+            State after the frame, and its step with the comparison.
         """
         weighted = state.estimator.with_weights(
             step.weights, step.weight_sigma, step.prior_variance
@@ -278,9 +295,14 @@ class Method(Configuration):
         return replace(after, estimator=state.estimator), lower
 
     def after(self, state: AnyState, step: Step, readings: Readings) -> tuple[AnyState, Step]:
-        """Return the state after a solved frame, and its step.
+        """Follow a solved frame with the state.
 
-        The step has error bars where the state requests them.
+        Returns
+        -------
+        state : SequenceState
+            State after the frame.
+        step : Step
+            The step, with error bars where the state requests them.
         """
         track = state.track
         model = step.surroundings()
@@ -306,9 +328,7 @@ class Method(Configuration):
     def sequence(
         self, state: AnyState, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[AnyState, list[Step]]:
-        """Return the state after all measured frames of a recording, and their steps.
-
-        Only methods with `needs_all_frames` have it.
+        """Solve all measured frames of a recording; only for methods with `needs_all_frames`.
 
         Parameters
         ----------
@@ -319,13 +339,20 @@ class Method(Configuration):
             The measured frames, (frames, rows, columns).
         on_frame : callable
             Called after every frame.
+
+        Returns
+        -------
+        state : SequenceState
+            State after the last frame.
+        steps : list of Step
+            One step a frame.
         """
         raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
         """Return the step of a frame solved with another state or other readings.
 
-        It is solved from given cells on.
+        `near` are the cells at which the solve starts.
         """
         return self.solve(
             state, replace(self.data_and_start(state, readings)[0], first=False), near
@@ -353,7 +380,7 @@ class Method(Configuration):
 class OptimalMethod(Method):
     """The optimum argmin Σ weight·loss(residual) within the bounds.
 
-    It is verified independently of the solver.
+    A certificate verifies the optimum independently of the solver.
 
     joint : whether terms that compare frames solve the baseline together with the first frame
     (paper, equations 15 and 21), rather than the baseline alone and the first frame against it.

@@ -74,7 +74,7 @@ def panels_alike(
 ) -> list[tuple[float, Array]]:
     """Return the panels that give the readings, the most probable one first.
 
-    They are ln p and cells (rows, columns) ohm. The order counts LOG_PRIOR, ln p does not.
+    The order counts LOG_PRIOR; the probabilities in the result do not.
 
     Parameters
     ----------
@@ -86,6 +86,11 @@ def panels_alike(
         Cells at which the searches begin, ohm.
     upper : array, shape (rows, columns)
         Largest resistances, ohm.
+
+    Returns
+    -------
+    list of (float, array)
+        ln p, and cells (rows, columns) ohm, of each panel.
     """
     matched = (
         matching_cells(network, measured, first, first / RANGE, first * RANGE) for first in firsts

@@ -166,7 +166,7 @@ class Readout(Converter, ABC):
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError if the scene does not fit the readout or the panel.
 
-        It does not fit the readout if it has keys that the readout cannot model.
+        A scene does not fit the readout if it has keys that the readout cannot model.
         """
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         self._check_scan_order(scene.panel)
@@ -189,9 +189,9 @@ class Readout(Converter, ABC):
 
     @abstractmethod
     def ties(self, measured: Array) -> Array:
-        """Return the ties t of the lines to ground, (rows + columns,) siemens.
+        """Return the ties t of the lines to ground for readings (rows, columns).
 
-        They are those for readings (rows, columns).
+        The result has shape (rows + columns,), in siemens.
         """
 
     @abstractmethod
@@ -400,9 +400,9 @@ class Readout(Converter, ABC):
         return f"the converter's {rails} of {' and '.join(reached)} {self.unit}"
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """Return σ·|∂y/∂(recorded)|, the σ of the network's readings y.
+        """Return the σ of the network's readings y, σ·|∂y/∂(recorded)|.
 
-        It follows from the σ of recorded ones, and has the same shape.
+        `sigma` is the σ of the recorded values; all have the same shape.
         """
         return sigma
 
@@ -511,7 +511,7 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
 def without_memory(
     readout: Readout, fraction: float, recorded: Array, sigma: Array
 ) -> tuple[Array, Array]:
-    """Return recorded readings without memory, and their σ: U_n = (V_n − m·V_(n−1))/(1 − m).
+    """Return readings without the converter's memory, U_n = (V_n − m·V_(n−1))/(1 − m).
 
     U_n contains the noise of both voltages, √(1 + m²)/(1 − m) times that of one if they are equal.
     After a channel without a value (NaN), the remembered voltage is unknown: uniformly distributed
@@ -524,6 +524,11 @@ def without_memory(
         m.
     recorded, sigma : array, shape (…, rows, columns)
         Recorded values V and their standard deviations, in the readout's unit.
+
+    Returns
+    -------
+    recorded, sigma : arrays, same shape
+        Values U and their standard deviations, in the readout's unit.
     """
     least, most = readout.range_volt
 
@@ -535,7 +540,7 @@ def without_memory(
     def slope(volt: Array) -> Array:
         """Return |∂recorded/∂V| by central differences.
 
-        They are taken at least half an LSB away from the ends of the range.
+        The differences are taken at least half an LSB away from the ends of the range.
         """
         step = STEP_LSB * readout.lsb_volt
         inside = np.clip(volt, least + readout.lsb_volt / 2, most - readout.lsb_volt / 2)

@@ -1,9 +1,8 @@
-"""Wire resistance, contacts and touching lines between the terminals and the cells.
+"""Exact networks with wire resistance, contacts and touching lines between terminals and cells.
 
-The path to every cell has one segment of wire more
-than the path to the previous cell; the first cell has one segment, as in badcrossbar (Joksas &
-Mehonic, SoftwareX 12, 2020). A contact is in series with the first segment. Lines touch between
-their contacts and their wire.
+The path to every cell has one segment of wire more than the path to the previous cell; the first
+cell has one segment, as in badcrossbar (Joksas & Mehonic, SoftwareX 12, 2020). A contact is in
+series with the first segment. Lines touch between their contacts and their wire.
 """
 
 from dataclasses import dataclass
@@ -145,9 +144,9 @@ class Wiring:
         return np.zeros(sum(shape)) if self.contacts is None else self.contacts.mean(shape)
 
     def path_ohm(self, shape: tuple[int, ...]) -> Array:
-        """Return the resistance of wire and contacts through every cell, (rows, columns) ohm.
+        """Return the resistance of wire and contacts of every cell, (rows, columns) ohm.
 
-        It is that of the path from terminal to terminal. Contacts count with their means plus
+        The path of a cell leads from terminal to terminal. Contacts count with their means plus
         NOISE_REACH standard deviations.
         """
         rows, columns = shape
