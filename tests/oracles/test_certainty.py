@@ -33,7 +33,8 @@ from lampest.cost.terms import (
 )
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.presets import VirtualGroundReadout
 from lampest.panel.sizes import Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.covariance import DenseErrors

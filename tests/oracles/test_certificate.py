@@ -18,17 +18,18 @@ from lampest import LogRatio, Misfit, Outcome, Readings, Recording, Scene, Squar
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data, Evaluation
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import (
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    Readout,
     VirtualGroundReadout,
 )
 from lampest.solvers.certificate import certificate, clear_of_rounding
 from lampest.solvers.hessian import Hessian
+from lampest.solvers.posed import Bounds
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings, Solution, Status, check

@@ -32,18 +32,17 @@ from lampest import (
 )
 from lampest.audit.verdict import verdict
 from lampest.cost.terms import LogGradient, LogRatio, Misfit
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import Witness
-from lampest.panel.readouts import (
-    DrivenReadout,
+from lampest.inference.prepared import Prepared
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.driven_readout import DrivenReadout
+from lampest.panel.readouts.lines import SeriesPerLine
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
     VirtualGroundReadout,
 )
-from lampest.panel.readouts.lines import SeriesPerLine
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation

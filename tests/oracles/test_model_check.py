@@ -25,10 +25,10 @@ from lampest import (
     Unmodelled,
     simulate,
 )
-from lampest.estimate.cells_fit import fitted
-from lampest.estimate.prepared import Prepared
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import members_of
+from lampest.inference.cells_fit import fitted
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.posterior.reference import MAX_CELLS

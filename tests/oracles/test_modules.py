@@ -17,10 +17,10 @@ from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate import batch
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.files.document import parse_document, to_yaml, validated
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene

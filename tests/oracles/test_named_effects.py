@@ -27,8 +27,8 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.audit import advice, effects
-from lampest.estimate import memory, prepared, resolve
-from lampest.estimate.prepared import Prepared
+from lampest.inference import memory, prepared, resolve
+from lampest.inference.prepared import Prepared
 from tests.estimates import recording_of
 
 ROWS = 12

@@ -18,14 +18,14 @@ from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
 from lampest.audit.effects import unnamed_effects
-from lampest.estimate import still_cells
-from lampest.estimate.cells_fit import CellsFit
-from lampest.estimate.compared_frames import noise_factor
-from lampest.estimate.outliers import detect_outliers, frozen_readings
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.variance_components import Scatter, posterior_size, scatter
 from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
+from lampest.inference import still_cells
+from lampest.inference.cells_fit import CellsFit
+from lampest.inference.compared_frames import noise_factor
+from lampest.inference.outliers import detect_outliers, frozen_readings
+from lampest.inference.prepared import Prepared
+from lampest.inference.variance_components import Scatter, posterior_size, scatter
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic

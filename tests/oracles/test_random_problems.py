@@ -32,10 +32,10 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_types
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
-from lampest.panel.readouts import (
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.presets import (
     GroundedReadout,
     LoadedColumnsReadout,
-    TwoPointReadout,
     VirtualGroundReadout,
 )
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate

@@ -23,11 +23,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.terms import CellResistance, Gradient, Misfit
-from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.outliers import impossible_readings
+from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.files.levels import TWO_SIDED
+from lampest.inference.outliers import impossible_readings
 from lampest.posterior import reference
 from lampest.posterior.reference import references
+from lampest.solvers.posed import Bounds
 from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings

@@ -18,11 +18,12 @@ from scipy.optimize import minimize
 
 from lampest import Estimates, Faults, InputError, Recording, Rod, Scene, Squared, Status, read_run
 from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
 from lampest.panel.readouts.wiring import (
     ContactPrior,
@@ -35,6 +36,7 @@ from lampest.panel.readouts.wiring import (
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings, touching_columns, touching_rows
 from lampest.recording.simulation.measure import true_contacts
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
+from lampest.solvers.posed import Bounds
 from tests.estimates import log_errors, rms, scores
 
 LSM = (Misfit(weighting="noise"),)

@@ -132,7 +132,7 @@ def test_a_run_without_checks_says_so_and_computes_none(
     def refused(prepared: Any) -> None:
         raise AssertionError("checked")
 
-    monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
+    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
     report = run(folder, f"{RUN}check: none\n")
     assert [line for line in report.warnings if "not checked" in line] == [
         "mine: the circuit was not checked: the run leaves it out"
@@ -151,7 +151,7 @@ def described(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         raise AssertionError("checked")
 
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(lampest.estimate.prepared.Prepared, "check", property(refused))
+    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
     return describe("mine.h5")
 
 

@@ -36,9 +36,9 @@ from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.suction import may_suck, suctions
 from lampest.cost import problem as problem_module
 from lampest.cost.given import Background
-from lampest.estimate import model_error
 from lampest.estimate.methods import method as method_module
-from lampest.estimate.prepared import Prepared
+from lampest.inference import model_error
+from lampest.inference.prepared import Prepared
 from lampest.panel.response import PUBLISHED
 from lampest.solvers import direction
 from lampest.solvers.hessian import Hessian

@@ -20,8 +20,8 @@ from lampest import (
     VirtualGroundReadout,
 )
 from lampest.audit.advice import Audit
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.resolve import resolved_scene
+from lampest.inference.prepared import Prepared
+from lampest.inference.resolve import resolved_scene
 
 BITS = 10
 STEP = 5 / 2**BITS

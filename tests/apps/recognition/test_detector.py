@@ -46,7 +46,11 @@ from lampest.apps.recognition.observation import Baseline, ModelErrors, Observat
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, VirtualGroundReadout
+from lampest.panel.readouts.presets import (
+    GroundedReadout,
+    LoadedColumnsReadout,
+    VirtualGroundReadout,
+)
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.kinds import RoundCandidate
 from lampest.recording.shapes.shape import Candidate

@@ -19,16 +19,16 @@ from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.observation import ModelErrors
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
 from lampest.apps.recognition.watch_parts import WatchSetup, assumed_to_explain
-from lampest.estimate.deciding import baseline_readings
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.nuisances import CircuitEffects, without_effects_of
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.saturation import with_saturated_stage
-from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
+from lampest.inference.compared_frames import baseline_readings
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.nuisances import CircuitEffects, without_effects_of
+from lampest.inference.prepared import Prepared
+from lampest.inference.saturation import with_saturated_stage
+from lampest.inference.warnings import warnings_of
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
