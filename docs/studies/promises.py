@@ -65,10 +65,10 @@ BREAKS = {
         "report/plots/__init__.py", "plot_results", "return ()"
     ),
     "a_wrong_circuit_is_rejected_and_the_right_one_named": Break(
-        "estimate/nuisances.py", "MIN_EVIDENCE_GAIN", "1e9"
+        "inference/nuisances.py", "MIN_EVIDENCE_GAIN", "1e9"
     ),
     "a_wrong_pull_up_scales_cells_without_a_warning_and_leaves_changes": Break(
-        "estimate/warnings.py",
+        "inference/warnings.py",
         "warnings_of",
         "return (*result, f'load of {recording.scene.readout.load_ohm:.0f} ohm')",
     ),
@@ -102,7 +102,7 @@ BREAKS = {
         "estimate/estimator.py", "Estimator.has_error_bars", "return True"
     ),
     "outliers_are_detected_under_a_breathing_load": Break(
-        "estimate/outliers.py", "_exceeds_threshold", "return result & False"
+        "inference/outliers.py", "_exceeds_threshold", "return result & False"
     ),
     "the_error_of_a_missing_library_names_its_extra_unlike_own_modules": Break(
         "files/errors.py", "PACKAGES", "{}"
@@ -153,7 +153,9 @@ BREAKS = {
     "results_and_pictures_have_the_outline_of_the_panel": Break(
         "estimate/estimates.py", "Estimates.cell_resistance", "return np.nan_to_num(result)"
     ),
-    "a_batch_skips_only_the_truncated_file": Break("runs/batch.py", "_failure", "raise error"),
+    "a_batch_skips_only_the_truncated_file": Break(
+        "files/process.py", "logged_reason", "raise error"
+    ),
     "a_frame_can_be_tried_and_discarded": Break(
         "estimate/methods/method.py",
         "Method.after",
