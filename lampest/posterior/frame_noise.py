@@ -59,7 +59,7 @@ class FrameNoise:
     def _of_frame(self, measured: Array) -> Array:
         """Return V, (cells, n), for one frame's readings (rows, columns).
 
-        It is computed by central differences of the readout.
+        The columns of V are central differences of the readout.
         """
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
@@ -77,7 +77,7 @@ class FrameNoise:
     def _patterns(self, shape: tuple[int, ...]) -> Array:
         """Return the patterns of ripple in volt, (n, rows, columns).
 
-        They are those common to all lines, then those of each line alone.
+        Patterns that are common to all lines precede those of each line alone.
         """
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
         common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)
