@@ -36,9 +36,7 @@ from lampest.posterior.spectrum import (
     next_weights,
     settled_weights,
 )
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 # solves for one factor on σ; change of ln λ that changes no reported figure
@@ -86,7 +84,7 @@ def with_chosen_weights(
     cost = estimator.cost(scene, len(data.measured), partial=data.partial)
     similar = tuple(solve for solve in further if solve.partial == data.partial)
     search = WeightSearch(cost, (data, *similar), estimator.solver)
-    first = convex_cells(data, near) if near is None else near
+    first = data.start(near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:
@@ -328,6 +326,8 @@ class WeightSearch:
 
     def _solved(self, weights: list[float], near: Array, scale: float) -> "EvidencePoint":
         """Return the estimate with these weights. Raises ArithmeticError where there is none."""
+        from lampest.solvers.projected_newton import ProjectedNewton  # for several open weights
+
         data = self.solves[0]
         solution = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
         if solution.at is None or solution.dual is None:

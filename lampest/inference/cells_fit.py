@@ -27,10 +27,8 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
@@ -241,7 +239,7 @@ def fitted(
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = data_of_cells(scene, readings)
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
-        start = convex_cells(data, None)[0] if near is None else near
+        start = data.start()[0] if near is None else near
         # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
         # usual.
         fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
@@ -253,6 +251,8 @@ def fitted(
             return None
         # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
         # minimum.
+        from lampest.solvers.projected_newton import ProjectedNewton
+
         cost = cost_of_solve(LEAST_SQUARES, scene, partial=data.partial)
         if patient:
             solver = ProjectedNewton(cost, Settings())

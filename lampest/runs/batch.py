@@ -20,7 +20,8 @@ from typing import Literal
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import Parts, asked_frames, reconstruct
+from lampest.estimate.parts import Parts, asked_frames
+from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError

@@ -280,10 +280,14 @@ class Solver(ABC):
         Cost that is minimised.
     settings : Settings
         Tolerance and limits of a solve.
+    cells_alone : bool
+        Whether cells are the only unknowns: potentials are eliminated, and a solve holds its start.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
-    ['cold', 'continued', 'name', 'prepare', 'solve']
+    ['cells_alone', 'cold', 'continued', 'name', 'prepare', 'solve']
     """
+
+    cells_alone: ClassVar[bool] = True
 
     cost: Cost
     settings: Settings

@@ -31,7 +31,6 @@ from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.spectrum import Spectrum
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated
 
 
@@ -309,9 +308,7 @@ def trace(subject: WeightSubject, marks: list[float]) -> Curves:
     low = min(marks) / 1e4
     high = max(marks) * 1e4
     with suppress(*BROKEN):  # without free cells the extent is unknown
-        first = evaluated(
-            subject.with_weight(marks[0]), subject.data, convex_cells(subject.data, None)
-        )
+        first = evaluated(subject.with_weight(marks[0]), subject.data, subject.data.start())
         least, largest = np.exp(Spectrum.of(LinearModel(first, NO_DUAL)).extent)
         low = max(least, low)
         high = min(largest, high)
