@@ -7,11 +7,11 @@ import numpy as np
 
 from lampest.audit.effects import unnamed_effects
 from lampest.audit.health import Health
-from lampest.estimate.explanation import MIN_RISEN
-from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.prepared import Prepared
-from lampest.estimate.rivals import changes_beyond_noise
 from lampest.files.errors import InputError
+from lampest.inference.explanation import MIN_RISEN
+from lampest.inference.model_check import ModelCheck
+from lampest.inference.prepared import Prepared
+from lampest.inference.rivals import changes_beyond_noise
 from lampest.panel.readouts.unseen import unseen_sentence
 from lampest.recording.recording import UNLOADED
 
@@ -83,7 +83,7 @@ def _fewer_bits(prepared: Prepared) -> Iterator[str]:
 def _many_zeros(prepared: Prepared) -> Iterator[str]:
     """Yield the doubt that readings of 0 are those of a dead zone, not of open cells.
 
-    It counts where they are so many that no cells are fitted.
+    The doubt arises where so many readings are 0 that no cells are fitted.
     """
     recording = prepared.recording
     readout = recording.scene.readout

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
-from lampest.estimate.warnings import unsolved
 from lampest.files.applications import applications
 from lampest.files.levels import TWO_SIDED
+from lampest.inference.model_check import ModelCheck
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.prepared import Prepared
+from lampest.inference.warnings import unsolved
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
@@ -268,7 +268,7 @@ class Estimates:
     def status(self) -> tuple[str, ...]:
         """Outcome of each solve in a sentence, (frames,).
 
-        It names rails of the converter that leave cells open.
+        Rails of the converter that leave cells open are named.
         """
         readout = self.recording.scene.readout
         messages = []
@@ -358,8 +358,8 @@ class Estimates:
     def reading_sigma(self) -> Array | None:
         """Posterior predictive standard deviation of every reading, (frames, rows, columns).
 
-        It is in the readout's unit. It includes the errors of the cells, the noise and the model's
-        error, and exists for missing readings, too. None without error bars; NaN in a frame
+        The unit is that of the readout. The errors of the cells, the noise and the model's error
+        are included; missing readings have a value, too. None without error bars; NaN in a frame
         without.
         """
         deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
@@ -395,7 +395,7 @@ class Estimates:
     def tared(self) -> tuple[str, ...] | None:
         """Reason for a new zero of pressures after each frame, (frames,).
 
-        It is '' without one, and None without `Estimator.tare`.
+        The reason is '' for a frame without a new zero. None without `Estimator.tare`.
         """
         return None if self._load is None or self.estimator.tare is None else self._load.tared
 
@@ -414,17 +414,14 @@ class Estimates:
 
     @property
     def noise(self) -> NoiseEstimate:
-        """Noise of the recording's readings.
-
-        It includes the model's error where readings show one.
-        """
+        """Noise of the recording's readings, with the model's error where readings show one."""
         return self.prepared.noise
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """Doubts about the estimates, one line each.
 
-        They are on failed frames, weights, roles and units, circuit, noise.
+        Doubts concern failed frames, weights, roles and units, circuit, and noise.
         """
         return (*self._own_doubts, *self.prepared.warnings)
 
@@ -486,7 +483,7 @@ class Estimates:
     def misfit(self) -> dict[str, Array]:
         """Misfit of every frame against its noise, see `frame_misfit`.
 
-        It is empty where the noise is unknown.
+        The dictionary is empty where the noise is unknown.
         """
         if self.sigma is None:
             return {}

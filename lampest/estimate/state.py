@@ -6,10 +6,10 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from lampest.cost.given import Background
-from lampest.estimate.alike import PanelChoice
 from lampest.estimate.objective import Objective
 from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
+from lampest.inference.alike import PanelChoice
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
@@ -17,8 +17,6 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
-
-UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +87,7 @@ class Step:
     def bare(self) -> "Step":
         """Return the step without the parts from which error bars are computed.
 
-        These parts take much memory.
+        The omitted parts take much memory.
         """
         return replace(self, solution=replace(self.solution, at=None, dual=None, carried=None))
 

@@ -284,10 +284,7 @@ def _wire(wiring: Wiring, on_row: Nodes, on_column: Nodes) -> tuple[Nodes, Array
 
 
 def _incidence(nodes: int, ends: Nodes) -> scipy.sparse.csc_array:
-    """Return the incidence of branches, sparse (nodes, branches).
-
-    It is +1 at the first end, −1 at the second.
-    """
+    """Return the incidence matrix of branches, sparse (nodes, branches); 1 and −1 at the ends."""
     branch = np.arange(ends.shape[1])
     entries = np.repeat([1.0, -1.0], len(branch))
     places = ends.ravel(), np.tile(branch, 2)

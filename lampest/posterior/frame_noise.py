@@ -44,7 +44,7 @@ class FrameNoise:
         Relative standard deviation of a frame's gain, a common factor of its voltages.
     common_ripple, line_ripple : array, shape (channels of a scanned line, n)
         Ripple common to all lines, and of each line alone, in volt; see
-        `lampest.estimate.variance_components`.
+        `lampest.inference.variance_components`.
     motion : array, shape (3,) or (0,)
         Relative standard deviations of the readings in the patterns of `motion_patterns`; of
         circuits that read resistances.
@@ -80,7 +80,7 @@ class FrameNoise:
     def _of_frame(self, measured: Array) -> Array:
         """Return V, (cells, n), for one frame's readings (rows, columns).
 
-        It is computed by central differences of the readout.
+        The columns of V are central differences of the readout.
         """
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
@@ -101,7 +101,7 @@ class FrameNoise:
     def _patterns(self, shape: tuple[int, ...]) -> Array:
         """Return the patterns of ripple in volt, (n, rows, columns).
 
-        They are those common to all lines, then those of each line alone.
+        Patterns that are common to all lines precede those of each line alone.
         """
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
         common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)

@@ -15,10 +15,14 @@ MAX_DEVIATIONS = 50.0
 
 
 def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
-    """Return standard deviation and 95 % quantile of t ≥ 0.
+    """Return standard deviation and 95 % quantile of a truncated normal variable t ≥ 0.
 
-    The density of t is ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0. This is a normal distribution
-    with mean −slope·variance, truncated at 0. Any shape.
+    The density of t is ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0: that of a normal distribution
+    with mean −slope·variance, truncated at 0.
+
+    Returns
+    -------
+    deviation, quantile : array, shape of the arguments
     """
     slope = np.asarray(slope, dtype=float)
     variance = np.asarray(variance, dtype=float)
@@ -62,9 +66,9 @@ def student_two_sided(degrees: float) -> float:
 
 
 def largest_of(excess: ArrayLike, count: int) -> Array:
-    """Return an upper bound of P(max of `count` standard normal numbers ≥ excess).
+    """Return Bonferroni's bound of P(max of `count` standard normal numbers ≥ excess).
 
-    It is by Bonferroni. Any shape.
+    The bound is an upper one, of the shape of `excess`.
     """
     return np.asarray(np.minimum(count * ndtr(-np.asarray(excess, dtype=float)), 1.0))
 

@@ -106,8 +106,8 @@ class Recording(Validated):
         if self.recorded.shape[1:] != shape or frames == 0:
             actual = " × ".join(str(size) for size in self.recorded.shape)
             raise InputError(
-                f"{self.name}: {self.path} is {actual}, but the scene's panel asks for frames × "
-                f"{shape[0]} × {shape[1]} with at least one frame"
+                f"{self.name}: {self.path} is {actual}, but the scene's panel asks for "
+                f"frames × {shape[0]} × {shape[1]} with at least one frame"
             )
         where = f"{self.name}: {self._group}/"
         check_sigma(self.scene, self.recorded, self.sigma, where)
@@ -140,7 +140,7 @@ class Recording(Validated):
     def _check_unit(self) -> None:
         """Raise InputError if the values are probably in kohm.
 
-        They are, without raw sums, if all are below the series resistance.
+        Values without raw sums are in kohm if all are below the series resistance.
         """
         circuit = self.scene.circuit
         valid = self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
@@ -156,9 +156,8 @@ class Recording(Validated):
         stuck = valid.min() == valid.max()  # at the converter's rail: a module without contact
         if not stuck and valid.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
             raise InputError(
-                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, less than the "
-                f"{series:.4g} ohm in series; "
-                "are these kohm?"
+                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, "
+                f"less than the {series:.4g} ohm in series; are these kohm?"
             )
 
     @property
@@ -238,8 +237,8 @@ class Recording(Validated):
             or (known is not None and array.shape[1:] != requested)
         ):
             shapes = (
-                f"(frames, {requested[0]}, {requested[1]}) with at least one frame, not "
-                f"{array.shape}"
+                f"(frames, {requested[0]}, {requested[1]}) with at least one frame, "
+                f"not {array.shape}"
             )
             raise InputError(f"values must have the shape {shapes}")
         if not 0 <= baseline <= len(array):
@@ -349,14 +348,7 @@ class Recording(Validated):
     ) -> Any:
         """Return a Matplotlib figure with a map of a frame's readings.
 
-        They are shown against the unloaded ones where there are some.
-
-        Parameters
-        ----------
-        frame : int, optional
-            By default that of the strongest change, or the first.
-        ax, figsize, vmin, vmax
-            As for `Reconstruction.plot`.
+        If the recording has unloaded frames, the map shows the change against them.
 
         Raises
         ------

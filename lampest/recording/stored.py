@@ -180,8 +180,8 @@ def measured_part(stored: StoredRecording, frames: range, beside: int) -> Record
 def save_parts(path: Path, parts: Iterable[Recording]) -> None:
     """Write a recording from its parts, completely or not at all.
 
-    Until all parts exist they are files in a temporary folder next to it. Raises InputError if it
-    cannot be written.
+    Parts are files in a temporary folder next to the recording until all of them exist. Raises
+    InputError if the recording cannot be written.
     """
     files: list[Path] = []
     with folder_beside(path) as folder:

@@ -98,8 +98,8 @@ def _check_shorted(
         return
     key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
     wrong = (
-        f"{count} of {total} readings stand at the rail of the converter that a shorted cell "
-        "reaches"
+        f"{count} of {total} readings "
+        "stand at the rail of the converter that a shorted cell reaches"
     )
     scale = f"readout.{key}, {readout.full_scale_volt:g} V, the end of its range"
     raise InputError(f"{source}: {wrong}: are they in {unit}, and is {scale}?")

@@ -46,12 +46,12 @@ READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 Sentence = tuple[str, object]  # heading, text
 UNSEALED = (
-    "readable, but without checksums: written by an older version or another program, or "
-    "never closed"
+    "readable, but without checksums: "
+    "written by an older version or another program, or never closed"
 )
 WEAK = (
-    "readable; its checksums notice turned bits, but neither zeroed nor exchanged values (no "
-    "digests: {paths})"
+    "readable; its checksums notice turned bits, but neither zeroed nor exchanged values "
+    "(no digests: {paths})"
 )
 
 
@@ -112,8 +112,8 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
     measured = int(np.sum(role == MEASURED))
     yield (
         "frames",
-        f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} "
-        "s",
+        f"{len(role)}: {unloaded} unloaded, {measured} measured; "
+        f"{time.min():g} to {time.max():g} s",
     )
 
 
@@ -124,7 +124,7 @@ def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Ite
     """
     # With all of the estimate, which results do without.
     from lampest.audit.advice import Audit
-    from lampest.estimate.prepared import Prepared
+    from lampest.inference.prepared import Prepared
 
     audit = Audit(Prepared(recording))
     yield from _lines(_content(recording))
@@ -206,7 +206,7 @@ def apply_advice(path: str | Path) -> list[str]:
     """
     from lampest.audit.advice import Audit
     from lampest.audit.finding import with_lines
-    from lampest.estimate.prepared import Prepared
+    from lampest.inference.prepared import Prepared
 
     path = Path(path)
     own(path)
@@ -311,8 +311,8 @@ def _results_lines(results: Results) -> list[str]:
         place = strongest_index([case])
         where = f"frame {case.frame[place]} at {case.time[place]:g} s"
         lines.append(
-            f"cells of {case.recording} × {case.estimator} in {where}, change against "
-            f"{reference_words(case)}:"
+            f"cells of {case.recording} × {case.estimator} in {where}, "
+            f"change against {reference_words(case)}:"
         )
         lines += shaded_map(case.relative_change[place])
     return lines
@@ -326,9 +326,9 @@ def _measurement_lines(case: CaseResult) -> list[str]:
     taken_off = ", series resistance taken off" if scene.circuit.unit == "ohm" else ""
     values = spanned(as_recorded(case.measured, scene), scene.circuit.unit)
     headline = (
-        f"recording {case.recording}: {frames} frames, {case.time.min():g} to "
-        f"{case.time.max():g} s, {rows} rows × {columns} columns, pitch "
-        f"{scene.panel.pitch_mm:g} mm, truth {truth} the file"
+        f"recording {case.recording}: {frames} frames, "
+        f"{case.time.min():g} to {case.time.max():g} s, {rows} rows × {columns} columns, "
+        f"pitch {scene.panel.pitch_mm:g} mm, truth {truth} the file"
     )
     missing = np.isnan(case.measured) & scene.requested
     # results of older versions do not say what are bounds
@@ -374,10 +374,7 @@ def _starts(case: CaseResult) -> str:
 
 
 def _holes(recording: Recording) -> Iterator[str]:
-    """Yield sentences on missing and bounded readings, and on their consequences.
-
-    Those of faulty cells are excepted.
-    """
+    """Yield sentences on missing and bounded readings of sound cells, and consequences."""
     readings = recording.readings()
     scene = recording.scene
     yield holes_sentence(readings.missing(scene), readings.bounds)
@@ -385,8 +382,8 @@ def _holes(recording: Recording) -> Iterator[str]:
     unloaded = recording.role == UNLOADED
     if not np.all(estimable):
         yield (
-            f"{int(np.sum(~estimable))} of {len(estimable)} frames have too few values to be "
-            "estimated"
+            f"{int(np.sum(~estimable))} of {len(estimable)} frames "
+            "have too few values to be estimated"
         )
     if np.any(unloaded) and np.any(estimable) and not readings[unloaded].mean().enough(scene):
         yield "the unloaded frames have too few values: the first frame with enough stands for them"
@@ -395,7 +392,7 @@ def _holes(recording: Recording) -> Iterator[str]:
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
     """Return a sentence on missing readings and readings at a rail.
 
-    It is such as `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
+    An example is `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
 
     missing, bounds : (frames, rows, columns). Lines without readings are named. Empty if every
         reading is a value.

@@ -40,8 +40,8 @@ from lampest.runs.columns import (
 
 if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
-    from lampest.estimate.model_check import ModelCheck
     from lampest.estimate.state import Step
+    from lampest.inference.model_check import ModelCheck
 
 
 def _declared(
@@ -85,8 +85,8 @@ def _share(words: str, units: str = "1") -> Any:
 def _attribute(name: str, source: str = "", default: Any = "", value: Any = None) -> Any:
     """Return a field that is an attribute of the estimator's group.
 
-    It is omitted in the file at its default. Its value is that of estimates: a function of them, or
-    the dotted name of an attribute.
+    The file omits an attribute that has its default. Its value is that of estimates: a function of
+    them, or the dotted name of an attribute.
     """
     return field(
         default=default,
@@ -179,10 +179,7 @@ def _weights(done: Estimates) -> dict[str, Array]:
 
 
 def _chosen(done: Estimates) -> dict[str, Array]:
-    """Map terms with weights chosen by the data to the deviation of ln λ in every frame.
-
-    It is the standard deviation.
-    """
+    """Map terms with weights chosen by the data to the deviations of ln λ, one for each frame."""
     size = len(done.estimator.terms)
     by_term = _of_terms(
         done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps]
@@ -191,9 +188,9 @@ def _chosen(done: Estimates) -> dict[str, Array]:
 
 
 def _contacts(done: Estimates) -> dict[str, Array]:
-    """Return contact resistances of the lines and their standard deviations.
+    """Return contact resistances of the lines and their standard deviations, equal in all frames.
 
-    They are equal in all frames; empty if unknown.
+    The mapping is empty if contact resistances are unknown.
     """
     if done.contacts is None:
         return {}

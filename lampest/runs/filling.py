@@ -151,8 +151,8 @@ def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | No
         raise ValueError("frame_gain must not be negative, frame_unloaded at least 1")
     if any(root.ndim != 2 or len(root) != channels for root in roots):
         raise ValueError(
-            f"frame_together and frame_apart must have {channels} rows, one for each channel of a "
-            "line"
+            f"frame_together and frame_apart must have {channels} rows, "
+            "one for each channel of a line"
         )
     if motion.shape not in ((0,), (3,)):
         raise ValueError("frame_motion must have three numbers")

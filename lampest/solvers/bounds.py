@@ -17,10 +17,10 @@ MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is roundin
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
-    """Return the free cells, boolean (…, cells).
+    """Return the cells that can move and that no bound holds, boolean (…, cells).
 
-    These have room, and the gradient does not press them against a bound. `gradient` is in u = log
-    r, (…, cells).
+    A bound holds a cell if the cell is at the bound and the descent of the cost points beyond it.
+    `gradient` is ∂φ/∂u, u = log r, (…, cells).
     """
     lower, upper = at.data.log_bounds
     slope = gradient.reshape(at.position.shape)

@@ -1,6 +1,4 @@
-"""Projected L-BFGS for many panels over a leading axis.
-
-Its inverse Hessians are reused from frame to frame.
+"""Projected L-BFGS for many panels over a leading axis, with inverse Hessians of earlier frames.
 
 If frames differ little, M⁻¹ ∇φ is nearly the Newton step, and every further step costs one gradient
 and one product with M⁻¹. Panels that have converged leave the batch. A panel that finds no step of
@@ -18,12 +16,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.solvers.acceptance import decreases_enough
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.direction import conductance_change, log_resistance_change
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
+from lampest.solvers.progress import decreases_enough
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 from lampest.solvers.steps import STEPS
@@ -82,15 +80,15 @@ class InverseHessians:
     def distance(self, panels: Numbers, position: Array) -> Array:
         """Return the largest |δ log r| since M was made, for the chosen panels.
 
-        It is infinite where there is no M.
+        The distance is infinite where there is no M.
         """
         moved = np.abs(position - self.position[panels]).max(axis=1)
         return np.where(np.isnan(moved), np.inf, moved)
 
     def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
-        """Return whether ∇²φ was positive definite within CERTIFIED_DISTANCE.
+        """Return whether ∇²φ was positive definite, over the free cells of `points`, near them.
 
-        It must have been so over at least these free cells.
+        Two points are near within CERTIFIED_DISTANCE of log r.
         """
         near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)

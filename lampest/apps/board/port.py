@@ -48,7 +48,14 @@ class NoBoardError(InputError):
 class PortName(NamedTuple):
     """Serial port of this computer.
 
-    It has the URL to open, the system's description, and whether it looks like an Arduino.
+    Attributes
+    ----------
+    url : str
+        Address to open.
+    description : str
+        The system's description.
+    likely : bool
+        Whether the port looks like an Arduino.
     """
 
     url: str

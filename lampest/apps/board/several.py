@@ -277,9 +277,9 @@ def _image(
     before: Alignment,
     after: Alignment,
 ) -> Sample:
-    """Return the boards' frames as one sample.
+    """Return the boards' frames as one sample, with the clock of the first board.
 
-    It has the clock of the first board and the restarts of all.
+    The sample has the restarts of all boards.
     """
     layout = scene.panel.modules
     first = next(iter(parts.values()))

@@ -220,7 +220,7 @@ def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:
     """Return a warning of a response far from the first guess, or of loads beyond its range.
 
-    It is '' where neither holds.
+    The warning is '' where neither holds.
     """
     middle = np.array([float(np.median(np.abs(pressure[pressure != 0])))])
     most = max(map(abs, base.told_kpa))

@@ -124,10 +124,10 @@ def calibrate_resistors(
 
 
 def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
-    """Return the noise of one reading from repeats, LSB.
+    """Return the noise of one reading from repeats, LSB; None if all lines have too few repeats.
 
-    It is a tuple for the driven lines where they differ. Lines with fewer than MIN_REPEATS repeats
-    have the mean; None where all lines have fewer.
+    The result is a tuple for the driven lines where they differ. Lines with fewer than MIN_REPEATS
+    repeats have the mean.
     """
     counts = np.array([trial.repeats for trial in trials])
     variances = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)

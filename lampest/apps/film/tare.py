@@ -42,7 +42,7 @@ class TareWatch:
     def after(
         self, change: Array, memory: Array, time: float
     ) -> tuple["TareWatch", Array | None, str]:
-        """Return the state after a frame, the new zero or None, and the reason or ''.
+        """Return the state after a frame, and a new zero if one is due.
 
         Parameters
         ----------
@@ -52,6 +52,15 @@ class TareWatch:
             The film's memory in ln r.
         time : float
             s.
+
+        Returns
+        -------
+        watch : TareWatch
+            State for the next frame.
+        zero : array, shape (rows, columns), or None
+            The new zero in ln r/r_zero, if one is due.
+        reason : str
+            Sentence on the new zero, or ''.
         """
         zeroed = time if self.zeroed is None else self.zeroed
         count = self.tare.frames
@@ -70,10 +79,10 @@ class TareWatch:
         return TareWatch(self.tare, time), mean, message
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
-        """Return the mean of the first half of the frames.
+        """Return the mean of the first half of the frames as a new zero; None where none is due.
 
-        None where it must not or need not be a new zero. It must not where a frame shows a load,
-        and need not where the mean is within its noise.
+        No zero is taken where a frame shows a load, and none is needed where the mean is within its
+        noise.
         """
         frames = np.stack([change for change, _ in self.frames])
         finite = np.isfinite(frames).all(axis=0)
@@ -106,9 +115,9 @@ def sigma_of_frames(frames: Array) -> Array:
 
 
 def _stands_out(change: Array) -> bool:
-    """Return whether ln r/r0 (rows, columns) may show a load.
+    """Return whether ln r/r0 (rows, columns) may show a load, in one cell or in the mean of four.
 
-    It may show it in one cell or in the mean of four; NaN counts as 0.
+    NaN counts as 0.
     """
     cells = np.pad(np.nan_to_num(change), 1)
     four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4

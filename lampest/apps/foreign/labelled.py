@@ -59,9 +59,16 @@ def frames_of_table(table: Any, shape: Shape) -> Frames:
 
 
 def labelled_array(data: Any) -> tuple[Array, Array | None, str | None]:
-    """Return the values (frames, rows, columns), the times in s and the unit of a labelled array.
+    """Return the values, times and unit of a labelled array.
 
-    Raises InputError if it is none, or if its dimensions are not time, row and column.
+    Raises InputError for another object, or if its dimensions are not time, row and column.
+
+    Returns
+    -------
+    values : array, shape (frames, rows, columns)
+    times : array, shape (frames,), or None
+        In seconds; None without coordinates of time.
+    unit : str or None
     """
     if not all(hasattr(data, name) for name in ("dims", "coords", "attrs", "transpose")) or hasattr(
         data, "data_vars"

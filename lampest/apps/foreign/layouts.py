@@ -215,8 +215,8 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
 def _counter_before_cells(table: ReadingsTable, shape: Shape) -> str | None:
     """Return whether the first of four fields is a 'frame' or a 'time'; None for neither.
 
-    It stands before row, column and value. Each of its values must stand before most cells of the
-    panel, and before none of them twice. Readings are not so.
+    The other three fields are row, column and value. A counter's value precedes most cells of the
+    panel, and none of them twice; readings do not repeat in this way.
     """
     counter, row, column = (
         (table.values[:, field] for field in range(3)) if table.width == 4 else (np.empty(0),) * 3
@@ -353,7 +353,7 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
     """Return whether a frame begins at a line, (lines,).
 
-    It does where its number occurs again, or a title precedes it.
+    A frame begins where a number of the current frame occurs again, and after a title.
     """
     numbers_of_frame = set[int]()
     begins = np.zeros(len(numbers), dtype=bool)

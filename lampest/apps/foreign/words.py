@@ -124,9 +124,14 @@ Where = Callable[[int], str]
 
 
 def parted(name: str) -> tuple[str, str]:
-    """Return a name in lower case and the unit at its end as written, or ''.
+    """Split a name into its words and its unit.
 
-    The words of the name are joined by underscores.
+    Returns
+    -------
+    word : str
+        Name in lower case without the unit, its words joined by underscores.
+    unit : str
+        Unit at the end of the name as written, or ''.
     """
     text = name[:MAX_LENGTH].strip()
     unit = ""
@@ -158,9 +163,9 @@ def role_of(name: str) -> str | None:
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
-    """Return (row, column) of names such as r0c0 or 'row 0 col 3'; else None.
+    """Return (row, column) of a name such as r0c0 or 'row 0 col 3'; else None.
 
-    Others are R1C1, c3_r0, cell_0_3, (0, 3), [0][3].
+    Other such names are R1C1, c3_r0, cell_0_3, (0, 3) and [0][3].
     """
     word, _ = parted(name)
     matches = filter(None, (pattern.fullmatch(word) for pattern in CELLS))
@@ -168,9 +173,9 @@ def cell_of(name: str) -> tuple[int, int] | None:
 
 
 def line_of(name: str) -> tuple[str, int] | None:
-    """Return word and number, such as ('r', 3), of names such as R3, 'row 3', 3 or col_3.
+    """Return (word, number), such as ('r', 3), of a name such as R3 or 'row 3'; else None.
 
-    None for other names.
+    Other such names are 3 and col_3.
     """
     match = ONE_NUMBER.fullmatch(parted(name)[0])
     return (match[1].strip("_"), int(match[2])) if match else None
@@ -194,7 +199,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
 def _units_of_one(name: str) -> tuple[str, ...]:
     """Return the units that a name permits.
 
-    It permits them by its unit, otherwise by the whole name, its first or its last word.
+    The unit at the end of the name decides, otherwise the whole name, its first or its last word.
     """
     stem, unit = parted(name)
     if unit in ("v", "V"):
@@ -401,9 +406,9 @@ def _iso(text: str, way: str) -> str:
 
 
 def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -> Clock:
-    """Return the clock of times as numbers, in a given or an inferred unit.
+    """Return the clock of times as numbers.
 
-    It is inferred from the column's name or the numbers.
+    Their unit is the given one, or else is inferred from the column's name or from the numbers.
 
     Raises InputError if the times do not increase.
     """

@@ -321,7 +321,7 @@ class PageHandler(BaseHTTPRequestHandler):
 def is_local_name(host: str) -> bool:
     """Return whether a Host header names this computer.
 
-    It does by localhost or a loopback address, with or without a port.
+    Local names are localhost and the loopback addresses, with or without a port.
     """
     ip = ip_named(host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host)
     return ip is not None and ip.is_loopback
@@ -344,6 +344,12 @@ def address(text: str) -> tuple[str, int]:
     """Parse HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137.
 
     Raises InputError for other texts.
+
+    Returns
+    -------
+    host : str
+        IP address without brackets.
+    port : int
     """
     host, separator, port = text.rpartition(":")
     ip = ip_named(host)

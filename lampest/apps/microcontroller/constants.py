@@ -365,7 +365,7 @@ class Constants:
 
     @property
     def valid_sums(self) -> tuple[int, int]:
-        """Smallest and largest sum that is no bound: those between the rails."""
+        """Smallest and largest sum between the rails, in this order."""
         readout = self.scene.circuit
         ends = readout.steps_from_volt(readout.volt_from_recorded(np.array(readout.rails())))
         low, high = np.sort(ends) * readout.readings
@@ -380,9 +380,14 @@ class Constants:
 
     @property
     def pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array] | None:
-        """Neighbours of listed cells by their numbers along the longer side.
+        """Neighbours among listed cells, numbered along the longer side; None for a full rectangle.
 
-        None for a full rectangle.
+        Returns
+        -------
+        first, second : integer arrays, shape (pairs,)
+            Numbers of the two cells.
+        distance : array, shape (pairs,)
+            As in `Panel.neighbours`.
         """
         panel = self.scene.panel
         if panel.cells is None:
@@ -505,7 +510,7 @@ def _plain_sigma(case: CaseResult) -> float:
 def _largest(case: CaseResult) -> float:
     """Return the upper bound of all cells in ohm.
 
-    It is where single precision, or the noise, sees no difference.
+    Larger resistances are not resolved by single precision or by the noise.
     """
     readout = case.scene.circuit
     if not isinstance(readout, DrivenCircuit) or case.sigma is None:

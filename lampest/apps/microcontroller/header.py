@@ -20,7 +20,7 @@ MIN_NUMBER = 1e-37
 def number(value: float) -> str:
     """Return a number as a C literal of single precision.
 
-    It has the nine digits that determine it.
+    Nine digits determine the number.
     """
     text = f"{value if abs(value) >= MIN_NUMBER else 0.0:.9g}"
     return (text if any(mark in text for mark in ".en") else text + ".0") + "f"

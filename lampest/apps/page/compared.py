@@ -132,10 +132,17 @@ def _same_measurement(first: CaseResult, second: CaseResult) -> bool:
 
 
 def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
-    """Return the recordings without copies, and a sentence on each copy.
+    """Return the recordings without copies, whose frames would count twice.
 
     In a copy, more than half of the frames have the readings of an earlier recording in single
-    precision. Its frames would count twice.
+    precision.
+
+    Returns
+    -------
+    recordings : dict
+        Recordings that are no copies.
+    sentences : list of str
+        One sentence on each copy.
     """
     frames_of: dict[str, set[bytes]] = {}
     copies: list[str] = []
@@ -386,9 +393,10 @@ PREDICTION = Criterion(
 def comparison_of(batch: Batch) -> Comparison | None:
     """Compare estimators by the best criterion that the results allow.
 
-    This is the error against the truth, or else the predicted error of new readings, which requires
-    their noise and the resolution. None if neither is known, since the data error grows with every
-    penalty, good or bad; or if no two estimators share a frame.
+    The best criterion is the error against the truth. The second one is the predicted error of new
+    readings, which requires their noise and the resolution. The result is None if neither is known,
+    since the data error grows with every penalty, good or bad; or if no two estimators share a
+    frame.
     """
     known = {
         name: cases
@@ -474,7 +482,7 @@ class Advice:
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     """Recommend the fastest of the estimators whose criterion is within 5 % of the smallest one.
 
-    This margin does not depend on the significance of the difference. A larger error is not
+    The margin does not depend on the significance of the difference. A larger error is not
     outweighed by speed.
     """
     match = comparison.match if comparison else matched(batch.recordings)

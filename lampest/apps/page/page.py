@@ -319,11 +319,14 @@ def figures(case: CaseResult) -> dict[str, Any]:
 
 
 def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return warnings about the recommended estimator.
+    """Return warnings of residuals beyond the noise, and of wrong error bars.
 
-    They concern residuals beyond the noise and wrong error bars.
-
-    recordings : its `figures` of each recording.
+    Parameters
+    ----------
+    estimator : str
+        The recommended estimator.
+    recordings : sequence of mapping
+        `figures` of the estimator for each recording.
     """
     lines = SPREAD, COVERED
     spreads, coverages = (

@@ -8,9 +8,9 @@ from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.observation import ModelErrors, patch_of
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
-from lampest.estimate.compared_frames import noise_factor
-from lampest.estimate.variance_components import NO_RIPPLE
 from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.compared_frames import noise_factor
+from lampest.inference.variance_components import NO_RIPPLE
 from lampest.panel.panel import Array, Panel
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.recording import UNLOADED, Recording

@@ -70,7 +70,12 @@ class Characteristic(Configuration):
 
     @cached_property
     def points(self) -> tuple[Array, Array]:
-        """Voltages and codes of the curve, in the order of the codes."""
+        """Points of the curve in the order of the codes.
+
+        Returns
+        -------
+        volt, code : arrays, shape (points,)
+        """
         assert self.curve is not None
         volt, code = np.array(sorted(self.curve, key=lambda point: point[1])).T
         return volt, code

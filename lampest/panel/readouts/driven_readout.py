@@ -26,8 +26,8 @@ from lampest.panel.readouts.lines import (
 class DrivenReadout(SourcedCircuit):
     """Circuit with driven and sensed lines, named by the resistances of its lines.
 
-    They are the resistances while the lines are used and while idle. Loaded columns, grounded lines
-    and virtual grounds are presets of it. The equation stands in
+    Each resistance holds while a line is used, or while it is idle. Loaded columns, grounded lines
+    and virtual grounds are presets of this circuit. The equation stands in
     `lampest.panel.readouts.driven_network`.
 
     Attributes

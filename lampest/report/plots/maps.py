@@ -61,9 +61,9 @@ def log_scale(
     ends: tuple[float, float] = (0.1, 500.0),
     colours: str = "viridis",
 ) -> Scale:
-    """Return a logarithmic scale between round numbers, within `ends`.
+    """Return a logarithmic scale between round numbers about the 1st and 99th percentile.
 
-    These are the round numbers about the 1st and 99th percentile.
+    The ends of the scale lie within `ends`.
     """
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
@@ -466,7 +466,8 @@ def maps_figure(
 ) -> Figure:
     """Draw maps side by side.
 
-    They stand in as many columns that the figure has about the proportions 3 : 2 with few gaps.
+    The number of columns is that with which the figure has about the proportions 3 : 2 and few
+    gaps.
 
     Parameters
     ----------

@@ -41,8 +41,9 @@ from lampest.apps.recognition.detect.detection import (
     known_of,
     known_of_case,
 )
-from lampest.estimate.prepared import Prepared
-from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.inference.prepared import Prepared
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.presets import LoadedColumnsReadout
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.shapes import AnyShape
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, Unmodelled, simulate

@@ -7,9 +7,15 @@ little differently. Waves may be larger later than in the unloaded frames.
 import numpy as np
 import pytest
 
-from lampest import Panel, PublishedResponse, Recording, Scene, TwoPointReadout
-from lampest import two_point_resistance
-from lampest.estimate.prepared import Prepared
+from lampest import (
+    Panel,
+    PublishedResponse,
+    Recording,
+    Scene,
+    TwoPointReadout,
+    two_point_resistance,
+)
+from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from tests.laws.recognised import answered
 

@@ -11,22 +11,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.alike import PanelChoice
-from lampest.estimate.model_check import EXPLAINED, ModelCheck, Question, check_of_modules
-from lampest.estimate.module_noise import noise_of_modules
-from lampest.estimate.noise import NoiseEstimate, estimate_noise
-from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.outliers import (
+from lampest.files.errors import BROKEN, InputError, in_words
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.alike import PanelChoice
+from lampest.inference.model_check import EXPLAINED, ModelCheck, Question, check_of_modules
+from lampest.inference.module_noise import noise_of_modules
+from lampest.inference.noise import NoiseEstimate, estimate_noise
+from lampest.inference.nuisances import CircuitEffects
+from lampest.inference.outliers import (
     frozen_readings,
     impossible_readings,
     without_outliers,
     without_readings,
 )
-from lampest.estimate.resolve import resolved, resolved_scene, with_resolved_electronics
-from lampest.estimate.saturation import with_saturated_stage
-from lampest.estimate.warnings import warnings_of
-from lampest.files.errors import BROKEN, InputError, in_words
-from lampest.files.process import ONE_BLAS_THREAD
+from lampest.inference.resolve import resolved, resolved_scene, with_resolved_electronics
+from lampest.inference.saturation import with_saturated_stage
+from lampest.inference.warnings import warnings_of
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Array, Modules
 from lampest.panel.sizes import ESTIMATED
@@ -122,7 +122,7 @@ class Prepared:
         recording = with_saturated_stage(self.recording)
         memory: tuple[float, float] | str | None = None
         if recording.scene.converter_memory == ESTIMATED:
-            from lampest.estimate.memory import with_estimated_memory  # for this key alone
+            from lampest.inference.memory import with_estimated_memory  # for this key alone
 
             recording, memory = with_estimated_memory(recording)
         if self.recording.scene.outliers == "keep":
@@ -233,8 +233,9 @@ class Prepared:
     def _with_named_errors(self, check: ModelCheck) -> ModelCheck:
         """Return the check of a circuit with the errors that the scene names beside noise.
 
-        It is doubtful where the recording determines their size, because such errors may also hide
-        a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of another one.
+        The circuit is doubtful where the recording determines their size, because such errors may
+        also hide a wrong circuit. Errors of readings beyond LARGEST_READING_ERROR are those of
+        another one.
         """
         size, _ = self.noise.estimated.get("systematic.reading_error", (0.0, 0.0))
         if self._named_errors is None or size > LARGEST_READING_ERROR:
@@ -300,10 +301,7 @@ class Prepared:
 
     @cached_property
     def resolved(self) -> Recording:
-        """Recording with the numbers that its scene calls `estimated`.
-
-        It has them as far as it determines them.
-        """
+        """Recording with numbers where its scene says `estimated`, as far as it has them."""
         return replace(self.recording, scene=resolved_scene(self.recording.scene, self.noise))
 
     @cached_property

@@ -7,9 +7,9 @@ converter's voltages: where the scene's circuit has computed resistances from th
 is inverted.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from itertools import product
 from math import inf
@@ -22,8 +22,9 @@ from lampest.files.errors import InputError
 from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts import AnyReadout, DrivenReadout, Readout
+from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.characteristic import Characteristic, Known, known
+from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
@@ -62,6 +63,9 @@ class Rival:
         the readout.
     kind : str
         The kind in words; '' for the specified circuit.
+    entries : mapping
+        Entries of a scene by which it differs from the specified one, without a resistance in
+        series and the order of the readings.
     in_series : float or None
         The tried resistance in series, ohm; None: that of the scene.
     at_limit : bool
@@ -75,6 +79,7 @@ class Rival:
     recorded: Array
     sigma: Array | None
     kind: str = ""
+    entries: Mapping[str, Any] = field(default_factory=dict)
     in_series: float | None = None
     at_limit: bool = False
     order: NDArray[np.intp] | None = None
@@ -91,6 +96,25 @@ class Rival:
         return f"{self.kind}, {series}" if self.kind else series
 
     @property
+    def addition(self) -> dict[str, Any]:
+        """Entries that make the specified scene one of this circuit, numbers with two digits.
+
+        It is empty where the readings have another order, which no entry states.
+        """
+        if self.order is not None:
+            return {}
+        entries = dict(self.entries)
+        circuit = self.scene.circuit
+        if self.in_series is not None and not self.at_limit:
+            series: dict[str, Any] = {circuit.series_name: float(f"{self.in_series:.2g}")}
+            entries |= (
+                series
+                if circuit.in_series
+                else {"readout": {**entries.get("readout", {}), **series}}
+            )
+        return entries
+
+    @property
     def ohm(self) -> float:
         """The resistance in series, ohm: the tried one, or that of the scene."""
         return self.scene.specified_in_series if self.in_series is None else self.in_series
@@ -98,8 +122,12 @@ class Rival:
     def with_memory(self, fraction: float) -> "Rival":
         """Return the rival with a converter that keeps a fraction of the channel before."""
         named = f"converter_memory near {fraction:.2g}"
-        kind = f"{self.kind}, {named}" if self.kind else named
-        return replace(self, scene=replace(self.scene, converter_memory=fraction), kind=kind)
+        return replace(
+            self,
+            scene=replace(self.scene, converter_memory=fraction),
+            kind=f"{self.kind}, {named}" if self.kind else named,
+            entries={**self.entries, "converter_memory": float(f"{fraction:.2g}")},
+        )
 
     def ordered(self, values: Array) -> Array:
         """Return values of recorded readings (…, rows, columns) in the order of this rival."""
@@ -167,7 +195,8 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             alike = type(circuit) is type(readout) and circuit.in_series
             series = scene.series_resistance_ohm if alike else 0.0
             rival = replace(scene, readout=circuit, series_resistance_ohm=series, systematic=None)
-            yield Rival(rival, values, sigma, _kind(circuit, readout))
+            entries = _entries(circuit, readout)
+            yield Rival(rival, values, sigma, _in_words(entries), {"readout": entries})
     yield from _listed_by_columns(specified, readout)
 
 
@@ -182,14 +211,14 @@ def rounded_down(specified: Rival) -> Rival | None:
     half = readout.lsb_volt / 2
     ends = Characteristic(zero_volt=half, full_volt=readout.full_scale_volt + half)
     kind = f"readout.converter.zero_volt near {half:.2g} (codes are rounded down)"
-    return _with_converter(specified, ends, kind)
+    return _with_converter(specified, ends, kind, {"zero_volt": float(f"{half:.2g}")})
 
 
 def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]:
     """Generate the specified circuit with converters of another range, where it states none.
 
-    Those of an esp32 have 12 bits. An inverting amplifier is tried where readings may fall with a
-    load (`reversed_too`).
+    An esp32 is tried for readings of 12 bits. An inverting amplifier is tried where readings may
+    fall with a load (`reversed_too`).
     """
     readout = specified.scene.readout
     if readout is None or readout.converter is not None:
@@ -198,11 +227,14 @@ def other_converters(specified: Rival, *, reversed_too: bool) -> Iterator[Rival]
     names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
     for name in names:
         ends = known(name, readout.full_scale_volt)
-        yield _with_converter(specified, ends, f"readout.converter: {name}")
+        yield _with_converter(specified, ends, f"readout.converter: {name}", name)
 
 
-def _with_converter(specified: Rival, ends: Characteristic, kind: str) -> Rival:
-    """Return the specified circuit whose codes stand for voltages of another range."""
+def _with_converter(specified: Rival, ends: Characteristic, kind: str, entry: Any) -> Rival:
+    """Return the specified circuit whose codes stand for voltages of another range.
+
+    `entry` states the converter in a scene.
+    """
     readout: Any = specified.scene.readout
     circuit = _changed(readout, converter=ends)
     codes = readout.steps_from_volt(readout.volt_from_recorded(specified.recorded))
@@ -211,6 +243,7 @@ def _with_converter(specified: Rival, ends: Characteristic, kind: str) -> Rival:
         scene=replace(specified.scene, readout=circuit),
         recorded=circuit.recorded_from_volt(circuit.volt_from_code(codes)),
         kind=kind,
+        entries={"readout": {"converter": entry}},
     )
 
 
@@ -269,7 +302,7 @@ def _in_parallel(specified: Readout, scene: Scene) -> Iterator[Any]:
 
     The multiplexers are in blocks of lines.
     """
-    names = {field.name for field in fields(specified)}
+    names = {setting.name for setting in fields(specified)}
     if "groups" not in names or getattr(specified, "measured_across", "reference") == "sensor":
         return
     rows, columns = scene.panel.shape
@@ -297,7 +330,7 @@ def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     The first setting is its name.
     """
     types = _types_of(kind)
-    names = [field.name for field in fields(kind)]
+    names = [setting.name for setting in fields(kind)]
     return {name: get_args(types[name]) for name in names if get_origin(types[name]) is Literal}
 
 
@@ -312,7 +345,7 @@ def _variants(kind: Any, specified: Readout) -> Iterator[Any]:
         return
     words = choices(kind)
     types = _types_of(kind)
-    names = {field.name for field in fields(kind)} - {*words, "groups"}
+    names = {setting.name for setting in fields(kind)} - {*words, "groups"}
     shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
         shared["supply_volt"] = specified.full_scale_volt
@@ -361,38 +394,51 @@ def _held_at_ground(specified: Any) -> Iterator[DrivenReadout]:
             )
 
 
-def _kind(circuit: Readout, specified: Readout) -> str:
-    """Return the name of a circuit.
+def _entries(circuit: Readout, specified: Readout) -> dict[str, Any]:
+    """Return the entries of a readout that state a circuit.
 
     It is the single setting that differs from the specified one, or all its words.
     """
     groups = getattr(circuit, "groups", None)
-    if groups is not None and groups != getattr(specified, "groups", None):
-        return f"readout.groups: {[list(group) for group in groups]} (read in parallel)"
-    if (
-        groups is None
-        and getattr(specified, "groups", None) is not None
-        and type(circuit) is type(specified)
-    ):
-        return "no readout.groups (lines read one after the other)"
+    specified_groups = getattr(specified, "groups", None)
+    if groups is not None and groups != specified_groups:
+        return {"groups": [list(group) for group in groups]}
+    ungrouped = {"groups": None} if specified_groups is not None and groups is None else {}
     words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     if isinstance(circuit, DrivenReadout):
         words |= {name: getattr(circuit, name) for name in ("idle_ohm", "idle_load_ohm")}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
+    if ungrouped and not differ:
+        return ungrouped
     if len(differ) == 1 and differ[0] in CALLED:
-        return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"
+        return {differ[0]: words[differ[0]], **ungrouped}
     if type(circuit) is not type(specified):
         words |= _own_resistor(circuit)
-    return ", ".join(f"readout.{name}: {word}" for name, word in words.items())
+    return {**words, **ungrouped}
 
 
-def _own_resistor(circuit: Readout) -> dict[str, object]:
+def _in_words(entries: Mapping[str, Any]) -> str:
+    """Return the name of the circuit that entries of a readout state."""
+    names = []
+    for name, value in entries.items():
+        if name == "groups" and value is None:
+            names.append("no readout.groups (lines read one after the other)")
+        elif name == "groups":
+            names.append(f"readout.groups: {value} (read in parallel)")
+        else:
+            names.append(f"readout.{name}: {f'{value:g}' if name in RESISTORS else value}")
+        if "kind" not in entries and name in CALLED:
+            names[-1] += f" ({CALLED[name]})"
+    return ", ".join(names)
+
+
+def _own_resistor(circuit: Readout) -> dict[str, float]:
     """Return the key and the number of a circuit's resistor where it is not the kind's default."""
-    defaults = {field.name: field.default for field in fields(circuit)}
+    defaults = {setting.name: setting.default for setting in fields(circuit)}
     for name in RESISTORS:
         ohm = getattr(circuit, name, None)
         if isinstance(ohm, float) and ohm != defaults[name]:
-            return {name: f"{ohm:g}"}
+            return {name: ohm}
     return {}
 
 
@@ -412,8 +458,8 @@ def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
 def _sense(first: Array, second: Array) -> float:
     """Return the sign of the covariance of two sets of log resistances.
 
-    It is positive if a load moves both in one direction. Values that are not finite are ignored;
-    without any other the result is 0.
+    The sign is positive if a load moves both in one direction. Values that are not finite are
+    ignored; without any other the result is 0.
     """
     finite = np.isfinite(first) & np.isfinite(second)
     count = max(finite.sum(), 1)

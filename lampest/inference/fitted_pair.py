@@ -6,7 +6,7 @@ frame f the log cells that no load touches change by
     d = a θ + noise,   a = K_f U_f − K_b U_b,
 
 where U is the response of the readings to a unit of θ, and K the inverse of their Jacobian. The
-evidence is computed with a and without (`lampest.estimate.changed_cells`). Effects in the network
+evidence is computed with a and without (`lampest.inference.changed_cells`). Effects in the network
 itself are estimated together with the cells and d, by Gauss-Newton steps.
 """
 
@@ -17,9 +17,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import FIT, CellsFit
-from lampest.estimate.changed_cells import (
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import FIT, CellsFit
+from lampest.inference.changed_cells import (
     PARAMETER_COST,
     Changes,
     away_from_changed,
@@ -132,7 +132,7 @@ class FittedPair:
     def effects(self) -> tuple[Effect, ...]:
         """Effects in the network of the frame.
 
-        Those that are constant are in that of the unloaded panel, too.
+        Constant effects are also in the network of the unloaded panel.
         """
         return self.frames[1].effects
 
@@ -154,7 +154,7 @@ class FittedPair:
     def covariance(self) -> Array:
         """Covariance Σ of d where no load is, (cells, cells).
 
-        It is without effects and without a common change.
+        Effects and a common change are not included.
         """
         # Σ = P_b + P_f + creep² 1 + spread² channels channelsᵀ; the spread is the scene's, or else
         # one multiplexer's
@@ -229,10 +229,10 @@ class FittedPair:
         return self.evidence.moved.reshape(self.shape)
 
     def scores_with(self, effects: Sequence[Effect], candidates: Array) -> Array:
-        """Return −2 ln evidence with each candidate alone beside further sizes of effects, (n,).
+        """Return −2 ln evidence with further sizes of effects and one candidate, for each, (n,).
 
-        It approximates the score of `explained`: cells are only added to the moved ones, never
-        removed.
+        The result approximates the score of `explained`: cells are only added to the moved ones,
+        never removed.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class FittedPair:
     def density(self) -> float:
         """−2 ln density of the frame's readings given the unloaded ones.
 
-        It holds up to a constant common to all circuits. The densities of circuits are comparable
+        A constant common to all circuits is left out. The densities of circuits are comparable
         because the Jacobian of the readings is included: a circuit whose readings hardly depend on
         the cells gains nothing by it.
         """
@@ -276,10 +276,10 @@ class FittedPair:
         return score - min(changes.part(~moved).misfit, int((~moved).sum()))
 
     def gain_apart(self, better: "FittedPair") -> float:
-        """Return the gain of another explanation in −2 ln evidence.
+        """Return the gain of another explanation in −2 ln evidence, apart from its moved cells.
 
-        It is computed by cells that touch none of its moved cells. The skirt of a load looks like
-        another circuit or an effect, so its cells do not count; 0 without two others.
+        Only cells that touch none of its moved cells count, because the skirt of a load looks like
+        another circuit or an effect. The gain is 0 with fewer than two such cells.
         """
         distant = ~touching(better.moved[None]).ravel()
         if distant.sum() < 2:
@@ -363,8 +363,8 @@ class FittedPair:
     def frame_like(self, readings: Readings, near: CellsFit) -> CellsFit | None:
         """Return the fit of another frame with these effects; None where no cells explain it.
 
-        The sizes of effects since the unloaded frames are estimated anew. They are 0 where the
-        frame is no more probable with them.
+        The sizes of effects since the unloaded frames are estimated anew, and are 0 where the frame
+        is no more probable with them.
 
         Parameters
         ----------

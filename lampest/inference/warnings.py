@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ModelCheck, module_factors
-from lampest.estimate.module_noise import named_modules
-from lampest.estimate.noise import NoiseEstimate
-from lampest.estimate.rivals import changes_beyond_noise, choices
 from lampest.files.applications import applications
 from lampest.files.errors import first_and_more
+from lampest.inference.model_check import ModelCheck, module_factors
+from lampest.inference.module_noise import named_modules
+from lampest.inference.noise import NoiseEstimate
+from lampest.inference.rivals import changes_beyond_noise, choices
 from lampest.recording.readings import Readings
 from lampest.recording.recording import TOUCHED, UNEVENLY, UNLOADED, UNREFERENCED, Recording
 
@@ -163,7 +163,7 @@ def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
 def _less_load(recording: Recording, readings: Readings) -> str:
     """Return a warning if all changes are reductions of load, otherwise ''.
 
-    It is that of a load at rest, or of a reversed circuit.
+    The cause is a load at rest, or a reversed circuit.
     """
     circuit = recording.scene.circuit
     change = changes_beyond_noise(recording.scene, readings, recording.role)

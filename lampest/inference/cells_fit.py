@@ -9,17 +9,16 @@ boundary of the cone, and smaller where the truth lies inside (chi-bar-squared; 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.state import UNKNOWN_SD
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.effects import Effect, effect_on_readings, with_effects
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
@@ -28,8 +27,8 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
-from lampest.solvers.convex import convex_cells
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
+from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 from lampest.solvers.solution import Settings
 
 EXACT_CHI_SQUARE = 1e-2  # χ² so small that it changes no verdict
@@ -55,22 +54,20 @@ CELL_PRECISION = UNKNOWN_SD**-2  # prior precision of log r of a cell that no re
 MAX_CELL_SD = 0.5
 
 
-@cache
-def cells_alone() -> Estimator:
-    """Return the estimator of plain least squares over r > 0, created at the first call.
+LEAST_SQUARES = (Misfit(weighting="noise"),)
+POSITIVE = Bounds("none", "none")
 
-    Its creation looks for installed methods, which must not happen at import.
-    """
-    return Estimator(
-        (Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False
-    )
+
+def data_of_cells(scene: Scene, readings: Readings) -> Data:
+    """Return the data of plain least squares over r > 0 for a frame's readings (rows, columns)."""
+    return data_of_solve(LEAST_SQUARES, POSITIVE, readings.alone(), Background(scene))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellsFit(SumOfSquares):
     """Fit of the cells to one frame, as a sum of squares over log r.
 
-    It has no Jacobian on panels of more than MAX_CELLS.
+    Panels of more than MAX_CELLS have a fit without a Jacobian.
 
     Attributes
     ----------
@@ -197,8 +194,8 @@ class CellsFit(SumOfSquares):
     def amplification(self) -> Array:
         """Factor of the readings' noise once the effects are taken off, (rows, columns).
 
-        It is the standard deviation of the readings that the cells would give without effects, in
-        units of σ.
+        The factor is the standard deviation of the readings that the cells would give without
+        effects, in units of σ.
         """
         dry = self.network.sensitivity() / self.readings.known_sigma.reshape(-1, 1)
         # diag(J₀ P J₀ᵀ), with J₀ the Jacobian over σ without effects and P the covariance of the
@@ -240,9 +237,9 @@ def fitted(
         is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
-        data = cells_alone().data(readings.alone(), Background(scene))
+        data = data_of_cells(scene, readings)
         data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
-        start = convex_cells(data, None)[0] if near is None else near
+        start = data.start()[0] if near is None else near
         # The Levenberg-Marquardt method suffices where cells explain the readings exactly, which is
         # usual.
         fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
@@ -254,13 +251,15 @@ def fitted(
             return None
         # Elsewhere cells stand at the boundary r = 0, and the solver of the estimates finds the
         # minimum.
+        from lampest.solvers.projected_newton import ProjectedNewton
+
+        cost = cost_of_solve(LEAST_SQUARES, scene, partial=data.partial)
         if patient:
-            solver = cells_alone().problem(scene, 1, float("inf"), partial=data.partial)
+            solver = ProjectedNewton(cost, Settings())
             solution = best_solution(solver, data, None if near is None else near[None])
         else:
-            brief = replace(cells_alone(), solver=BRIEF)
-            solver = brief.problem(scene, 1, float("inf"), partial=data.partial)
-            solution = solved_from(solver, evaluated(solver.cost, data, fit.cells[None]))
+            solver = ProjectedNewton(cost, BRIEF)
+            solution = solved_from(solver, evaluated(cost, data, fit.cells[None]))
         if solution.solved:
             return CellsFit.at(scene, data, readings, solution.cell_resistance[0])
     return None

@@ -15,21 +15,20 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from lampest.estimate.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
-from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
-from lampest.estimate.compared_frames import ComparedFrames, broken_law
-from lampest.estimate.fitted_pair import FittedPair
-from lampest.estimate.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
-from lampest.estimate.rivals import (
+from lampest.files.errors import BROKEN, InputError
+from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
+from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
+from lampest.inference.compared_frames import ComparedFrames, broken_law
+from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
+from lampest.inference.rivals import (
     Rival,
     changes_beyond_noise,
     other_converters,
     rivals_of,
     rounded_down,
 )
-from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.branches import branch
 
 # −2 ln evidence by which another circuit may beat the scene's without a doubt: of 430 recordings
 # with the right circuit nearly all gain less (docs/theory/model_check.md).
@@ -168,7 +167,7 @@ def _fits(
         fit = fitted(rival.scene, frame, start, patient=patient)
         # of two panels that read alike the one that continues the unloaded panel is meant
         elsewhere = chosen is None and fit is not None and bool(fits)
-        if elsewhere and fit and branch(fit.network) != branch(fits[0].network):
+        if elsewhere and fit and fit.network.branch != fits[0].network.branch:
             fit = fitted(rival.scene, frame, fits[0].cells, patient=patient)
         if fit is None or not (patient or fit.within_noise):
             return ()
@@ -179,9 +178,9 @@ def _fits(
 def better_rival(frames: ComparedFrames, specified: Explanation | None) -> BetterExplanation:
     """Return the rival that explains the readings better than the scene's circuit.
 
-    It explains them where the scene's circuit does not, or better by MIN_EVIDENCE_GAIN. Rivals
-    under which most cells have moved do not count, because the still cells cannot be identified
-    then.
+    A better rival explains them where the scene's circuit does not, or gains more than
+    MIN_EVIDENCE_GAIN. Rivals under which most cells have moved do not count, because the still
+    cells cannot be identified then.
 
     Parameters
     ----------
@@ -292,7 +291,7 @@ def _compared(
 ) -> BetterExplanation:
     """Return the best candidate as better, as nearly as good, or as neither."""
     if specified is None or best.pair is None:
-        return BetterExplanation(best.rival.name)
+        return BetterExplanation(best.rival.name, addition=best.rival.addition)
     gain = (specified.beyond_noise - best.beyond_noise) / best.pair.excess
     if specified.pair is None or gain <= DOUBTFUL_GAIN or not best.pair.moved.any():
         return BetterExplanation()
@@ -305,7 +304,13 @@ def _compared(
         return BetterExplanation(nearly=best.rival.name if doubtful else "")
     moved = int(best.pair.moved.sum())
     moved_as_specified = int(specified.pair.moved.sum())
-    return BetterExplanation(best.rival.name, frames.loaded, moved, moved_as_specified)
+    return BetterExplanation(
+        best.rival.name,
+        frames.loaded,
+        moved,
+        moved_as_specified,
+        addition=best.rival.addition,
+    )
 
 
 def some_in_series(
@@ -370,8 +375,8 @@ class _ParameterSearch:
 def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given resistance in series.
 
-    It is searched for about the best of SERIES_POINTS, and about the given one only where a change
-    of it may gain by linear theory.
+    The search is made about the best of SERIES_POINTS, and about the given resistance only where a
+    change of it may gain by linear theory.
     """
     rival = explanation.rival
     most = most_in_series(rival, frames)
@@ -399,7 +404,8 @@ def with_series(explanation: Explanation, frames: ComparedFrames) -> Explanation
 def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> Explanation:
     """Return a circuit's explanation with the most probable or the given converter memory.
 
-    A scene that states a memory keeps it. It is searched for where it may gain by linear theory.
+    A scene that states a memory keeps it. Other memories are searched for where they may gain by
+    linear theory.
     """
     rival = explanation.rival
     if rival.scene.converter_memory is not None or rival.scene.readout is None:
@@ -466,7 +472,7 @@ def _without_series(rival: Rival) -> Rival:
 def most_in_series(rival: Rival, frames: ComparedFrames) -> float:
     """Return the largest resistance in series that the readings allow, ohm.
 
-    It is 0 where none is possible or known.
+    The result is 0 where no such resistance is possible or known.
     """
     if not rival.scene.circuit.series_name or len(frames.standing) == 0:
         return 0.0

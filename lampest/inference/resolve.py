@@ -13,18 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import fitted
-from lampest.estimate.changed_cells import mostly_still
-from lampest.estimate.converter_zero import ZERO, with_converter_ends
-from lampest.estimate.fitted_pair import FittedPair
-from lampest.estimate.model_error import scaled, with_model_error
-from lampest.estimate.noise import BROKE_DOWN, NoiseEstimate, without_effects
-from lampest.estimate.nuisances import CircuitEffects
-from lampest.estimate.saturation import passed_range
-from lampest.estimate.scan_motion import READING_ERRORS, UNKNOWN_SHARE, Share, share_of_motion
-from lampest.estimate.still_cells import shared_errors
 from lampest.files.errors import BROKEN
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import fitted
+from lampest.inference.changed_cells import mostly_still
+from lampest.inference.fitted_pair import FittedPair
+from lampest.inference.model_error import scaled, with_model_error
+from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
+from lampest.inference.nuisances import CircuitEffects
+from lampest.inference.saturation import ZERO, passed_range, with_converter_ends
+from lampest.inference.scan_motion import READING_ERRORS, UNKNOWN_SHARE, Share, share_of_motion
+from lampest.inference.still_cells import shared_errors
 from lampest.panel.effects import Effect, LineLeak, LooseContact
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.characteristic import MAX_VOLT
@@ -184,7 +183,7 @@ def _with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEsti
 def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> NoiseEstimate:
     """Determine the change of all cells alike since the unloaded frames.
 
-    It is determined from the cells that no load touches.
+    The cells that no load touches determine it.
     """
     scene = recording.scene
     readings = noise.readings
@@ -279,7 +278,7 @@ def resolved(
 ) -> NoiseEstimate:
     """Return the noise of a single network with all effects that its scene names.
 
-    It is returned with the model's error, too.
+    The model's error is included.
 
     Parameters
     ----------
@@ -321,11 +320,10 @@ def _as_the_whole(
 
 
 def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
-    """Return the scene with numbers in place of `estimated`.
+    """Return the scene with numbers in place of `estimated`, as far as the recording has them.
 
-    It has them as far as the recording determines them. An error that it cannot determine has its
-    prior, any other effect is absent. A number that the scene's key does not allow is the nearest
-    allowed one.
+    An error that the recording cannot determine has its prior, any other effect is absent. A number
+    that the scene's key does not allow is the nearest allowed one.
     """
     keys = [*chain.from_iterable(entry.keys for entry in ENTRIES), *FRAME_KEYS]
     requested = [key for key in keys if specified(scene, key) == ESTIMATED]

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lampest.estimate.noise import NoiseEstimate
+from lampest.inference.noise import NoiseEstimate
 from lampest.panel.panel import Modules
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording

@@ -1,6 +1,6 @@
 """Noise of a recording, estimated from its own frames, and readings with the corresponding σ.
 
-The scatter of unloaded frames (`lampest.estimate.variance_components`) is compared with the
+The scatter of unloaded frames (`lampest.inference.variance_components`) is compared with the
 specified noise. Specified noise is replaced only where the frames contradict it; noise, gain and
 ripple that a scene leaves open are taken from them. `NoiseEstimate` holds the result, with a
 sentence for each number and contradiction.
@@ -12,11 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.alike import PanelChoice
-from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
-from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.estimate.scan_motion import Share, displacement
-from lampest.estimate.variance_components import (
+from lampest.files.levels import SIGNIFICANCE
+from lampest.inference.alike import PanelChoice
+from lampest.inference.nuisances import CircuitEffects, remaining_errors, without_effects_of
+from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.inference.scan_motion import Share, displacement
+from lampest.inference.variance_components import (
     MIN_EXCESS,
     NO_RIPPLE,
     Scatter,
@@ -24,7 +25,6 @@ from lampest.estimate.variance_components import (
     repeated_scatter,
     unloaded_scatter,
 )
-from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS
@@ -117,18 +117,19 @@ class NoiseEstimate:
 
     @property
     def error_in_sigma(self) -> float:
-        """Part of `reading_error` that σ of the readings includes.
-
-        It is a fraction of the reading.
-        """
+        """Part of `reading_error` that σ of the readings includes, as a fraction of the reading."""
         return 0.0 if self.possible_errors is None else self.possible_errors.in_sigma
 
     @property
     def shared_sizes(self) -> tuple[float, float, float]:
-        """Standard deviations of a frame's gain and of its ripple.
+        """Standard deviations of the errors that the readings of a frame share.
 
-        They are those of the gain, %, of the ripple common to all lines and of each line's own,
-        LSB.
+        Returns
+        -------
+        gain : float
+            In percent.
+        common_ripple, line_ripple : float
+            Ripple common to all lines, and each line's own, in LSB.
         """
         if self.frame is None:
             return 0.0, 0.0, 0.0
@@ -337,7 +338,7 @@ def _with_estimated_frame_noise(
 ) -> NoiseEstimate:
     """Return the noise with the gain and the ripple that the scene calls `estimated`.
 
-    They are determined from the unloaded frames.
+    The unloaded frames determine both.
     """
     scene = recording.scene
     unloaded = int((recording.role == UNLOADED).sum())

@@ -24,8 +24,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from lampest.estimate.outliers import QUIET_SHARE
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
+from lampest.inference.outliers import QUIET_SHARE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_scan_lines
 from lampest.posterior.frame_noise import motion_patterns
@@ -349,13 +349,18 @@ def _common_ripple(common: Array, repeats: int, variance: float) -> tuple[Array,
 
 
 def posterior_size(squares: float, freedom: float, variance: float) -> tuple[float, float]:
-    """Return the posterior mean and standard deviation of the size s of an effect beside noise.
+    """Return the posterior of the size s of an effect beside noise.
 
     Σ x² of n samples x ~ N(0, s² + v) is `squares`; n is `freedom`, v `variance`. The prior is p(s)
     ~ 1/(s² + v), so that the mean is unbiased for every n where an effect exceeds the noise of its
     samples: for v → 0
 
         E[s | x] = √(Σ x²/2) Γ(n/2)/Γ((n + 1)/2),   E[√(Σ x²)] = √2 s Γ((n + 1)/2)/Γ(n/2).
+
+    Returns
+    -------
+    mean, sd : float
+        Posterior mean and standard deviation, in the unit of the samples.
     """
     rms = np.sqrt(max(squares / freedom, variance, TINY))
     noise = max(variance, (rms * MIN_NOISE_SHARE) ** 2)

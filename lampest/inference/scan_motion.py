@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.assumptions import ASSUMED
-from lampest.estimate.cells_fit import CellsFit, fitted, well_determined
-from lampest.estimate.changed_cells import MOVED_COST, mostly_still, usual_starts
-from lampest.estimate.deciding import MAX_NEIGHBOURS
-from lampest.estimate.fitted_pair import FittedPair
+from lampest.inference.assumptions import ASSUMED
+from lampest.inference.cells_fit import CellsFit, fitted, well_determined
+from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
+from lampest.inference.compared_frames import MAX_NEIGHBOURS
+from lampest.inference.fitted_pair import FittedPair
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene
@@ -77,9 +77,9 @@ def _steps(readings: Readings, measured: NDArray[np.intp]) -> Array:
 
 
 def _delays(scene: Scene, readings: Readings) -> Array:
-    """Return τ of each reading, shape (1, …).
+    """Return the delay τ of each reading from the middle of its frame, shape (1, …).
 
-    It is the delay from the middle of its frame, in periods, if a scan takes the whole period.
+    The unit is a period, if a scan takes the whole period.
     """
     channels = readings.value[0].size
     # τ of channel k of n: (k + ½)/n − ½

@@ -1,7 +1,9 @@
-"""Detection of a stage before the converter that saturates.
+"""Ends of the converter and of the stage before it, from channels that stand there.
 
-Significantly more channels end at one voltage than near it. The readings there are bounds, as at a
-rail.
+Where a stage before the converter saturates, significantly more channels end at one voltage than
+near it. The readings there are bounds, as at a rail. An open cell reads the potential in which its
+load ends: where several channels of the unloaded panel stand at one lowest code, this code stands
+for that potential.
 """
 
 from dataclasses import dataclass, replace
@@ -9,9 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.converter_zero import with_converter_ends
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.panel.panel import Array
+from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.divider import Divider
+from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.sizes import ESTIMATED
 from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
@@ -21,6 +25,9 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 # all are alike.
 MIN_EXTENT = 10.0
 COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
+ZERO = "readout.converter.zero_volt"
+MIN_OPEN = 6  # channels at the lowest code
+TOGETHER = 1.0  # steps within which they stand
 
 
 @dataclass(frozen=True)
@@ -149,9 +156,14 @@ def with_saturated_stage(recording: Recording) -> Recording:
 def passed_range(
     bounds: tuple[float, float], converted: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """Return the part of a range of voltages that is within a converter's, V; None if it is empty.
+    """Return the part of a range of voltages that is within a converter's; None if it is empty.
 
     A stage is found from readings with noise, so that its limit may lie beyond the converter's.
+
+    Returns
+    -------
+    (lowest, highest) : tuple of float, or None
+        In volts.
     """
     low = max(bounds[0], converted[0])
     high = min(bounds[1], converted[1])
@@ -181,3 +193,60 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
             ]
         differing.append(np.array(differs))
     return np.asarray(differing[0][:, None] & differing[1])
+
+
+def with_converter_ends(
+    recording: Recording,
+) -> tuple[Recording, tuple[float, float] | None]:
+    """Replace `zero_volt: estimated` by a number.
+
+    Returns
+    -------
+    recording : Recording
+        With the estimate, or with the end of a scene without the key.
+    zero : (float, float) or None
+        The estimate and its standard deviation in volts; None where frames show none.
+    """
+    readout = recording.scene.readout
+    converter = None if readout is None else readout.converter
+    if readout is None or not isinstance(converter, Characteristic):
+        return recording, None
+    if converter.zero_volt != ESTIMATED:
+        return recording, None
+    zero = _zero_of_open_cells(recording)
+    ends = replace(converter, zero_volt=readout.zero_volt if zero is None else zero[0])
+    if zero is not None and converter.full_volt is None:
+        # An offset moves both ends
+        ends = replace(ends, full_volt=readout.full_scale_volt + zero[0])
+    known = replace(readout, converter=ends)
+    codes = readout.steps_from_volt(readout.volt_from_recorded(recording.recorded))
+    recorded = known.recorded_from_volt(known.volt_from_code(codes))
+    return replace(
+        recording, recorded=recorded, scene=replace(recording.scene, readout=known)
+    ), zero
+
+
+def _zero_of_open_cells(recording: Recording) -> tuple[float, float] | None:
+    """Return the voltage of code 0 and its standard deviation; None where no cell is open."""
+    readout = recording.scene.readout
+    unloaded = recording.role == UNLOADED
+    if readout is None or not unloaded.any() or readout.code_sign < 0:
+        return None
+    if isinstance(readout, DrivenCircuit) and not readout.mirrored:
+        at_open = readout.recorded_reference_volt
+    elif isinstance(readout, Divider) and readout.measured_across == "reference":
+        at_open = 0.0
+    else:
+        return None
+    volt = readout.volt_from_recorded(recording.recorded[unloaded])
+    codes = readout.steps_from_volt(volt)
+    channels = codes.mean(axis=0)
+    channels = channels[np.isfinite(channels)]
+    lowest = channels[channels <= channels.min(initial=np.inf) + TOGETHER]
+    if len(lowest) < MIN_OPEN or lowest.mean() < 0.5:  # those at the rail are bounds
+        return None
+    spread = max(float(lowest.std()), 0.1) / np.sqrt(len(lowest))
+    return (
+        at_open - readout.lsb_volt * float(lowest.mean()),
+        readout.lsb_volt * spread,
+    )
