@@ -208,8 +208,8 @@ class Estimates:
         solved = int(self.solved.sum())
         status = self.status[0]
         return (
-            f"{type(self).__name__}({self.recording.name}: {self.method}, "
-            f"{solved} of {len(self.steps)} frames solved, the first: {status})"
+            f"{type(self).__name__}({self.recording.name}: "
+            f"{self.method}, {solved} of {len(self.steps)} frames solved, the first: {status})"
         )
 
     @property
@@ -407,8 +407,8 @@ class Estimates:
         if not self._is_part or number is None:
             return check
         message = (
-            f"; of a long recording {len(number)} frames between {number[0]} and "
-            f"{number[-1]} were asked"
+            f"; of a long recording {len(number)} frames between {number[0]} "
+            f"and {number[-1]} were asked"
         )
         return replace(check, sentence=check.sentence + message)
 
@@ -461,8 +461,7 @@ class Estimates:
         )
         return (
             f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} "
-            "times their noise in the "
-            "median frame: give a smaller weight, or leave the term out"
+            "times their noise in the median frame: give a smaller weight, or leave the term out"
         )
 
     @cached_property

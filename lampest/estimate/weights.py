@@ -89,8 +89,8 @@ def with_chosen_weights(
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     choose = search.by_evidence if rule == "evidence" else search.by_risk
     with np.errstate(all="ignore"):

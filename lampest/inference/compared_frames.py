@@ -188,8 +188,8 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
             return (
-                f"readings of frame {frames.named[frame]} break a law of the circuit by "
-                f"{beyond}: {test.law}"
+                f"readings of frame {frames.named[frame]} break a law "
+                f"of the circuit by {beyond}: {test.law}"
             )
     return below_series(rival, frames)
 
@@ -211,7 +211,7 @@ def below_series(rival: Rival, frames: ComparedFrames) -> str:
     place = np.unravel_index(np.argmax(excess), excess.shape)
     frame, row, column = place
     return (
-        f"the reading of row {row}, column {column} in frame {frames.named[frame]} lies "
-        f"{-remaining[place]:.3g} ohm "
-        f"below its series resistance, {excess[place]:.3g} times its noise"
+        f"the reading of row {row}, column {column} in frame {frames.named[frame]} "
+        f"lies {-remaining[place]:.3g} ohm below its series resistance, "
+        f"{excess[place]:.3g} times its noise"
     )

@@ -386,16 +386,16 @@ def _outlier_messages(
     replaced = int((outliers & ~impossible).sum())
     if replaced:
         message = (
-            f"{replaced} of {outliers.size} readings are outliers of one frame, replaced by "
-            "their neighbours in time"
+            f"{replaced} of {outliers.size} readings are outliers of one frame, "
+            "replaced by their neighbours in time"
         )
         rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
         rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
         # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
         if rate > MAX_SHARE:
             message += (
-                f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
-                "cover them"
+                f"; at {100 * rate:.2g} % there are more that nobody sees, "
+                "and error bars do not cover them"
             )
         messages.append(message)
     return tuple(messages)

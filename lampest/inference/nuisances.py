@@ -219,8 +219,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
         return ""
     return (
         f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
-        "creep, temperature or "
-        "the supply"
+        "creep, temperature or the supply"
     )
 
 

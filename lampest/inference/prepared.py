@@ -93,8 +93,8 @@ class Prepared:
         if isinstance(recording, Recording):
             return cls(recording)
         raise InputError(
-            "recording must be a Recording, such as Recording.load('mine.h5'), not "
-            f"{in_words(recording)}"
+            "recording must be a Recording, "
+            f"such as Recording.load('mine.h5'), not {in_words(recording)}"
         )
 
     @property
@@ -150,8 +150,8 @@ class Prepared:
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(
-                f"one value in all frames at {' and at '.join(places)}, while noise changes the "
-                "other readings: left out"
+                f"one value in all frames at {' and at '.join(places)}, "
+                "while noise changes the other readings: left out"
             )
         return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
 

@@ -121,9 +121,9 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     if size is None:
         return noise.with_motion(scene, measured, UNKNOWN_SHARE).undetermined(
             "motion",
-            "no frame has still cells beside a load that moves. Error bars allow for any share of "
-            "the time between frames; give the share, or record five unloaded frames and a load "
-            "that leaves most cells free",
+            "no frame has still cells beside a load that moves. "
+            "Error bars allow for any share of the time between frames; "
+            "give the share, or record five unloaded frames and a load that leaves most cells free",
         )
     noise = noise.with_motion(scene, measured, size)
     return noise.determined("motion", (size.mean, size.deviation))

@@ -62,8 +62,8 @@ class Saturated:
         )
         return (
             f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
-            "does a stage before the converter saturate there? Then name it: readout: "
-            "{passes_volt: estimated}"
+            "does a stage before the converter saturate there? "
+            "Then name it: readout: {passes_volt: estimated}"
         )
 
 

@@ -328,8 +328,8 @@ def tune(subject: WeightSubject) -> Curves:
     noisy = subject.data.noise_known
     if rule == "evidence" and not noisy:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     initial = subject.search.cost.terms[subject.penalty].weight
     specified = {} if initial == "auto" else {"given": float(initial)}

@@ -44,8 +44,8 @@ from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = (
-    "no pressures and forces, since the scene names no response; shapes are fitted with "
-    "the published one"
+    "no pressures and forces, since the scene names no response; "
+    "shapes are fitted with the published one"
 )
 NOT_CHECKED = "the circuit was not checked: --no-check leaves it out"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
@@ -189,8 +189,8 @@ class Known:
             for line, at in watch.faults
         )
         brief = tuple(
-            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be "
-            "recognised"
+            f"something touched the panel from {begin:.1f} s to {end:.1f} s, "
+            "too shortly to be recognised"
             for begin, end in watch.brief
         )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
@@ -560,8 +560,8 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
         relative = sigma_of_frames(np.log(value))
         size = float(np.nan_to_num(np.nanmedian(relative)))
     message = (
-        f"the noise is unknown: {100 * size:.2g} % a reading, from differences of "
-        "neighbouring frames"
+        f"the noise is unknown: {100 * size:.2g} % a reading, "
+        "from differences of neighbouring frames"
     )
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
 
