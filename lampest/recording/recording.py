@@ -351,6 +351,13 @@ class Recording(Validated):
 
         If the recording has unloaded frames, the map shows the change against them.
 
+        Parameters
+        ----------
+        frame : int, optional
+            By default that of the strongest change, or the first.
+        ax, figsize, vmin, vmax
+            As for `Reconstruction.plot`.
+
         Raises
         ------
         InputError

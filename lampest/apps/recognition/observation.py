@@ -31,9 +31,9 @@ PATCH_SHARE = 0.6
 
 
 def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
-    """Return the edge of a cell's film in mm.
+    """Return the edge of a cell's film in mm, by default PATCH_SHARE of the pitch.
 
-    It is by default PATCH_SHARE of the pitch, and at most the pitch.
+    The pitch is the upper limit.
     """
     return min(PATCH_SHARE * panel.pitch_mm if patch_mm is None else patch_mm, panel.pitch_mm)
 
@@ -114,7 +114,7 @@ class ModelErrors:
     def resting_covariance(self, seconds: float, cells: int) -> Array:
         """Return the covariance of ln r of all cells at rest, (cells, cells).
 
-        It has their own part and the common one.
+        The covariance is the sum of the cells' own part and a common one.
         """
         common = self.common_drift * log10(1 + seconds / 60)
         return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
@@ -122,10 +122,11 @@ class ModelErrors:
     def offsets(self, measured: Array, scene: RecognitionScene) -> Array:
         """Return the effect of every offset on the readings, E·sd (cells, offsets).
 
-        It is that of one standard deviation of the offset. Offsets are those of the channels of
-        rows and columns of every module and of the reference (for two-point resistances), and of
-        each reading if `reading_error` is nonzero. Voltages depend on the cells over the reference,
-        so that an error of the reference is one of ln r0, common to all cells and frames.
+        Each column is the effect of one standard deviation of an offset. Offsets are those of the
+        channels of rows and columns of every module and of the reference (for two-point
+        resistances), and of each reading if `reading_error` is nonzero. Voltages depend on the
+        cells over the reference, so that an error of the reference is one of ln r0, common to all
+        cells and frames.
 
         Parameters
         ----------
@@ -299,8 +300,8 @@ class Baseline:
     ) -> "Baseline":
         """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
 
-        It is determined without outliers. E belongs to f(r0), as in `Observation.offsets`: with E
-        of R0, an unchanged frame would differ from the baseline by the squares of its errors.
+        Outliers are left out. E belongs to f(r0), as in `Observation.offsets`: with E of R0, an
+        unchanged frame would differ from the baseline by the squares of its errors.
 
         Parameters
         ----------
@@ -362,8 +363,8 @@ class Baseline:
     def film(self, explained: Array, scatter: float) -> Array:
         """Return the covariance of ln r by deviations of the film, (cells, cells).
 
-        It is s² (x K xᵀ + diag w²) + b bᵀ. x is the explained change, K the correlation of cells
-        (common, near and own parts), w the effect of misplaced edges, and b the errors that all
+        The sum s² (x K xᵀ + diag w²) + b bᵀ has the explained change x, the correlation K of cells
+        (common, near and own parts), the effect w of misplaced edges, and the errors b that all
         cells share, by bending and by the patches' sizes.
 
         Parameters
@@ -447,9 +448,14 @@ class Observation:
         return np.asarray(self._gain[:, None] * network.sensitivity())
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """Return x of pressures (rows, columns) kPa, and dx/dp in 1/kPa.
+        """Return the change of cells under pressures (rows, columns) kPa.
 
-        |x| is at most MAX_LOG_CHANGE.
+        Returns
+        -------
+        change : array, shape (rows, columns)
+            x = ln r/r0, |x| at most MAX_LOG_CHANGE.
+        slope : array, shape (rows, columns)
+            dx/dp in 1/kPa.
         """
         response = self.baseline.response
         # kPa, for a central difference: F has corners
@@ -472,8 +478,8 @@ class Observation:
     def covariance(self, network: RecognitionNetwork, cells: Array | float = 0.0) -> Array:
         """Return the covariance of the readings about those of a network, (cells, cells).
 
-        It is σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E). The parts are the noise, errors shared
-        within the frame, the baseline's covariance C, and the drift T of cells.
+        The sum σ² + V Vᵀ + H C Hᵀ + J T Jᵀ with H = (J, E) has the noise, errors shared within the
+        frame, the baseline's covariance C, and the drift T of cells.
 
         Parameters
         ----------
@@ -498,7 +504,7 @@ class Observation:
     def cells(self, start: Array, prior: Array) -> MostProbable:
         """Return the most probable ln r/r0 of all cells with the prior N(0, `prior`).
 
-        It is reached from a start (rows, columns).
+        The search begins at `start` (rows, columns).
         """
 
         def model(change: Array) -> tuple[Array, Array, Array]:
@@ -517,7 +523,7 @@ class Observation:
     def map(self) -> Array:
         """Most probable ln r/r0 of every cell, (rows, columns).
 
-        It is that for independent cells with the prior `mapped`.
+        Cells are independent, with the prior `mapped`.
         """
         return self._mapped.state.reshape(self.measured.shape)
 
@@ -588,9 +594,9 @@ class Whitening:
         cells: Array | float = 0.0,
         scatter: float = 0.0,
     ) -> "Whitening":
-        """Return the errors about ln r/r0 = `change`, with a further covariance `cells`.
+        """Return the errors about ln r/r0 = `change`, with a further covariance of ln r.
 
-        It is a covariance of ln r, (cells, cells).
+        `cells` is this covariance, (cells, cells).
         """
         return cls(
             cholesky(frame.covariance(frame.baseline.network(change), cells), lower=True), scatter

@@ -315,9 +315,9 @@ class Watch:
         return replace(self, level=level, rest=rest, test=replace(self.test, loud=loud))
 
     def _resumed(self, logarithm: Array) -> "Watch":
-        """Return the state before the last step with the frames since.
+        """Return the state before the last step with the frames since, if readings have returned.
 
-        It is returned if readings have returned; else the state is unchanged.
+        Otherwise the state is unchanged.
         """
         former = self.former
         if former is None:
@@ -338,7 +338,7 @@ class Watch:
     def _least_step(self, time: float) -> Array:
         """Return the thresholds of the scores, (discs,).
 
-        They are a part of the load that is present, or of a fading residue.
+        A threshold is a part of the load that is present, or of a fading residue.
         """
         if not self.present:
             size: Array | float = 0.0 if self.look is None else self.look.fading(time)
@@ -384,7 +384,7 @@ class Watch:
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
 
-        It is the residue of each cell's decrease of |ln r/r0|.
+        The film keeps the residue of each cell's decrease of |ln r/r0|.
         """
         if self.known or not self._recognised:
             return self.film_sd
@@ -496,11 +496,11 @@ class Watch:
         return replace(watch, attachments=continued)
 
     def _heard(self, time: float) -> "Watch":
-        """Return the watch after breath and suction of every load were judged.
+        """Return the watch with judged breath and suction of every load.
 
-        They are judged once each FIRST_S and BLOCK_S. The last frame is left out of a breath,
-        because it may be the first one of a release. After a step the load may have left, so its
-        breath is judged again from the next recognition on.
+        A breath is judged at most once in JUDGED_S, suction once in BLOCK_S. The last frame is left
+        out of a breath, because it may be the first one of a release. After a step the load may
+        have left, so its breath is judged again from the next recognition on.
         """
         assert self.look is not None
         loads = list(self.attachments)

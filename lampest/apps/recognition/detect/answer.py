@@ -268,9 +268,7 @@ class Detected:
 def answer_of(
     load: Attachment, rate: float, threshold: float = MIN_PROBABILITY
 ) -> tuple[str, float, str]:
-    """Return the answer by one load, its probability, and a reason, or ''.
-
-    It is the reason why the answer is no more specific.
+    """Return the answer by one load.
 
     Parameters
     ----------
@@ -279,6 +277,13 @@ def answer_of(
         Frames per second.
     threshold : float
         Probability from which it is called a lamprey, or a suction cup.
+
+    Returns
+    -------
+    answer : str
+    probability : float
+    reason : str
+        Why the answer is no more specific, or ''.
     """
     breath = load.breath
     alive = load.sucks * load.lives
@@ -415,9 +420,9 @@ def event_table(answers: Sequence[Detected]) -> Table:
 
 
 def load_table(answers: Sequence[Detected]) -> Table:
-    """Return a table with a row for each attachment.
+    """Return a table with a row for each attachment, with figures of its touched cells.
 
-    It has probabilities, unless all panels are mats, and figures of the touched cells.
+    Probabilities are left out if all panels are mats.
     """
     shown = () if all(answer.mat for answer in answers) else tuple(CHANCES)
     rows = []

@@ -214,10 +214,14 @@ class Known:
         return replace(detected, why=brief[-1]) if brief and not attachments else detected
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
-        """Return the values and σ of one frame, (rows, columns).
+        """Return the values of one frame with their noise.
 
-        σ is infinite where a reading is no value and does not bound a change; see
-        `with_bounds_counted`.
+        Returns
+        -------
+        values : array, shape (rows, columns)
+        sigma : array, shape (rows, columns)
+            Infinite where a reading is no value and does not bound a change; see
+            `with_bounds_counted`.
         """
         sigma = self.sigma if readings.sigma is None else readings.sigma
         side = np.where(readings.seen > 0, readings.side, np.nan)
@@ -227,7 +231,7 @@ class Known:
 def with_bounds_counted(
     value: Array, sigma: Array, side: Array, resting: Array, resting_side: Array | None
 ) -> tuple[Array, Array]:
-    """Return values and σ of frames in which bounds count as far as they say anything.
+    """Return frames in which bounds count as far as they say anything.
 
     A bound beyond the resting reading is a change of that much at least: its value with a σ of
     BOUND_SHARE of the change. A bound that was one at rest, too, shows no change. All others have
@@ -241,6 +245,10 @@ def with_bounds_counted(
         Unloaded readings.
     resting_side : array, shape (rows, columns), or None
         Their sides; None: all are values.
+
+    Returns
+    -------
+    value, sigma : arrays, shape (…, rows, columns)
     """
     was_bound = np.zeros(resting.shape) if resting_side is None else resting_side
     change = value - resting
@@ -281,9 +289,13 @@ def _of_case(task: tuple[CaseResult, float | None, float]) -> Detected:
 
 
 def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
-    """Return the knowledge of a recording from its results, and its measured frames.
+    """Return the knowledge of a recording from its results, as from the recording itself.
 
-    They are as of the recording itself.
+    Returns
+    -------
+    known : Known
+    frames : iterable of (array, array, float)
+        Values and σ, (rows, columns), and the time in s of each measured frame.
     """
     side = np.where(case.valued, case.measured, np.nan)
     spread = case.sigma
@@ -329,7 +341,7 @@ def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Know
 def _frame_sigma(case: CaseResult, value: Array, sigma: Array, count: int) -> Array:
     """Return σ of one frame's readings by the σ of the mean of `count` frames.
 
-    It is without errors that all frames share. Averaging reduces neither the error of the model nor
+    Errors that all frames share are left out. Averaging reduces neither the error of the model nor
     the one of each reading, see `scaled` and `_with_reading_error` of `lampest.estimate`.
     """
     shared = own_errors(value, case.scene, case.error_in_sigma)
@@ -387,7 +399,7 @@ def answer_recording(
 ) -> Unchecked:
     """Return the answer to a recording, which is read part by part.
 
-    It does not wait for the check of the circuit, unless the answer depends on it. A check that a
+    The answer does not wait for the check of the circuit, unless it depends on it. A check that a
     run has kept holds here, too. Raises InputError where the recording cannot be read.
 
     Parameters
@@ -563,7 +575,7 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
 def recordings_in(paths: Sequence[Path]) -> list[Path]:
     """Return the files, and of folders the recordings in them and in their folders.
 
-    They are in the order of their names.
+    The recordings of a folder are in the order of their names.
 
     Raises InputError for a folder without a recording.
     """
