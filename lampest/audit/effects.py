@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
 from lampest.files.errors import BROKEN
-from lampest.files.levels import SIGNIFICANCE
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.memory import estimated_memory, memory_gain
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import specified
 from lampest.inference.saturation import saturated

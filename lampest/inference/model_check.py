@@ -15,20 +15,20 @@ import numpy as np
 
 from lampest.files.applications import applications
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
-from lampest.inference.compared_frames import (
-    MAX_NEIGHBOURS,
-    ComparedFrames,
-    baseline_readings,
-    below_series,
-    broken_law,
-)
+from lampest.inference.compared_frames import ComparedFrames, below_series, broken_law
 from lampest.inference.explanation import Explanation, better_rival
 from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.nuisances import BetterExplanation, CircuitEffects, find_effects
 from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Modules
 from lampest.recording.readings import mean_change
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import (
+    MAX_NEIGHBOURS,
+    MEASURED,
+    UNLOADED,
+    Recording,
+    baseline_readings,
+)
 
 EXPLAINED = "the circuit explains its readings"
 # Deviation of ln of a module's median reading at rest from the other modules: none of 1,640

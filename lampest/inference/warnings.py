@@ -61,18 +61,6 @@ def warnings_of(
     return tuple(filter(None, (*of_readings, loaded, circuit, corrections, *of_noise)))
 
 
-def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
-    """Return the number of unsolved frames with the reason of the first, in words.
-
-    '' where there is none.
-    """
-    failed = int(np.sum(~solved))
-    if not failed:
-        return ""
-    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
-    return f"{count} solved: {status[int(np.argmin(solved))]}"
-
-
 def _roles(role: NDArray[np.uint8]) -> str:
     """Return a warning of too few unloaded frames; ''."""
     unloaded = int((role == UNLOADED).sum())

@@ -24,12 +24,11 @@ from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import BROKEN, InputError
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.spectrum import Spectrum
-from lampest.recording.recording import Recording
+from lampest.recording.recording import Recording, baseline_readings, deciding_frames
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution, evaluated
 

@@ -23,7 +23,6 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
-from lampest.inference.compared_frames import baseline_readings
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
@@ -34,7 +33,14 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand_in
-from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
+from lampest.recording.recording import (
+    MEASURED,
+    TOUCHED,
+    UNEVENLY,
+    UNLOADED,
+    Recording,
+    baseline_readings,
+)
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
