@@ -43,7 +43,10 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 
 
 def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
-    """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom. Any shape."""
+    """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom.
+
+    The arguments may have any shape.
+    """
     return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
 
 
@@ -76,6 +79,6 @@ def largest_of(excess: ArrayLike, count: int) -> Array:
 def largest_normal(count: int, chance: float) -> float:
     """Return the size that max |x| of `count` numbers exceeds with probability ≤ `chance`.
 
-    The numbers are standard normal. By Bonferroni's inequality.
+    The numbers are standard normal. The size is Bonferroni's bound.
     """
     return float(-ndtri(chance / (2 * count)))

@@ -1,6 +1,6 @@
 """Conversion of estimates to the content of a results file.
 
-Also the conversion of its attributes to the noise of frames.
+The module also converts attributes of the file to the noise of frames.
 """
 
 import hashlib
@@ -120,10 +120,7 @@ def library_versions(*further: str) -> dict[str, str]:
 
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
-    """Return the numbers and the patterns in volt of a frame's noise by name.
-
-    Empty without noise.
-    """
+    """Return the numbers and the patterns in volt of a frame's noise by name, if any."""
     parts = {} if noise is None else {name: getattr(noise, part) for name, part in NOISE.items()}
     return {
         name: np.array(part, dtype=float, order="C")

@@ -1,10 +1,10 @@
 """Log-barrier interior-point method with potentials eliminated.
 
 The method minimises φ(g) − μ Σ log(g − g_low) − μ Σ log(g_high − g) over the conductances g for
-decreasing μ, by Newton's method with the multipliers of the bounds as further unknowns. It serves
-twice: a start far from the optimum of a cost with several minima follows its central path, which
-ends in lower minima than steps straight down; and plain least squares of a large panel, where many
-cells end at a bound, take a tenth of the products.
+decreasing μ, by Newton's method with the multipliers of the bounds as further unknowns. A start far
+from the optimum of a cost with several minima follows the central path of the method, which ends in
+lower minima than steps straight down. Plain least squares of a large panel, where many cells end at
+a bound, take a tenth of the products.
 Source: Nocedal & Wright, Numerical Optimization, 2006, sections 19.2 and 19.3.
 """
 

@@ -1,4 +1,4 @@
-"""Progress of a descent: which steps are accepted, and when a solve ends without an optimum.
+"""Progress of a descent: acceptance of steps, and the end of a solve without an optimum.
 
 A step is accepted if the cost falls by enough of what the quadratic model predicts. A solve ends if
 its steps have lowered the cost too little for too long, or if its time is over.
@@ -69,7 +69,7 @@ def sufficient_decrease(point: Iterate, trial: Iterate, predicted: float) -> boo
 
 
 def late_or_stalled(data: Data, history: History) -> Status | None:
-    """Return why a solve ends before an optimum: its time is over, or it has stalled. None: not.
+    """Return the status of a solve that is overdue or stalled, or None.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def late_or_stalled(data: Data, history: History) -> Status | None:
 def stalled(history: History) -> bool:
     """Return whether cost and projected gradient have stalled over a full window.
 
-    Neither of them then fell by the required amount.
+    Neither cost nor gradient fell by the required amount in the window.
 
     A stalled solve is one whose cost has stopped falling although its gradient has not vanished:
     the data and penalties leave a valley whose floor is flat, or a loss has corners that second

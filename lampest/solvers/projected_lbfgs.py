@@ -232,7 +232,7 @@ def _last_steps(
 ) -> tuple[Array, Mask, Mask]:
     """Return the Newton steps of panels, and which of the `near` ones are settled or stuck.
 
-    Panels whose gradient is small are near an optimum. They are settled if M shows a minimum and
+    Panels whose gradient is small are near an optimum. A panel is settled if M shows a minimum and
     the step is short, and stuck if ∇²φ is not positive definite. M is renewed, in place, where it
     does not show a minimum.
     """
@@ -286,10 +286,7 @@ class Secants:
         return Secants((*self.pairs, (step, change, size))[-self.most :])
 
     def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
-        """Return −H ∇φ over the free cells by the two-loop recursion.
-
-        Here H = M⁻¹ corrected by the secants.
-        """
+        """Return −H ∇φ over the free cells, H = M⁻¹ corrected by the secants in two loops."""
         slope = np.where(points.free, points.gradient, 0.0)
         shares = list[Array]()
         for step, change, size in reversed(self.pairs):

@@ -245,9 +245,9 @@ def _next_point(
     *,
     convex: bool,
 ) -> Iterate:
-    """Return an accepted trial with what the next iteration takes over from its point.
+    """Return an accepted trial with the preconditioner and the certificate of its predecessor.
 
-    The preconditioner is kept unless conjugate gradients took too many products.
+    Both are left out if conjugate gradients took too many products.
     """
     hessian = point.hessian
     worn = direction.products > STEPS.max_reuse_products[hessian.dense]

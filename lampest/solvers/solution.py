@@ -197,7 +197,7 @@ class Outcome:
 class Solution:
     """Checked estimate of one solve.
 
-    NaN unless it is an optimum, or an approximation that was requested.
+    Arrays are NaN unless the estimate is an optimum, or an approximation that was requested.
 
     Attributes
     ----------
@@ -482,10 +482,7 @@ def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Ou
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
-    """Return a solution of NaN with a status where nothing was solved.
-
-    Shape (frames, rows, columns).
-    """
+    """Return a solution of NaN, (frames, rows, columns), with the status of a failed solve."""
     unknown = np.full(shape, np.nan)
     flags = np.zeros(shape, dtype=bool)
     return Solution(

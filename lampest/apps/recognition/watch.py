@@ -249,8 +249,8 @@ class Watch:
         """The reason why the load on the panel is unknown, in words; '' where it is known."""
         if self.present and not self.known:
             return (
-                f"something touched the panel at {self.level.since_s:.1f} s, and has not been "
-                "still for long enough"
+                f"something touched the panel at {self.level.since_s:.1f} s, "
+                "and has not been still for long enough"
             )
         return self.history
 

@@ -23,7 +23,6 @@ from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
 from lampest.files.process import ONE_BLAS_THREAD, logged_reason
-from lampest.inference.compared_frames import baseline_readings
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.nuisances import CircuitEffects, without_effects_of
 from lampest.inference.prepared import Prepared
@@ -34,7 +33,14 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import AT_LEAST, AT_MOST, VALUE, Readings, stand_in
-from lampest.recording.recording import MEASURED, TOUCHED, UNEVENLY, UNLOADED, Recording
+from lampest.recording.recording import (
+    MEASURED,
+    TOUCHED,
+    UNEVENLY,
+    UNLOADED,
+    Recording,
+    baseline_readings,
+)
 from lampest.recording.stored import StoredRecording
 from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
@@ -44,8 +50,8 @@ from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = (
-    "no pressures and forces, since the scene names no response; shapes are fitted with "
-    "the published one"
+    "no pressures and forces, since the scene names no response; "
+    "shapes are fitted with the published one"
 )
 NOT_CHECKED = "the circuit was not checked: --no-check leaves it out"
 HEAD_FRAMES = 100  # measured frames from which, with the unloaded ones, the noise is estimated
@@ -193,8 +199,8 @@ class Known:
             for line, at in watch.faults
         )
         brief = tuple(
-            f"something touched the panel from {begin:.1f} s to {end:.1f} s, too shortly to be "
-            "recognised"
+            f"something touched the panel from {begin:.1f} s to {end:.1f} s, "
+            "too shortly to be recognised"
             for begin, end in watch.brief
         )
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
@@ -577,8 +583,8 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
         relative = sigma_of_frames(np.log(value))
         size = float(np.nan_to_num(np.nanmedian(relative)))
     message = (
-        f"the noise is unknown: {100 * size:.2g} % a reading, from differences of "
-        "neighbouring frames"
+        f"the noise is unknown: {100 * size:.2g} % a reading, "
+        "from differences of neighbouring frames"
     )
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
 
