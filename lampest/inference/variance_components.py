@@ -22,14 +22,13 @@ rest.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import fdtrc
 
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.outliers import QUIET_SHARE
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_scan_lines
 from lampest.posterior.frame_noise import motion_patterns
-from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.interval import chi_square_tail, variance_ratio_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
@@ -285,7 +284,7 @@ def _motion(deviation: Array, patterns: Array, repeats: int) -> tuple[Array, Arr
     noise = max(remaining / freedom, TINY)
     ratio = max(squares - remaining, 0.0) / moved_freedom / noise
     excess = squares / (freedom + moved_freedom) / noise
-    if excess < MIN_EXCESS**2 or fdtrc(moved_freedom, freedom, ratio) >= SIGNIFICANCE:
+    if excess < MIN_EXCESS**2 or variance_ratio_tail(ratio, moved_freedom, freedom) >= SIGNIFICANCE:
         return none, deviation
     sizes = np.zeros(len(patterns))
     for number in seen:

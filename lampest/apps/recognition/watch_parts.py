@@ -124,7 +124,7 @@ class WatchSetup:
 
     def _common(self, readings: Array) -> Array:
         """Return a root (cells, n) of the covariance of errors that a frame's readings share."""
-        parts = [np.zeros((readings.size, 0))]
+        parts: list[Array] = [np.zeros((readings.size, 0))]
         parts += [] if self.common is None else [self.common(readings)]
         parts += [motion_columns(readings, self.motion)] if self.motion.size else []
         return np.hstack(parts)
