@@ -61,7 +61,7 @@ def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
 
 
 def variance_ratio_tail(ratio: float, upper: float, lower: float) -> float:
-    """Return P(F ≥ ratio) of a ratio of mean squares with `upper` and `lower` degrees of freedom."""
+    """Return P(F ≥ ratio) for mean squares with `upper` and `lower` degrees of freedom."""
     return float(fdtrc(upper, lower, ratio))
 
 
