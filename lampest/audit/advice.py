@@ -82,8 +82,8 @@ class Audit:
             return
         if scene.readout.noise_specified and noise.sigma_factor != 1:
             evidence = (
-                f"readings at rest scatter {noise.factor:.3g} +- {noise.factor_error:.1g} "
-                "times as specified"
+                "readings at rest scatter "
+                f"{noise.factor:.3g} +- {noise.factor_error:.1g} times as specified"
             )
             estimated = {"readout": {"noise_lsb": ESTIMATED}}
             yield Finding("noise", "the noise is another one", evidence, estimated)

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from lampest.audit.finding import Finding
 from lampest.files.errors import BROKEN
-from lampest.files.levels import SIGNIFICANCE
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANCE
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.memory import estimated_memory, memory_gain
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import specified
 from lampest.inference.saturation import saturated
@@ -184,9 +183,8 @@ def _memory(evidence: Gathered) -> Iterator[Finding]:
     if not isinstance(estimate, str):
         share, deviation = estimate
         yield _finding(
-            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % of the "
-            "channel before: so fewer "
-            "cells have moved under the load",
+            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % "
+            "of the channel before: so fewer cells have moved under the load",
             "converter_memory",
             ESTIMATED,
         )
@@ -219,9 +217,8 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if error is not None:
         mean, deviation = error
         yield _finding(
-            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in "
-            "all frames: cells are "
-            "rougher than those of films",
+            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
+            "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
             ESTIMATED,
         )
@@ -241,9 +238,8 @@ def _motion(evidence: Gathered) -> Iterator[Finding]:
         share = share_of_motion(*compared, READING_ERRORS)
     if share is not None and share.gain > MIN_EVIDENCE_GAIN:
         yield _finding(
-            f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "
-            f"{share.deviation:.1g} of the time "
-            "between frames",
+            "still cells seem to move with the load; "
+            f"a scan takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
             "motion",
             ESTIMATED,
         )

@@ -117,8 +117,8 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     least, best = min(candidates, key=lambda pair: pair[0])
     if least < MAX_RATIO * as_specified:
         evidence = (
-            f"changes are {as_specified / least:.2g} times smoother and better aligned with "
-            "the lines then"
+            f"changes are {as_specified / least:.2g} times smoother "
+            "and better aligned with the lines then"
         )
         yield Finding(
             "order",

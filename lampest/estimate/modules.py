@@ -137,8 +137,8 @@ def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
     assert layout is not None
     if estimator.error_bars is True or estimator.weighs_previous:
         raise InputError(
-            "error_bars: estimates with terms over the seams of modules (panel.modules.coupled) "
-            "have none"
+            "error_bars: estimates with terms over the seams of modules "
+            "(panel.modules.coupled) have none"
         )
     for number, module in enumerate(scene.of_modules):
         if not isinstance(module.circuit, TwoPointReadout) or module.wiring is not None:

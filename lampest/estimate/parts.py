@@ -11,12 +11,11 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import MeasuredPart, first_stream, frame_period
 from lampest.estimate.stream import CarriedOver, Stream
 from lampest.files.errors import InputError
-from lampest.inference.compared_frames import baseline_readings
 from lampest.inference.outliers import WINDOW
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
 from lampest.recording.readings import mean_change
-from lampest.recording.recording import MEASURED, Recording
+from lampest.recording.recording import MEASURED, Recording, baseline_readings
 from lampest.recording.stored import StoredRecording, first_unloaded, joined, measured_part
 
 # Unloaded frames, and measured ones around the strongest, that represent a long recording; at most

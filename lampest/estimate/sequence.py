@@ -15,12 +15,11 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream, with_needed_priors
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.solution import Status
 
 # Recording of a network, its readings, and the unloaded ones.

@@ -21,7 +21,6 @@ from lampest.cost.problem import NO_DUAL, Data
 from lampest.estimate.objective import Objective
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA
-from lampest.inference.compared_frames import MAX_NEIGHBOURS
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
@@ -36,6 +35,7 @@ from lampest.posterior.spectrum import (
     next_weights,
     settled_weights,
 )
+from lampest.recording.recording import MAX_NEIGHBOURS
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.solution import Settings
 
@@ -89,8 +89,8 @@ def with_chosen_weights(
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     choose = search.by_evidence if rule == "evidence" else search.by_risk
     with np.errstate(all="ignore"):

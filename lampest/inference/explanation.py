@@ -16,11 +16,12 @@ import numpy as np
 import scipy
 
 from lampest.files.errors import BROKEN, InputError
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.cells_fit import SMALL_CHI_SQUARE, CellsFit, fitted, well_determined
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames, broken_law
 from lampest.inference.fitted_pair import FittedPair
-from lampest.inference.nuisances import MAX_CANDIDATES, MIN_EVIDENCE_GAIN, BetterExplanation
+from lampest.inference.nuisances import MAX_CANDIDATES, BetterExplanation
 from lampest.inference.rivals import (
     Rival,
     changes_beyond_noise,

@@ -25,7 +25,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 # all are alike.
 MIN_EXTENT = 10.0
 COMPARED_FRAMES = 8  # frames, about, in which the voltages of lines are compared
-ZERO = "readout.converter.zero_volt"
 MIN_OPEN = 6  # channels at the lowest code
 TOGETHER = 1.0  # steps within which they stand
 
@@ -62,8 +61,8 @@ class Saturated:
         )
         return (
             f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
-            "does a stage before the converter saturate there? Then name it: readout: "
-            "{passes_volt: estimated}"
+            "does a stage before the converter saturate there? "
+            "Then name it: readout: {passes_volt: estimated}"
         )
 
 

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
 from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
-from lampest.inference.compared_frames import MAX_NEIGHBOURS
 from lampest.inference.fitted_pair import FittedPair
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
@@ -31,6 +30,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
+from lampest.recording.recording import MAX_NEIGHBOURS
 
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.

@@ -116,13 +116,12 @@ def unobservable_numbers(scene: Scene, of_changes: float | None = None) -> str:
     remaining = ""
     if of_changes is not None:
         remaining = (
-            f"; at these ends changes of loaded cells are off by {100 * of_changes:.2g} % in the "
-            "median"
+            "; at these ends changes of loaded cells "
+            f"are off by {100 * of_changes:.2g} % in the median"
         )
     return (
         f"no frame shows the numbers with which all cells scale, assumed {named}{remaining}; "
-        "lampest calibrate "
-        "measures them"
+        "lampest calibrate measures them"
     )
 
 

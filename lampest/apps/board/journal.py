@@ -368,8 +368,8 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
             cause = error.__cause__
             reason = cause.strerror if isinstance(cause, OSError) else None
             raise InputError(
-                f"{path}: {counted(recording.frames, 'frame')} kept, but the file cannot be "
-                f"completed ({reason or str(error).removeprefix(f'{path}: ')}); "
+                f"{path}: {counted(recording.frames, 'frame')} kept, but "
+                f"the file cannot be completed ({reason or str(error).removeprefix(f'{path}: ')}); "
                 f"lampest check --repair {path} completes it once there is room"
             ) from error
         return recording.scene, recording.frames, noise

@@ -31,8 +31,8 @@ MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tes
 # Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
 ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
 PICKLED = (
-    "it holds pickled objects, which run code when they are opened, so that lampest does not "
-    "open them"
+    "it holds pickled objects, "
+    "which run code when they are opened, so that lampest does not open them"
 )
 ONE = "(rows, columns)"
 STACKED = "(rows, columns, frames)"

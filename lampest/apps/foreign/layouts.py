@@ -56,10 +56,9 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
             replace(shorter, notes=(*table.notes, f"empty columns left out: {empty}")), shape
         )
     raise InputError(
-        f"{table.place(0, None)}: {counted(table.width, 'field')}; {shape[0]} × {shape[1]} cells "
-        f"need {cells}, "
-        f"{cells + 1} with the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in "
-        "a line for each row; "
+        f"{table.place(0, None)}: {counted(table.width, 'field')}; "
+        f"{shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with the time, "
+        f"or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row; "
         "`layout` says what each field is"
     )
 
@@ -466,9 +465,10 @@ def _blocks(
     parts = whole_parts(table.values[:, fields], rows) if len(groups) == 1 else ()
     if parts is None:
         raise InputError(
-            f"{table.source.source}: {counted(len(table.lines), 'line')} are no whole number of "
-            f"frames of {rows} lines, and the readings do not show which are lost, doubled or of a "
-            "cut frame; leave the lines before the first whole frame and behind the last one out"
+            f"{table.source.source}: {counted(len(table.lines), 'line')} "
+            f"are no whole number of frames of {rows} lines, "
+            "and the readings do not show which are lost, doubled or of a cut frame; "
+            "leave the lines before the first whole frame and behind the last one out"
         )
     frame = np.full(len(table.lines), -1)
     row = np.zeros(len(table.lines), dtype=np.intp)
@@ -539,7 +539,7 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
     long = next((group for group in best[0] if len(group) > rows), None)
     if long and not whole(best[0]):
         raise InputError(
-            f"{table.place(long[0], None)}: a block of {len(long)} lines, where the panel has "
-            f"{rows} rows"
+            f"{table.place(long[0], None)}: "
+            f"a block of {len(long)} lines, where the panel has {rows} rows"
         )
     return best

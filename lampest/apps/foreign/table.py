@@ -428,8 +428,8 @@ def _damage_note(source: FieldLines, damaged: NDArray[np.bool_]) -> str:
         return ""
     numbers = [source.lines[line].number for line in np.flatnonzero(damaged).tolist()]
     return (
-        f"bytes that are no text: their fields in {source.word} {first_and_more(numbers)} are "
-        "missing"
+        "bytes that are no text: their fields "
+        f"in {source.word} {first_and_more(numbers)} are missing"
     )
 
 

@@ -33,9 +33,8 @@ HINT = ": open the address that lampest printed when it began, with its token if
 REQUEST_HEADER = "X-Lampest"
 HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; script-src "
-    "'unsafe-inline'; "
-    "style-src 'unsafe-inline'; img-src data:",
+    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; "
+    "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -64,8 +63,8 @@ class Access:
     def __post_init__(self) -> None:
         if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},}}", self.token):
             raise InputError(
-                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ (or "
-                "none: one is made up)"
+                f"--token: give at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~ "
+                "(or none: one is made up)"
             )
 
     @classmethod

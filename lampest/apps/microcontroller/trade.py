@@ -203,8 +203,8 @@ def chosen_budget(
         if not fits:
             least, most = by_cost[0].milliseconds(processor)
             raise InputError(
-                f"no budget takes {milliseconds:g} ms on {processor}: the smallest takes "
-                f"{least:.2g} to {most:.2g} ms"
+                f"no budget takes {milliseconds:g} ms on {processor}: "
+                f"the smallest takes {least:.2g} to {most:.2g} ms"
             )
         if within is None:
             return min(fits, key=lambda trade: trade.median), DEFAULT_WITHIN

@@ -24,12 +24,11 @@ from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import BROKEN, InputError
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel, rank
 from lampest.posterior.spectrum import Spectrum
-from lampest.recording.recording import Recording
+from lampest.recording.recording import Recording, baseline_readings, deciding_frames
 from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution, evaluated
 
@@ -328,8 +327,8 @@ def tune(subject: WeightSubject) -> Curves:
     noisy = subject.data.noise_known
     if rule == "evidence" and not noisy:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     initial = subject.search.cost.terms[subject.penalty].weight
     specified = {} if initial == "auto" else {"given": float(initial)}

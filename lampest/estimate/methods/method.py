@@ -25,7 +25,6 @@ from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
-from lampest.inference.alike import STILL, nearest_panel, noise_share
 from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -148,6 +147,8 @@ class Method(Configuration):
 
         Of those that give its readings, found from known panels; the previous cells where none is.
         """
+        from lampest.inference.alike import nearest_panel, noise_share
+
         assert state.previous is not None
         known = [state.previous, state.baseline_resistance]
         if state.panels is not None:
@@ -458,6 +459,8 @@ def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
     """
     if not (data.readout.several_panels and solution.solved):
         return False
+    from lampest.inference.alike import STILL
+
     moved = np.abs(np.log(solution.cell_resistance / start))
     return bool(np.median(moved) > STILL)
 

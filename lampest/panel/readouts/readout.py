@@ -172,9 +172,8 @@ class Readout(Converter, ABC):
         self._check_scan_order(scene.panel)
         if np.any(scene.series_ohm) and not self.in_series:
             raise ValueError(
-                "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's "
-                "resistance is part "
-                "of the readout's drive_ohm or sense_ohm"
+                "series_resistance_ohm belongs to readout.kind: two_point; "
+                "with others a channel's resistance is part of the readout's drive_ohm or sense_ohm"
             )
 
     def in_scene(self, scene: Surroundings) -> "Readout":

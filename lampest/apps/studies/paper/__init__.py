@@ -559,8 +559,8 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
         change = side.change(published.mouth_method, number)
         title = f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}"
         note = (
-            f"ours {' × '.join(map(str, covered(change)))} cells, paper {mouth.cells} × "
-            f"{mouth.cells}"
+            f"ours {' × '.join(map(str, covered(change)))} cells, "
+            f"paper {mouth.cells} × {mouth.cells}"
         )
         tiles["fig9"].append(Tile(title, change, note))
     return tiles
