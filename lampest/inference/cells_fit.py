@@ -78,7 +78,7 @@ class CellsFit(SumOfSquares):
     measured : Readings
         (rows, columns).
     readings : Readings
-        The measured readings less what effects add to those of the network.
+        The measured readings less the contribution of effects.
     network : Network
         Network of the cells, without effects.
     effects : tuple of Effect
@@ -245,8 +245,8 @@ def fitted(
         Whether every start is tried, and any misfit accepted. Otherwise few iterations are allowed,
         and a fit far from noise is given up.
     effects : sequence of Effect
-        Effects in the network beside its circuit. With effects the fit that the first loop reaches
-        is returned.
+        Effects in the network in addition to its circuit. With effects the fit that the first loop
+        reaches is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
         data = data_of_cells(scene, readings)

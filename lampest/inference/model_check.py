@@ -103,7 +103,7 @@ class ModelCheck:
 
 @dataclass(frozen=True, eq=False)
 class Question(ComparedFrames):
-    """Whether the scene's circuit explains these frames, and what else explains them."""
+    """Whether the scene's circuit, or another explanation, agrees with these frames."""
 
     @cached_property
     def _shares(self) -> tuple[float, float]:

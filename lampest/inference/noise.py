@@ -178,7 +178,7 @@ class NoiseEstimate:
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine.
 
-        The sentence says why, and what to record.
+        The sentence states the reason, and the frames to record.
         """
         return self.with_warnings(
             f"{key}: estimated, but this recording cannot determine it: {reason}"
@@ -197,7 +197,7 @@ class NoiseEstimate:
     ) -> "NoiseEstimate":
         """Return the noise with readings that are interpolated to the middle of their scan.
 
-        Their σ contains what the interpolation leaves.
+        Their σ contains the error of the interpolation.
 
         Parameters
         ----------

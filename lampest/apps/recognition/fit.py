@@ -318,7 +318,7 @@ class Fitting:
         return Whitening.about(self.frame, fit.change, self.film(fit, scatter), scatter)
 
     def film(self, fit: Fit, scatter: float) -> Array:
-        """Return the covariance of ln r beside the change that a fit explains, (cells, cells).
+        """Return the covariance of ln r about the change that a fit explains, (cells, cells).
 
         Its causes are the deviations of the film, and the loose cells of the frame that the fit's
         loads do not cover.
@@ -352,7 +352,7 @@ def along_diameter(fitting: Fitting, fit: Fit, likelihood: CellLikelihood) -> Fi
     A profile may lead over a ridge of the cost into a deeper valley. The fit then begins again
     there.
 
-    No reading depends on a rim between patches: the cost is flat there and steep beside it, and the
+    No reading depends on a rim between patches: the cost is flat there and steep around it, and the
     curvature at the best φ̂ underestimates the width. δ = ln d is stepped, and all other parameters
     are fitted for each δ:
 

@@ -77,7 +77,7 @@ class SteadyFrames(NamedTuple):
         """Return the times between which a series, (frames,), is at another level.
 
         () where a wave alone explains it as well. Both ends of the best level, or one, are compared
-        beside the best wave.
+        together with the best wave.
 
         Parameters
         ----------

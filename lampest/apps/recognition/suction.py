@@ -78,7 +78,7 @@ def suctions(frame: Observation) -> list[Suction]:
     A group of neighbouring cells has risen if each of them has, by more than MIN_FALL and
     NOISE_REACH standard deviations. The group is under suction if MIN_ENCLOSED of the cells around
     it have fallen as clearly. Nothing is concluded if the cells of the unloaded panel are as uneven
-    as under loads: what rises may then have been relieved.
+    as under loads: a rising cell may then have been relieved.
     """
     panel = frame.panel
     change = frame.free_map

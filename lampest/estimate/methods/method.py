@@ -424,9 +424,9 @@ class OptimalMethod(Method):
     ) -> Solution:
         """Return the lowest optimum of a frame's starts.
 
-        `prepared` is what an earlier solution carries, or None. With auto a frame that one solver
-        does not end at an optimum is given to the other one, from the same starts; so is one that
-        IPOPT does not end at a strict optimum, because the other one holds more digits.
+        `prepared` is the carried state of an earlier solution, or None. With auto a frame that one
+        solver does not end at an optimum is given to the other one, from the same starts; so is one
+        that IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = solver.cells_alone
@@ -447,7 +447,7 @@ class OptimalMethod(Method):
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return what the solution of a single frame carries for the next one, else None."""
+        """Return the state of a single frame's solution that the next one carries, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
 

@@ -292,7 +292,7 @@ class Readout(Converter, ABC):
         tolerance : float
             Largest root mean square of the differences to them, over the median reading.
         firsts : sequence of array, shape (rows, columns)
-            Cells beside uniform ones at which searches begin, ohm.
+            Cells at which searches begin, in addition to uniform ones, ohm.
         """
         del measured, tolerance, firsts
         return []
