@@ -135,7 +135,7 @@ class CellsFit(SumOfSquares):
     def refitted(self, measured: Readings, effects: "tuple[Effect, ...]") -> "CellsFit | None":
         """Return the fit to other readings or effects, from these cells on.
 
-        None where no fit is found.
+        The result is None where no fit is found.
         """
         return fitted(self.scene, measured, self.cells, patient=True, effects=effects)
 
@@ -232,7 +232,7 @@ def fitted(
 ) -> CellsFit | None:
     """Return argmin Σ ((f(r) − y)/σ)² of one frame over r > 0.
 
-    None where the solver or arithmetic fails.
+    The result is None where the solver or arithmetic fails.
 
     Parameters
     ----------

@@ -322,7 +322,7 @@ def some_in_series(
 ) -> Explanation | None:
     """Return a circuit's explanation with the best of SERIES_POINTS other resistances in series.
 
-    Each fit begins at the cells of the one before. None without any.
+    A fit begins at the cells of the one before. The result is None without any fit.
     """
     most = most_in_series(rival, frames)
     best = None

@@ -118,7 +118,7 @@ class Question(ComparedFrames):
     def explanation(self) -> "Explanation | None":
         """Cells that explain these frames.
 
-        None without a fit, or with more than MAX_MISSING bounds.
+        The value is None without a fit, or with more than MAX_MISSING bounds.
         """
         return Explanation.of(self.specified, self, patient=True) if self._few_bounds else None
 

@@ -111,7 +111,7 @@ class NoiseEstimate:
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
-        0 where none is observed.
+        The value is 0 where none is observed.
         """
         if self.possible_errors is None:
             return 0.0
@@ -308,7 +308,8 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
     """Return the sentence on noise of `ratio` times the specified one.
 
-    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    The result is '' where both are equal in two digits. `unloaded` is the number of unloaded
+    frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
@@ -411,8 +412,8 @@ def _outlier_messages(
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
-    used.
+    The result is None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a
+    converter is not used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout

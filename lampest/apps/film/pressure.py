@@ -411,9 +411,14 @@ KPA_MM2 = 1e-3  # force of one kPa on a square millimetre, newton
 
 
 class Force(NamedTuple):
-    """Force and its standard deviation, newton; NaN where unknown.
+    """Total force.
 
-    saturated : number of saturated cells; with any the force is a lower bound.
+    Attributes
+    ----------
+    newton, deviation : float
+        Force and its standard deviation in newtons; NaN where unknown.
+    saturated : int
+        Number of saturated cells; with any the force is a lower bound.
     """
 
     newton: float

@@ -112,7 +112,7 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
 def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTable:
     """Return the table with its named fields first, and without those called '-'.
 
-    Of the named fields, `lead` stood first already.
+    The first `lead` of the named fields already stand before the readings.
     """
     trailing = len(names) - lead
     order = [

@@ -105,10 +105,7 @@ def operations_of(constants: Constants) -> int:
 
 
 def instructions(constants: Constants, products: Array, steps: Array) -> Array:
-    """Return the instructions of frames on a Cortex-M4F.
-
-    products : conjugate-gradient iterations.
-    """
+    """Return the instructions of frames on a Cortex-M4F by their conjugate-gradient iterations."""
     longer, shorter = sorted(constants.scene.panel.shape, reverse=True)
     cells = longer * shorter
     operations = operations_of(constants)

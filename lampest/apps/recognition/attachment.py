@@ -88,7 +88,7 @@ class Attachment:
     def breathes(self) -> float:
         """Probability that its suction oscillates like breathing, given that it sucks.
 
-        1/2 before any observation.
+        The value is 1/2 before any observation.
         """
         return self.breath.probability
 
@@ -130,7 +130,7 @@ class Attachment:
     def pumps(self) -> float:
         """Probability that its suction is pumped up after a decay, given that it sucks.
 
-        1/2 before any observation.
+        The value is 1/2 before any observation.
         """
         return 1 / (1 + exp(-self._pumping))
 

@@ -346,8 +346,8 @@ class Detector:
     ) -> Fit:
         """Return the coarse fit of several loads at once.
 
-        Each is of the kind with which the fit is most probable. Kinds are exchanged greedily, load
-        by load.
+        Every load is of the kind with which the fit is most probable. Kinds are exchanged greedily,
+        load by load.
 
         Parameters
         ----------

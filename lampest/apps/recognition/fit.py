@@ -1,10 +1,10 @@
-"""Fit of one candidate, or of a field of any form, to one frame.
+"""Fit of one candidate, or of a field of any form, to one frame, and comparison of fits.
 
-Also the comparison of fits by their evidence. The evidence is Laplace's approximation. In a field
-each cell has one of four states, from quiet to strongly changed, with a Potts prior on neighbours.
-The posterior is P(fit | frame) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all
-kinds, except that further loads, and loads in one place, are improbable. Whether a load sucks is
-not decided by fits, but by its cells (`lampest.apps.recognition.suction`).
+The evidence is Laplace's approximation. In a field each cell has one of four states, from quiet to
+strongly changed, with a Potts prior on neighbours. The posterior is P(fit | frame) ∝
+e^(evidence·EVIDENCE_SHARE)·P(fit). The prior is equal for all kinds, except that further loads, and
+loads in one place, are improbable. Whether a load sucks is not decided by fits, but by its cells
+(`lampest.apps.recognition.suction`).
 """
 
 from collections.abc import Mapping, Sequence

@@ -53,10 +53,7 @@ class Suction:
     y_mm: float
 
     def disc(self, panel: Panel, larger: float = 1.0) -> Disc:
-        """Return the disc of the same area of suction with a usual rim.
-
-        Its diameter is multiplied by a factor.
-        """
+        """Return the disc of the same area of suction with a usual rim, scaled by a factor."""
         inner = 2 * (float(self.cells.sum()) / pi) ** 0.5 * panel.pitch_mm * larger
         width, suction = RIM_MM
         outer = inner + 2 * width

@@ -1,7 +1,4 @@
-"""Methods of estimation: from a frame's data to its cells and the state for the next frame.
-
-Their optima are verified.
-"""
+"""Methods of estimation: from a frame's data to verified cells and the state for the next frame."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -143,9 +140,10 @@ class Method(Configuration):
         return data, np.minimum(panels[0][1], data.upper[0])[None]
 
     def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
-        """Return the panel of a frame that differs least from the unloaded one.
+        """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
-        Of those that give its readings, found from known panels; the previous cells where none is.
+        The panels are found from known panels. The result are the previous cells where none is
+        found.
         """
         from lampest.inference.alike import nearest_panel, noise_share
 

@@ -333,7 +333,7 @@ def _silence_in_words(load: Attachment) -> str:
 def headline(called: Sequence[str]) -> str:
     """Return the counts of visits in words, such as '7 lamprey visits, 2 unsure, 1 suction cup'.
 
-    Of contacts alone it is their number, '3 contacts'.
+    If there are only contacts, the text is their number, such as '3 contacts'.
     """
     lampreys = called.count(LAMPREY)
     unsure = called.count(SUCKS)

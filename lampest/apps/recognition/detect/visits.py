@@ -173,7 +173,7 @@ def _with_error(name: str, load: dict[str, Any]) -> Any:
 def _clock(start: str | None, seconds: float) -> str | None:
     """Return the date and time that many seconds after the start, to a tenth of a second.
 
-    None without a start.
+    The result is None without a start.
     """
     if not start:
         return None

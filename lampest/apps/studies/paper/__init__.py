@@ -99,7 +99,7 @@ class MouthMap(NamedTuple):
 class ErrorRow(NamedTuple):
     """A row of table I: time of a step in s, and |f(r) − R_m|/R_m in percent.
 
-    Both have mean and standard deviation.
+    A number is given by its mean and standard deviation.
     """
 
     method: str
