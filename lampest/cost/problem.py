@@ -186,7 +186,7 @@ class Data:
     def start_minimises(self, cost: Cost) -> bool:
         """Return whether the readout's start minimises a cost.
 
-        It does where the cost has readings alone, and cells that reproduce them are unique.
+        The start minimises a cost of readings alone if the cells that reproduce them are unique.
         """
         return all(term.reads_measurement for term in cost.terms) and self.readout.unique
 

@@ -47,6 +47,7 @@ MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
+MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
@@ -285,7 +286,13 @@ def estimate_noise(
     if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
         noise = noise.determined("readout.noise_lsb", (size, size / precision))
-    return _with_estimated_frame_noise(noise, recording, parts)
+    noise = _with_estimated_frame_noise(noise, recording, parts)
+    if not parts.motion.size:
+        return noise
+    none = np.zeros((len(parts.common_ripple), 0))
+    frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
+    moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))
+    return replace(noise, frame=replace(frame, motion=parts.motion)).with_warnings(moved)
 
 
 def _contradicting_factor(recording: Recording, parts: Scatter) -> float:

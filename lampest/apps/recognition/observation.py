@@ -105,6 +105,14 @@ class ModelErrors:
         reference = tolerance / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
 
+    def in_motion(self, motion: Array) -> "ModelErrors":
+        """Return the errors in water that moves cells by fractions `motion`, (n,).
+
+        Each cell has a part of its own, because cells respond differently.
+        """
+        own = self.response * float(np.hypot.reduce(motion, initial=0.0))
+        return replace(self, settled=hypot(self.settled, own))
+
     def resting_sd(self, seconds: float) -> float:
         """Return the standard deviation of each cell's drift, seconds after the baseline."""
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
@@ -398,9 +406,11 @@ class Observation:
         Pressure of the water, kPa, equal in the unloaded frames.
     seconds : float
         Time since the baseline.
-    common : array, shape (cells, n) or None
-        Root of the covariance of random errors that the frame's readings share: gain, ripple along
-        scanned lines.
+    common : callable or None
+        Returns a root (cells, n) of the covariance of random errors that the frame's readings
+        share: gain, ripple along scanned lines, motion of the water. It is of the readings that a
+        network predicts: two such roots, of a loaded and of the unloaded panel, would explain any
+        load as a difference of errors.
     loose : array, shape (rows, columns), or 0
         Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit
         does not cover them.
@@ -411,7 +421,7 @@ class Observation:
     baseline: Baseline
     water: Array
     seconds: float = 0.0
-    common: Array | None = field(default=None, kw_only=True)
+    common: Callable[[Array], Array] | None = field(default=None, kw_only=True)
     loose: Array | float = field(default=0.0, kw_only=True)
 
     @property
@@ -496,7 +506,8 @@ class Observation:
         errors[: len(slope), : len(slope)] += cells
         total = both @ errors @ both.T
         if self.common is not None:
-            total += self.common @ self.common.T
+            shared = self.common(network.reading())
+            total += shared @ shared.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     def cells(self, start: Array, prior: Array) -> MostProbable:

@@ -134,7 +134,9 @@ class Watch:
         frames = max(len(unloaded), 1)
         sigma = counting(sigma, measured)
         resting = np.log(measured.ravel())
-        frame = setup.frame(measured, sigma, setup.baseline(measured, sigma, frames))
+        baseline = setup.baseline(measured, sigma, frames)
+        swaying = np.full(len(setup.motion), setup.errors.swaying)
+        frame = setup.moved_by(swaying).frame(measured, sigma, baseline)
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
             len(unloaded), resting.size
         )
@@ -353,7 +355,8 @@ class Watch:
 
         The film's residue is in C.
         """
-        setup = self.setup
+        setup, change = self.setup.without_motion(logarithm - self.rest.mean)
+        logarithm = self.rest.mean + change
         shape = self.setup.scene.panel.shape
         baseline = setup.baseline(
             np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
