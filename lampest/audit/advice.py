@@ -1,8 +1,7 @@
-"""Advice: what a recording suggests beyond its scene.
+"""Advice on a scene from its recording.
 
-Each suggestion comes with its evidence and the entries of the scene that say so. Advice is made of
-what the estimates of a recording have determined, and of the health of the panel. No estimate uses
-it.
+Each suggestion comes with its evidence and the entries of the scene that say so. Advice is based on
+the estimates of a recording, and on the health of the panel. No estimate uses it.
 """
 
 from collections.abc import Iterator

@@ -142,7 +142,7 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
 
 
 def interaction(change: Array) -> Array:
-    """Return what is left of images after the means of rows and columns, (frames, rows, columns).
+    """Return images less the means of rows and columns, (frames, rows, columns).
 
     Crosstalk changes whole rows and columns; this part is the load's own.
     """

@@ -218,8 +218,8 @@ class WeightSearch:
         """Return the mean square of the residuals of each open term with an absolute loss.
 
         For the reference estimates the mean square is Σ (x̂² + diag(Z S Zᵀ)) over the residuals.
-        The weight of least risk does not tell it: an absolute loss may hold residuals that noise
-        hides, or that no one would miss. NaN of other terms.
+        The weight of least risk does not determine it: an absolute loss may hold residuals that
+        noise hides, or that no one would miss. NaN of other terms.
         """
         models = self.models(self.begun)
         variance = [np.nan] * len(self.cost.terms)

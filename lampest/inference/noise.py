@@ -112,7 +112,7 @@ class NoiseEstimate:
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
-        0 where none is observed.
+        The value is 0 where none is observed.
         """
         if self.possible_errors is None:
             return 0.0
@@ -179,7 +179,7 @@ class NoiseEstimate:
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine.
 
-        The sentence says why, and what to record.
+        The sentence states the reason, and the frames to record.
         """
         return self.with_warnings(
             f"{key}: estimated, but this recording cannot determine it: {reason}"
@@ -198,7 +198,7 @@ class NoiseEstimate:
     ) -> "NoiseEstimate":
         """Return the noise with readings that are interpolated to the middle of their scan.
 
-        Their σ contains what the interpolation leaves.
+        Their σ contains the error of the interpolation.
 
         Parameters
         ----------
@@ -315,7 +315,8 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
     """Return the sentence on noise of `ratio` times the specified one.
 
-    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    The result is '' where both are equal in two digits. `unloaded` is the number of unloaded
+    frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
@@ -418,8 +419,8 @@ def _outlier_messages(
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
-    used.
+    The result is None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a
+    converter is not used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout

@@ -159,7 +159,7 @@ def _with_added_effects(
 ) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
-    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
+    An effect has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
 
     Returns
     -------

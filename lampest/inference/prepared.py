@@ -1,6 +1,6 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
 
-Each is determined once.
+Every quantity is determined once.
 """
 
 from collections.abc import Sequence

@@ -69,9 +69,9 @@ class Saturated:
 def saturated(recording: Recording) -> Saturated | None:
     """Return the voltage at which several channels end.
 
-    None where there is none, or where the scene states one. Channels that moved under load are
-    tested by their largest or smallest voltage over the measured frames, all channels by their
-    unloaded voltage.
+    The result is None where there is none, or where the scene states one. Channels that moved under
+    load are tested by their largest or smallest voltage over the measured frames, all channels by
+    their unloaded voltage.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -135,7 +135,7 @@ def _channels_at_end(
 def with_saturated_stage(recording: Recording) -> Recording:
     """Return the recording with a number for `passes_volt: estimated`.
 
-    None in its place where its frames show none.
+    If frames show no saturated stage, the scene states None instead.
     """
     recording, _ = with_converter_ends(recording)
     readout = recording.scene.readout

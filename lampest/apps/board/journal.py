@@ -390,7 +390,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
     """Return the noise of a reading in LSB from differences of successive unloaded codes.
 
-    None below MIN_REPEATS.
+    The result is None below MIN_REPEATS.
     """
     total = 0.0
     count = 0

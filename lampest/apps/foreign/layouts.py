@@ -89,7 +89,7 @@ def _frames_of_numbers(table: ReadingsTable, shape: Shape) -> Frames:
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
     """Return (row, column) of the cells in the names of columns, by column, and a sentence.
 
-    None without such names.
+    The result is None without such names.
     """
     named: dict[int, tuple[int, int]] = {}
     for field, name in enumerate(names):
@@ -245,7 +245,7 @@ def _count_cells(table: ReadingsTable, cells: int) -> bool:
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
     """Return the row or column numbers in a field of all lines, from 3, R3 or 'row 3'.
 
-    NaN for any other text.
+    The result is NaN for any other text.
     """
     values = table.values[:, field].copy()
     unread = table.words[:, field]
@@ -512,9 +512,14 @@ def _blocks(
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Return the lines of every frame, and the kind of the titles between frames.
+    """Group the lines of a table into frames.
 
-    None for any kind, or no titles.
+    Returns
+    -------
+    frames : list of range
+        Lines of every frame.
+    kind : str or None
+        Kind of the titles between frames; None for titles of any kind, or none.
     """
     kinds = table.kinds
     separators = [line for line in range(1, len(kinds)) if kinds[line]]

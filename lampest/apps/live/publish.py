@@ -455,9 +455,7 @@ WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, Websocke
 def publish_at(where: str, token: str | None = None) -> Publish:
     """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`.
 
-    token : required of listeners.
-
-    Raises InputError for an unknown protocol and an invalid address.
+    Listeners need `token`. Raises InputError for an unknown protocol and an invalid address.
     """
     kind, _, address = where.partition("://")
     ways = {way.kind: way for way in WAYS}
@@ -484,10 +482,8 @@ def waited(done: Callable[[], bool], seconds: float) -> bool:
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
     """Send new pictures, answers and alarms by each protocol, until the series ends.
 
-    Each protocol has a thread of its own.
-
-    Yields the public addresses. say : receives a sentence at the first failure of a protocol.
-    Raises InputError if one cannot be opened.
+    A protocol has a thread of its own. The context has the public addresses. `say` receives a
+    sentence at the first failure of a protocol. Raises InputError if one cannot be opened.
     """
     with ExitStack() as opened:
         outlets = [opened.enter_context(way.opened(say)) for way in ways]

@@ -535,7 +535,7 @@ def _loss(term: Mapping[str, Any]) -> tuple[str, float]:
 def _penalty(term: Mapping[str, Any], case: CaseResult, scale: float) -> Penalty:
     """Return a penalty with its weight of the strongest frame.
 
-    The weight is divided by what the misfit is divided by.
+    The divisor of the weight is that of the misfit.
     """
     kind = term["kind"]
     if kind not in PENALTIES:

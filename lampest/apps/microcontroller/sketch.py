@@ -100,9 +100,9 @@ class Sketch:
     ----------
     files : tuple of Path
     about : tuple of str
-        Which estimator, and what it takes.
+        Sentences on the estimator and its effort.
     table : tuple of Trade
-        What budgets buy; empty without a C compiler or error bars.
+        Accuracy of each budget; empty without a C compiler or error bars.
     budget : Budget
         The chosen one.
     notes : tuple of str
@@ -136,7 +136,7 @@ class Wishes:
 
     @property
     def any(self) -> bool:
-        """Whether anything is asked."""
+        """Whether any wish is stated."""
         return self.within is not None or self.milliseconds is not None
 
 
@@ -159,7 +159,7 @@ def export_sketch(
     recording, estimator : str, optional
         The case; by default the first one.
     wishes : Wishes, optional
-        What the budget is chosen by.
+        Criteria for the choice of the budget.
 
     Raises
     ------

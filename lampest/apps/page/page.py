@@ -106,7 +106,7 @@ def report(
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table.
 
-    For the first recordings it has all figures.
+    The sections of the first recordings have all figures.
     """
     name, by_estimator, number, drawn = task
     in_full = number < MAX_SHOWN

@@ -371,7 +371,7 @@ class Watch:
     def _left(self, frame: Observation) -> bool:
         """Return whether a frame shows no more of the load before any pull than the film's residue.
 
-        True without a load. The common change by temperature is subtracted.
+        The result is True without a load. The common change by temperature is subtracted.
         """
         if self.look is None or self.look.over:
             return True
