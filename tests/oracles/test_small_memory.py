@@ -17,7 +17,7 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
-from lampest.inference.memory import estimated_memory, memory_gain
+from lampest.inference.effects.converter_memory import estimated_memory, memory_gain
 from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.prepared import Prepared
 from lampest.inference.rivals import Rival
