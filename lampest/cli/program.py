@@ -196,7 +196,7 @@ def _build() -> None:
 
 
 def program() -> Any:
-    """Return what runs the commands; its help names no type for options without a value."""
+    """Return the program of all commands; its help names no type for options without a value."""
     program = typer.main.get_command(app)
     waiting = [program]
     while waiting:

@@ -32,8 +32,6 @@ from lampest.solvers.solution import VERIFIED, Outcome, Solution, Status, soluti
 
 MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
-# Of a network: with more, inverse Hessians cost more than they save (docs/studies/speed.md).
-MAX_BLOCK_CELLS = 400
 # Mean of squared differences of two frames over σ²; with noise alone it is 2.
 MAX_NOISE_SQUARES = 4.0
 
@@ -123,22 +121,17 @@ def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Ste
     """Generate the stream after each of its next frames, with the frame's step.
 
     Up to MAX_BLOCK_FRAMES frames that are independent of each other are solved over a leading axis,
-    see `_solved_block`. Frames that the batch does not solve are pushed alone. Where no block is
-    possible, a single frame is pushed.
+    see `_solved_block`. Frames that the batch does not solve are pushed alone.
 
     Parameters
     ----------
     stream : Stream
+        One that takes blocks.
     readings : Readings
         The next frames, (frames, rows, columns).
     """
-    size = readings.value[0].size
-    count = 1
-    solved = dict[int, tuple[Stream, Step]]()
-    if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
-        count = min(len(readings.value), MAX_BLOCK_FRAMES)
-    if count > 1:
-        solved = _solved_block(stream, readings[:count])
+    count = min(len(readings.value), MAX_BLOCK_FRAMES)
+    solved = _solved_block(stream, readings[:count])
     for number in range(count):
         stream, step = solved.get(number) or stream.push(readings[number])
         yield stream, step
@@ -349,7 +342,7 @@ def _solved_batch(
 
 
 def _solution_of(ended: BatchOutcome, row: int, *, carried: Any) -> Solution:
-    """Return the solution of one stream of a batch, given what its method keeps."""
+    """Return the solution of one stream of a batch, given the state of its method."""
     points = ended.points
     at = points.at.some(row)
     gradient = points.gradient[row].reshape(at.cell_resistance.shape)

@@ -398,7 +398,7 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
 
 
 def _alternatives(node: Any, schema: Any) -> list[Any]:
-    """Return the schemas of which a value fulfils one, without references."""
+    """Return the alternative schemas of a value, without references."""
     while "$ref" in node:
         node = schema["$defs"][node["$ref"].rpartition("/")[2]]
     inner = node.get("anyOf", node.get("oneOf", ()))

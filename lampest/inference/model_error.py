@@ -15,18 +15,16 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
-from lampest.files.levels import TWO_SIDED
+from lampest.files.levels import MIN_EVIDENCE_GAIN, TWO_SIDED
 from lampest.inference.cells_fit import CellsFit, fitted
-from lampest.inference.compared_frames import baseline_readings, deciding_frames
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.inference.variance_components import MIN_EXCESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
 from lampest.posterior.reference import MAX_CELLS, MODEL, ErrorScale, references
 from lampest.recording.readings import Readings
-from lampest.recording.recording import UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, Recording, baseline_readings, deciding_frames
 from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 
 KEY = "systematic.model_error"

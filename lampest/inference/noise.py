@@ -8,14 +8,12 @@ sentence for each number and contradiction.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.alike import PanelChoice
-from lampest.inference.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.inference.outliers import MAX_SHARE, MIN_FRAMES
 from lampest.inference.variance_components import (
     MIN_EXCESS,
@@ -36,6 +34,10 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
+    from lampest.inference.nuisances import CircuitEffects
+
 # Unloaded frames from which noise is estimated if the scene does not specify it.
 MIN_UNLOADED_FRAMES = 5
 MIN_REQUESTED_FRAMES = 2  # where the scene calls it `estimated`: two frames show a scatter
@@ -44,6 +46,7 @@ MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
+MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
@@ -113,10 +116,10 @@ class NoiseEstimate:
     possible_errors: Possible | None = None
     motion: Share | None = None
     of_modules: tuple["NoiseEstimate | None", ...] = ()
-    corrected_effects: CircuitEffects | None = None
+    corrected_effects: "CircuitEffects | None" = None
     model_factor: float = 1.0
     estimated: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    panels: PanelChoice | None = None
+    panels: "PanelChoice | None" = None
 
     @property
     def sentence(self) -> str:
@@ -127,7 +130,7 @@ class NoiseEstimate:
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
-        0 where none is observed.
+        The value is 0 where none is observed.
         """
         if self.possible_errors is None:
             return 0.0
@@ -194,7 +197,7 @@ class NoiseEstimate:
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine.
 
-        The sentence says why, and what to record.
+        The sentence states the reason, and the frames to record.
         """
         return self.with_warnings(
             f"{key}: estimated, but this recording cannot determine it: {reason}"
@@ -227,11 +230,13 @@ class NoiseEstimate:
 
 
 def without_effects(
-    noise: NoiseEstimate, recording: Recording, besides: CircuitEffects | None
+    noise: NoiseEstimate, recording: Recording, besides: "CircuitEffects | None"
 ) -> NoiseEstimate:
     """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
         return noise
+    from lampest.inference.nuisances import remaining_errors, without_effects_of
+
     unloaded = recording.role == UNLOADED
     frame = noise.frame or FrameNoise(
         recording.scene, int(unloaded.sum()), 0.0, NO_RIPPLE, NO_RIPPLE
@@ -289,7 +294,13 @@ def estimate_noise(
     if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
         noise = noise.determined("readout.noise_lsb", (size, size / precision))
-    return _with_estimated_frame_noise(noise, recording, parts)
+    noise = _with_estimated_frame_noise(noise, recording, parts)
+    if not parts.motion.size:
+        return noise
+    none = np.zeros((len(parts.common_ripple), 0))
+    frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
+    moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))
+    return replace(noise, frame=replace(frame, motion=parts.motion)).with_warnings(moved)
 
 
 def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
@@ -312,7 +323,8 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
     """Return the sentence on noise of `ratio` times the specified one.
 
-    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    The result is '' where both are equal in two digits. `unloaded` is the number of unloaded
+    frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
@@ -397,16 +409,16 @@ def _outlier_messages(
     replaced = int((outliers & ~impossible).sum())
     if replaced:
         message = (
-            f"{replaced} of {outliers.size} readings are outliers of one frame, replaced by "
-            "their neighbours in time"
+            f"{replaced} of {outliers.size} readings are outliers of one frame, "
+            "replaced by their neighbours in time"
         )
         rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
         rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
         # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
         if rate > MAX_SHARE:
             message += (
-                f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
-                "cover them"
+                f"; at {100 * rate:.2g} % there are more that nobody sees, "
+                "and error bars do not cover them"
             )
         messages.append(message)
     return tuple(messages)
@@ -415,8 +427,8 @@ def _outlier_messages(
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
-    used.
+    The result is None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a
+    converter is not used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import SIGNIFICANT
+from lampest.files.levels import MIN_EVIDENCE_GAIN, SIGNIFICANT
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.fitted_pair import FittedPair, without_late
@@ -22,11 +22,6 @@ from lampest.panel.sizes import ESTIMATED
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MIN_CHANGE
 
-# In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the
-# right circuit gain 32 at most, and nearly all less than 15; of 500 others two gain more
-# (docs/theory/model_check.md). By an error of the model mouths at their limits gain 23 where
-# nothing is wrong, and 76 where readings are off by 7 % each.
-MIN_EVIDENCE_GAIN = 36.0
 # Rivals or effects that are solved exactly, the best ones of linear theory; effects at a time.
 MAX_CANDIDATES = 3
 # Fewer moved cells that an effect must bring: a converter's nonlinearity moves one.
@@ -168,7 +163,7 @@ def _with_added_effects(
 ) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
-    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
+    An effect has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
 
     Returns
     -------
@@ -223,8 +218,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
         return ""
     return (
         f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
-        "creep, temperature or "
-        "the supply"
+        "creep, temperature or the supply"
     )
 
 

@@ -1,23 +1,20 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
 
-Each is determined once.
+Every quantity is determined once.
 """
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import BROKEN, InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.inference.alike import PanelChoice
-from lampest.inference.model_check import EXPLAINED, ModelCheck, Question, check_of_modules
-from lampest.inference.module_noise import noise_of_modules
 from lampest.inference.noise import NoiseEstimate, estimate_noise
-from lampest.inference.nuisances import CircuitEffects
 from lampest.inference.outliers import (
     frozen_readings,
     impossible_readings,
@@ -25,8 +22,6 @@ from lampest.inference.outliers import (
     without_readings,
 )
 from lampest.inference.resolve import PASSES, ZERO, resolved, resolved_scene
-from lampest.inference.warnings import warnings_of
-from lampest.panel.effects import EFFECTS, Effect
 from lampest.panel.panel import Array, Modules
 from lampest.panel.scene import specified
 from lampest.panel.sizes import ESTIMATED
@@ -34,6 +29,12 @@ from lampest.panel.systematic import unobservable_numbers
 from lampest.recording.garbled import GarbledLines, garbled_lines, garbled_sentence, readings_of
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
+
+if TYPE_CHECKING:
+    from lampest.inference.alike import PanelChoice
+    from lampest.inference.model_check import ModelCheck, Question
+    from lampest.inference.nuisances import CircuitEffects
+    from lampest.panel.effects import Effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +94,8 @@ class Prepared:
         if isinstance(recording, Recording):
             return cls(recording)
         raise InputError(
-            "recording must be a Recording, such as Recording.load('mine.h5'), not "
-            f"{in_words(recording)}"
+            "recording must be a Recording, "
+            f"such as Recording.load('mine.h5'), not {in_words(recording)}"
         )
 
     @property
@@ -151,6 +152,8 @@ class Prepared:
         """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
         if self.layout is not None:
             estimates = [None if module is None else module.frame_noise for module in self.modules]
+            from lampest.inference.module_noise import noise_of_modules
+
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
         if self._estimates_ends:
@@ -165,35 +168,41 @@ class Prepared:
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(
-                f"one value in all frames at {' and at '.join(places)}, while noise changes the "
-                "other readings: left out"
+                f"one value in all frames at {' and at '.join(places)}, "
+                "while noise changes the other readings: left out"
             )
         return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
 
     @cached_property
     @ONE_BLAS_THREAD
-    def question(self) -> Question:
+    def question(self) -> "Question":
         """Frames of a single network that its circuit has to explain.
 
         Raises the errors of `BROKEN`.
         """
+        from lampest.inference.model_check import Question  # for a check alone
+
         return Question.of(self.cleaned.recording, self.cleaned.outliers)
 
     @cached_property
-    def effects(self) -> CircuitEffects:
+    def effects(self) -> "CircuitEffects":
         """Effects beside the circuit of a single network, of all kinds."""
+        from lampest.panel.effects import EFFECTS
+
         return self.effects_of(EFFECTS)
 
     @ONE_BLAS_THREAD
-    def effects_of(self, kinds: Sequence[type[Effect]]) -> CircuitEffects:
+    def effects_of(self, kinds: "Sequence[type[Effect]]") -> "CircuitEffects":
         """Return the effects beside the circuit of a single network, of some kinds."""
+        from lampest.inference.nuisances import CircuitEffects
+
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.cleaned.readings.sigma is not None:
                 return self.question.effects(kinds)
         return CircuitEffects()
 
     @cached_property
-    def check(self) -> ModelCheck:
+    def check(self) -> "ModelCheck":
         """Check of the circuit.
 
         Its sentence names the numbers of the circuit that no frame can determine.
@@ -218,8 +227,10 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def _check(self) -> ModelCheck:
+    def _check(self) -> "ModelCheck":
         """The check without the numbers that no frame can determine."""
+        from lampest.inference.model_check import ModelCheck, check_of_modules
+
         if self.layout is not None:
             living = {
                 number: module for number, module in enumerate(self.modules) if module is not None
@@ -245,7 +256,7 @@ class Prepared:
             None, "the circuit was not checked: arithmetic broke down over its readings"
         )
 
-    def _with_named_errors(self, check: ModelCheck) -> ModelCheck:
+    def _with_named_errors(self, check: "ModelCheck") -> "ModelCheck":
         """Return the check of a circuit with the errors that the scene names beside noise.
 
         The circuit is doubtful where the recording determines their size, because such errors may
@@ -258,7 +269,8 @@ class Prepared:
         question = replace(self.question, named_errors=self._named_errors)
         if question.fault:
             return check
-        from lampest.panel.estimated import estimated_lines  # for a sentence of the check alone
+        from lampest.inference.model_check import EXPLAINED
+        from lampest.panel.estimated import estimated_lines
 
         sizes = {
             key: size
@@ -294,6 +306,8 @@ class Prepared:
         """
         if self.layout is not None:
             estimates = [None if module is None else module.noise for module in self.modules]
+            from lampest.inference.module_noise import noise_of_modules
+
             return noise_of_modules(self.recording, self.layout, estimates)
         noise = resolved(
             self.frame_noise, self.cleaned.recording, self.whole_recording, self.effects_of
@@ -302,7 +316,7 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def panels(self) -> PanelChoice | None:
+    def panels(self) -> "PanelChoice | None":
         """Cells of a single network, where several panels read alike; None elsewhere.
 
         A part of a longer recording has those of the whole.
@@ -322,9 +336,13 @@ class Prepared:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Contradictions of the scene and pitfalls, one line each."""
+        from lampest.inference.warnings import warnings_of
+
         return warnings_of(self.recording, self.noise, self.check)
 
     @cached_property
     def warnings_without_check(self) -> tuple[str, ...]:
         """The warnings that need no check of the circuit, one line each."""
+        from lampest.inference.warnings import warnings_of
+
         return warnings_of(self.recording, self.noise, None)

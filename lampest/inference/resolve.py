@@ -1,15 +1,16 @@
 """Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
 
-Each effect is a file of `lampest.inference.effects`, loaded where a scene names it. What it returns
-holds the numbers with their standard deviations, and readings with the corresponding σ. Where the
-recording cannot determine a number, a warning says why and what to record, and the prior stays.
+Each effect is a file of `lampest.inference.effects`, loaded where a scene names it. The result of
+an effect has the numbers with their standard deviations, and readings with the corresponding σ.
+Where the recording cannot determine a number, a warning states the reason and the frames to record,
+and the prior stays.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,13 +18,15 @@ from lampest.files.applications import loaded
 from lampest.files.errors import BROKEN
 from lampest.inference.model_error import scaled, with_model_error
 from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
-from lampest.inference.nuisances import Besides
 from lampest.panel.panel import as_panels_have
 from lampest.panel.readouts.characteristic import MAX_VOLT
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
 from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, estimated_errors, systematic_of
 from lampest.recording.recording import MEASURED, Recording
+
+if TYPE_CHECKING:
+    from lampest.inference.nuisances import Besides
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ OF_NOISE = "readout.noise_lsb"
 
 
 def resolved(
-    noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate | None, effects: Besides
+    noise: NoiseEstimate, recording: Recording, whole: NoiseEstimate | None, effects: "Besides"
 ) -> NoiseEstimate:
     """Return the noise of a single network with all effects that its scene names.
 

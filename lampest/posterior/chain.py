@@ -179,7 +179,7 @@ class Chain:
     def since(self, first: int) -> Array:
         """Return the covariance of a frame with itself and all later ones, cell by cell.
 
-        Shape (frames − first, cells).
+        The shape is (frames − first, cells).
         """
         across = np.eye(self.own.shape[1])
         covariances = [np.diag(self.blocks[first])]

@@ -274,8 +274,9 @@ class DenseErrors:
     def reading_deviation(self) -> Array:
         """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂).
 
-        Shape (frames, rows, columns). F = ∂f/∂u, and S excludes the errors of earlier frames. For
-        measured readings S is approximated by s² A⁻¹; only for missing ones it is computed.
+        The shape is (frames, rows, columns). F is ∂f/∂u, and S excludes the errors of earlier
+        frames. For measured readings S is approximated by s² A⁻¹; only for missing ones it is
+        computed.
         """
         model = self.model
         slopes = self._readings_by_cells[:, model.free]

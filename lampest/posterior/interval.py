@@ -5,7 +5,17 @@ The intervals are two-sided or truncated at a bound.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtrc, gammaincc, gammaincinv, log_ndtr, ndtr, ndtri, ndtri_exp, stdtrit
+from scipy.special import (
+    bdtrc,
+    fdtrc,
+    gammaincc,
+    gammaincinv,
+    log_ndtr,
+    ndtr,
+    ndtri,
+    ndtri_exp,
+    stdtrit,
+)
 
 from lampest.panel.panel import Array
 
@@ -43,8 +53,16 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 
 
 def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
-    """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom. Any shape."""
+    """Return P(χ² ≥ chi_square) for positive, possibly fractional degrees of freedom.
+
+    The arguments may have any shape.
+    """
     return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+
+
+def variance_ratio_tail(ratio: float, upper: float, lower: float) -> float:
+    """Return P(F ≥ ratio) for mean squares with `upper` and `lower` degrees of freedom."""
+    return float(fdtrc(upper, lower, ratio))
 
 
 def chi_square_median(degrees: float) -> float:
@@ -76,6 +94,6 @@ def largest_of(excess: ArrayLike, count: int) -> Array:
 def largest_normal(count: int, chance: float) -> float:
     """Return the size that max |x| of `count` numbers exceeds with probability ≤ `chance`.
 
-    The numbers are standard normal. By Bonferroni's inequality.
+    The numbers are standard normal. The size is Bonferroni's bound.
     """
     return float(-ndtri(chance / (2 * count)))

@@ -182,10 +182,10 @@ class LinearModel:
     def plateaus(self) -> sparse.csc_array:
         """Orthonormal changes of log r that keep residuals of absolute losses at 0, sparse.
 
-        Shape (cells, plateaus). Cells whose residual is 0 against a reference are in none. Cells
-        whose differences are 0 are one. Their number is that of the degrees of freedom of such an
-        estimate (Zou, Hastie & Tibshirani, Ann. Stat. 35, 2007; Tibshirani & Taylor, Ann. Stat. 40,
-        2012).
+        The shape is (cells, plateaus). Cells whose residual is 0 against a reference belong to no
+        plateau. Cells whose differences are 0 form one plateau. The number of plateaus is that of
+        the degrees of freedom of such an estimate (Zou, Hastie & Tibshirani, Ann. Stat. 35, 2007;
+        Tibshirani & Taylor, Ann. Stat. 40, 2012).
         """
         cells = self.at.cell_resistance.size
         pinned = self.absolute & (np.abs(self.penalty) < PINNED)

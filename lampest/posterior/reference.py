@@ -268,7 +268,7 @@ class _Weights:
 
 @dataclass(frozen=True, eq=False)
 class _Expectation:
-    """Normal distribution N(û, S) of log r for given weights, and what follows from it.
+    """Normal distribution N(û, S) of log r for given weights, and quantities derived from it.
 
     Attributes
     ----------
@@ -581,7 +581,7 @@ class ReferenceFit:
     def moved(self, square: float) -> "ReferenceFit | None":
         """Return the fit after the largest tried share of the step that does not raise the cost.
 
-        None if none.
+        Returns None if every share raises the cost.
         """
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
         change = np.zeros(len(self.position))

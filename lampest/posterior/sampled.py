@@ -104,7 +104,7 @@ class SampledErrors(DenseErrors):
     def draws(self) -> Array:
         """Changes Z δ of the penalties for random δ ~ N(0, s² A⁻¹) of the free cells.
 
-        Shape (penalty rows, probes).
+        The shape is (penalty rows, probes).
         """
         model = self.model
         random = np.random.default_rng(1)
@@ -162,7 +162,7 @@ class SampledErrors(DenseErrors):
     def reading_deviation(self) -> Array:
         """Return the standard deviation of the modelled readings over the samples.
 
-        Shape (frames, rows, columns).
+        The shape is (frames, rows, columns).
         """
         squares = np.zeros(self.model.at.cell_resistance.shape)
         for sample in self._samples[0]:

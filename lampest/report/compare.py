@@ -128,7 +128,7 @@ STATISTICS: dict[str, Callable[[Array], float | None]] = {
 def statistics(values: Array | None, header: str, *names: str) -> dict[str, float | None]:
     """Map headers such as 'time {} [s]' to statistics of the finite values.
 
-    None if there are no such values.
+    A statistic without values is None.
     """
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -146,7 +146,7 @@ def relative_error(values: Array, reference: Array) -> Array:
 def data_error(case: CaseResult) -> Array:
     """Return 100·|model − measured|/measured, (frames, rows, columns) percent.
 
-    NaN where a reading is no value.
+    The error of a reading that is no value is NaN.
     """
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
@@ -154,7 +154,7 @@ def data_error(case: CaseResult) -> Array:
 def weighted_residual(case: CaseResult) -> Array:
     """Return (model − measured)/σ, (frames, rows, columns).
 
-    NaN where a reading is no value, and without σ.
+    The residual of a reading that is no value or has no σ is NaN.
     """
     sigma = np.nan if case.sigma is None else case.sigma
     return np.where(case.valued, (case.reading_model - case.measured) / sigma, np.nan)

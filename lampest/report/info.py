@@ -58,10 +58,10 @@ WEAK = (
 def describe(path: str | Path) -> Iterator[str]:
     """Yield the description of a file line by line.
 
-    Format, frames, panel, scene, times, roles, range of readings, and the strongest change. The
-    verdict on a recording's circuit comes last, because nothing else waits for it.
+    The lines state format, frames, panel, scene, times, roles, range of readings, and the strongest
+    change. The verdict on a recording's circuit comes last, because nothing else waits for it.
 
-    Of a file that exceeds the memory, all frames are counted and the first ones are described.
+    All frames of a file that exceeds the memory are counted, and the first ones are described.
     Raises InputError for a damaged file and for one that is neither a recording nor results.
     """
     path = Path(path)
@@ -118,9 +118,9 @@ def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
 
 
 def _recording_lines(recording: Recording, kept: "RecordingCheck | None") -> Iterator[str]:
-    """Yield what a recording holds, the map of its strongest change, and the verdict.
+    """Yield the content of a recording, the map of its strongest change, and the verdict.
 
-    `kept` is the check that a run has kept; None: it is computed.
+    `kept` is the check that a run has kept; without one it is computed.
     """
     # With all of the estimate, which results do without.
     from lampest.audit.advice import Audit
@@ -173,7 +173,7 @@ def _health(audit: "Audit") -> Iterator[Sentence]:
 
 
 def _estimated(audit: "Audit") -> Iterator[Sentence]:
-    """Yield what firmware did to the readings, and the numbers that the scene calls estimated."""
+    """Yield sentences on processing by firmware, and on the numbers that the scene estimates."""
     recording = audit.prepared.recording
     if (reason := _processing(recording)) and recording.scene.baseline is None:
         yield "warning", f"these are no readings as the converter gives them: {reason}"
@@ -198,9 +198,7 @@ def _verdict(audit: "Audit", kept: "RecordingCheck | None") -> Iterator[Sentence
 
 
 def apply_advice(path: str | Path) -> list[str]:
-    """Write the lines of a recording's advice into its scene.
-
-    Return what was done in sentences.
+    """Write the lines of a recording's advice into its scene, and return sentences on the changes.
 
     Raises InputError where the file is no recording that fits into memory.
     """
@@ -232,10 +230,7 @@ def apply_advice(path: str | Path) -> list[str]:
 
 
 def _processing(recording: Recording) -> str:
-    """Return what firmware did to the recorded readings.
-
-    '' where nothing is seen. See `processing_of`.
-    """
+    """Return a sentence on the firmware's processing of recorded readings; see `processing_of`."""
     readout = recording.scene.readout
     panel = recording.scene.panel
     if readout is None or readout.floor_code is not None:
@@ -319,7 +314,7 @@ def _results_lines(results: Results) -> list[str]:
 
 
 def _measurement_lines(case: CaseResult) -> list[str]:
-    """Return what all cases of a recording share in words."""
+    """Return the data that all cases of a recording share, in words."""
     scene = case.scene
     frames, rows, columns = case.measured.shape
     truth = "not in" if case.truth is None else "in"
@@ -501,11 +496,16 @@ def _room() -> int:
 def _fitted(
     labels: Sequence[str], lines: Sequence[Sequence[str]], width: int, shape: tuple[int, ...]
 ) -> tuple[list[str], list[str]]:
-    """Return lines of texts behind their labels, as far as they fit the screen.
+    """Return lines of texts with their labels, and a remark, as far as the screen has room.
 
-    A remark on what does not is returned as well.
+    `shape` is the shape of the whole map.
 
-    shape : of the whole map.
+    Returns
+    -------
+    drawn : list of str
+        One line for each label.
+    remark : list of str
+        A sentence if the map has more rows or columns than are drawn, else nothing.
     """
     label_width = max(map(len, labels))
     rows = min(shape[0], MAX_ROWS)

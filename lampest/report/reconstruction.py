@@ -1,6 +1,6 @@
 """Estimates for notebooks: with plots, files, labelled arrays and tables.
 
-Whoever asks for cells loads none of these: each method imports what it needs.
+Each method imports the libraries that it needs; access to the cells loads none.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,8 +37,8 @@ class Reconstruction(Estimates):
     `_lower` and `_upper`. `status` is the outcome of each solve.
 
     Methods take `name`, the name of the estimator in files and plots (by default its terms, `misfit
-    + gradient`), and `columns`, your own columns. They raise InputError for an unfit name and for
-    values that do not fit their column.
+    + gradient`), and `columns`, your own columns. Methods raise InputError for an unfit name and
+    for values that do not fit their column.
 
     >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)

@@ -20,7 +20,8 @@ from typing import Literal
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.sequence import Parts, asked_frames, reconstruct
+from lampest.estimate.parts import Parts, asked_frames
+from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
@@ -43,7 +44,6 @@ from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
 from lampest.runs.results import (
-    PublishedFigures,
     join_case,
     read_case_scene,
     stored_cases,
@@ -248,7 +248,10 @@ def run_batch(
         finally:
             finished |= _results([task for task in tasks if task.file not in finished])
             cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
-            aside = _write_all(folder / RESULTS, cases, run.published)
+            aside = None
+            if cases:
+                aside = _put_aside(folder / RESULTS, cases)
+                write_results(folder / RESULTS, cases, run.published)
             _clear(folder, tasks, fresh=False)
         not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         return Report(
@@ -311,19 +314,6 @@ def _unchecked(checked: Mapping[str, RecordingCheck | BaseException | None]) -> 
         if isinstance(outcome, BaseException) and not isinstance(outcome, InputError):
             reason = logged_reason(outcome, recording)
             yield f"{recording}: the circuit was not checked: {reason}"
-
-
-def _write_all(
-    path: Path,
-    cases: Sequence[StoredCase],
-    published: Mapping[str, PublishedFigures] | None,
-) -> Path | None:
-    """Write the results of all cases, if any; return the new name of a file of other cases."""
-    if not cases:
-        return None
-    aside = _put_aside(path, cases)
-    write_results(path, cases, published)
-    return aside
 
 
 def _different_lines(

@@ -107,7 +107,7 @@ def _of_solutions(name: str) -> Callable[[Estimates], Array]:
 def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]:
     """Return a function that stacks a field of the verifications, shape (frames,).
 
-    None where no frame was verified.
+    The function returns None if no frame was verified.
     """
 
     def values(done: Estimates) -> Array | None:
@@ -119,19 +119,19 @@ def _of_witness(name: str, absent: float) -> Callable[[Estimates], Array | None]
 
 
 def _frame_numbers(done: Estimates) -> NDArray[np.intp]:
-    """Return indices into the recording, of which only a part may have been read."""
+    """Return indices into the recording, which may have been read in part."""
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
 def _unloaded_frames(done: Estimates) -> int:
-    """Return the number of frames of which the baseline is the mean; 0 where none is unloaded."""
+    """Return the number of unloaded frames, whose mean is the baseline."""
     return int(np.sum(done.recording.role == UNLOADED))
 
 
 def _truth(done: Estimates) -> Array | None:
     """Return true cells, (frames, rows, columns) ohm, or None.
 
-    NaN where the scene has no intact cell.
+    Places without an intact cell are NaN.
     """
     cells = done.recording.truth_cell_resistance
     return (
@@ -142,7 +142,7 @@ def _truth(done: Estimates) -> Array | None:
 def _truth_baseline(done: Estimates) -> Array | None:
     """Return the mean of true unloaded cells, (rows, columns) ohm, or None.
 
-    NaN without an intact cell.
+    Places without an intact cell are NaN.
     """
     cells = done.recording.truth_cell_resistance
     unloaded = done.recording.role == UNLOADED

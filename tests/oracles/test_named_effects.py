@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import promise
 
 import lampest
 from docs.studies.effects import figures
@@ -26,7 +27,8 @@ from lampest import (
     TwoPointReadout,
 )
 from lampest.audit import advice, effects
-from lampest.inference import prepared, resolve
+from lampest.inference import model_check, resolve
+from lampest.inference import warnings as objections
 from lampest.inference.effects import (
     converter_ends,
     converter_memory,
@@ -92,6 +94,7 @@ def test_edges_of_a_standing_load_are_not_taken_for_reading_errors(
     assert np.nanmedian(error) < MAX_ERROR and np.nanquantile(error, 0.95) < 2.5 * MAX_ERROR
 
 
+@promise("README: An effect that the scene does not name is not modelled.")
 def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -108,9 +111,9 @@ def test_an_effect_without_an_entry_in_the_scene_is_not_estimated(
         (converter_memory, ("estimated_memory",)),
         (converter_ends, ("saturated",)),
         (gain_and_ripple, ("unloaded_scatter",)),
-        (prepared, ("warnings_of",)),
+        (objections, ("warnings_of",)),
         (advice, ("unnamed_effects",)),
-        (prepared.Question, ("of", "check", "effects")),
+        (model_check.Question, ("of", "check", "effects")),
     ):
         for name in names:
             monkeypatch.setattr(module, name, refuse)

@@ -1,7 +1,4 @@
-"""Methods of estimation: from a frame's data to its cells and the state for the next frame.
-
-Their optima are verified.
-"""
+"""Methods of estimation: from a frame's data to verified cells and the state for the next frame."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -17,7 +14,6 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
-from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
@@ -26,8 +22,6 @@ from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
 from lampest.files.typed import Configuration
-from lampest.formulation.patterns import EXCITATIONS
-from lampest.inference.alike import STILL, nearest_panel, noise_share
 from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -36,9 +30,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
-from lampest.solvers.by_ipopt import Ipopt
 from lampest.solvers.multistart import best_solution, lower_of, settles
-from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Solver
 
 # Cells up to which IPOPT takes some hundredths of a second a frame (docs/studies/formulations.md).
@@ -83,7 +75,7 @@ class Method(Configuration):
 
         Each process builds a solver once.
         """
-        return ProjectedNewton(cost, settings)
+        return solver_of(cost, scene.circuit, scene.wiring, "reduced", settings)
 
     @abstractmethod
     def solution(
@@ -148,10 +140,13 @@ class Method(Configuration):
         return data, np.minimum(panels[0][1], data.upper[0])[None]
 
     def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
-        """Return the panel of a frame that differs least from the unloaded one.
+        """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
-        Of those that give its readings, found from known panels; the previous cells where none is.
+        The panels are found from known panels. The result are the previous cells where none is
+        found.
         """
+        from lampest.inference.alike import nearest_panel, noise_share
+
         assert state.previous is not None
         known = [state.previous, state.baseline_resistance]
         if state.panels is not None:
@@ -225,7 +220,7 @@ class Method(Configuration):
         """Return the state with its baseline, which is solved alone."""
         absolute = state.without_comparisons() if state.estimator.relative else state
         first = self.solve(absolute, *self.data_and_start(absolute, state.resting))
-        settled, baseline = with_contacts(absolute, state.resting, first, self._elsewhere)
+        settled, baseline = self._with_contacts(absolute, state.resting, first)
         state = replace(state, scene=settled.scene, track=settled.track)
         model = baseline.surroundings()
         if state.track is not None and model is not None:
@@ -236,6 +231,16 @@ class Method(Configuration):
                     track = replace(track, baseline=track.baseline.reaching_farther(*beyond))
                 state = replace(state, track=track)
         return state.with_baseline(baseline)
+
+    def _with_contacts(
+        self, state: AnyState, readings: Readings, solved: Step
+    ) -> tuple[AnyState, Step]:
+        """Return the state with the contacts that its scene requests, and the step for them."""
+        if state.scene.contact_prior is None:
+            return state, solved
+        from lampest.estimate.contacts import with_contacts
+
+        return with_contacts(state, readings, solved, self._elsewhere)
 
     def push(self, state: AnyState, readings: Readings) -> tuple[AnyState, Step]:
         """Solve one frame's readings (rows, columns).
@@ -250,7 +255,7 @@ class Method(Configuration):
         data, start = self.data_and_start(state, readings)
         step = self.solve(state, data, start)
         if len(data.measured) == 2:
-            state, step = with_contacts(state, readings, step, self._elsewhere)
+            state, step = self._with_contacts(state, readings, step)
         return self.after(state, step, readings)
 
     def verified(
@@ -410,21 +415,21 @@ class OptimalMethod(Method):
             # From its start IPOPT may end at another panel that reads alike
             fast = few and squared and not scene.circuit.several_panels
             kind = "nodal" if fast and period >= NODAL_PERIOD else "reduced"
-        return _solver(cost, scene.circuit, scene.wiring, kind, settings)
+        return solver_of(cost, scene.circuit, scene.wiring, kind, settings)
 
     def solution(
         self, solver: Solver, data: Data, previous: Array | None, prepared: Any
     ) -> Solution:
         """Return the lowest optimum of a frame's starts.
 
-        `prepared` is what an earlier solution carries, or None. With auto a frame that one solver
-        does not end at an optimum is given to the other one, from the same starts; so is one that
-        IPOPT does not end at a strict optimum, because the other one holds more digits.
+        `prepared` is the carried state of an earlier solution, or None. With auto a frame that one
+        solver does not end at an optimum is given to the other one, from the same starts; so is one
+        that IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
-        is_newton = isinstance(solver, ProjectedNewton)
+        is_newton = solver.cells_alone
         if not is_newton and previous is not None and _elsewhere(solution, data, previous):
-            newton = _solver(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
+            newton = solver_of(solver.cost, data.readout, data.wiring, "reduced", solver.settings)
             nearer = best_solution(newton, data, previous)
             return nearer if nearer.optimum else solution
         enough = solution.optimum if is_newton else solution.strict
@@ -433,14 +438,14 @@ class OptimalMethod(Method):
         if is_newton and solver.cost.panel.crossings > FALLBACK_CELLS:
             return solution
         second_kind = "nodal" if is_newton else "reduced"
-        second_solver = _solver(
+        second_solver = solver_of(
             solver.cost, data.readout, data.wiring, second_kind, solver.settings
         )
         second = best_solution(second_solver, data, previous)
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return what the solution of a single frame carries for the next one, else None."""
+        """Return the state of a single frame's solution that the next one carries, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
 
@@ -452,15 +457,22 @@ def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
     """
     if not (data.readout.several_panels and solution.solved):
         return False
+    from lampest.inference.alike import STILL
+
     moved = np.abs(np.log(solution.cell_resistance / start))
     return bool(np.median(moved) > STILL)
 
 
 @lru_cache(maxsize=32)
-def _solver(
+def solver_of(
     cost: Cost, readout: Readout, wiring: Wiring | None, kind: str, settings: Settings
 ) -> Solver:
     """Return the solver of a formulation: IPOPT on a program, or projected Newton."""
-    if kind in EXCITATIONS:
-        return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])
-    return ProjectedNewton(cost, settings)
+    if kind == "reduced":
+        from lampest.solvers.projected_newton import ProjectedNewton
+
+        return ProjectedNewton(cost, settings)
+    from lampest.formulation.patterns import EXCITATIONS
+    from lampest.solvers.by_ipopt import Ipopt
+
+    return Ipopt(cost, settings, readout, wiring, EXCITATIONS[kind])

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.changed_cells import PARAMETER_COST, mostly_still
 from lampest.inference.compared_frames import ComparedFrames
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.explanation import MEMORIES as TRIED
 from lampest.inference.explanation import Explanation, may_gain_by_memory
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN
 from lampest.panel.panel import Array
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.recording import MEASURED, UNLOADED, Recording

@@ -20,14 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.levels import MIN_EVIDENCE_GAIN
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, fitted, well_determined
 from lampest.inference.changed_cells import MOVED_COST, mostly_still, usual_starts
-from lampest.inference.compared_frames import MAX_NEIGHBOURS
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.fitted_pair import FittedPair
 from lampest.inference.noise import NoiseEstimate, Share
-from lampest.inference.nuisances import MIN_EVIDENCE_GAIN, Besides
+from lampest.inference.nuisances import Besides
 from lampest.panel.panel import Array
 from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, specified
@@ -35,7 +35,7 @@ from lampest.panel.sizes import ESTIMATED
 from lampest.panel.systematic import READING_ERROR, estimated_errors, own_errors
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import MAX_NEIGHBOURS, MEASURED, UNLOADED, Recording
 
 SHARES = np.linspace(0, 1, 6)  # of the time between frames that a scan takes
 # Sizes of each reading's own error that are tried beside a share, all equally probable.
@@ -139,12 +139,12 @@ def share_of_motion(
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes.
 
-    None where it is unknown. A load that moves displaces all readings of a frame along one known
-    direction, by share · displacement. Cells that no load touches seem to move by K times as much,
-    K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
-    all equally probable before, for the frames with the largest motion, and summed over sizes of
-    each reading's own error. The reach is the share over the reliability of the displacements, 1 −
-    Σ errors²/Σ displacements², at most the whole time.
+    The result is None where it is unknown. A load that moves displaces all readings of a frame
+    along one known direction, by share · displacement. Cells that no load touches seem to move by K
+    times as much, K the inverse of the Jacobian. The evidence of the changes since rest is compared
+    over SHARES, all equally probable before, for the frames with the largest motion, and summed
+    over sizes of each reading's own error. The reach is the share over the reliability of the
+    displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
 
     Parameters
     ----------

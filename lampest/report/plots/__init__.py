@@ -253,7 +253,8 @@ def picture(
 def drawable_axes(ax: Axes, figsize: tuple[float, float] | None) -> Axes:
     """Return given axes.
 
-    Raises InputError for anything else, and beside a size, which their figure has.
+    Raises InputError for any other object, and for a size, which the figure of the axes already
+    has.
     """
     if not isinstance(ax, Axes):
         raise InputError(f"ax must be Matplotlib's Axes, not {in_words(ax)}")

@@ -470,9 +470,9 @@ DECADE = 10.0  # ratio of swept values from which their axis is logarithmic
 class SweepPlot(Plot):
     """Errors of cells and of readings over each swept number, a line for each estimator.
 
-    Errors of cells are drawn where the truth is known. An estimator that was swept over further
-    keys has a line for each of their values. Dashed: estimators without swept numbers. Errors below
-    0.001 % are drawn there. Of all solved frames.
+    Errors are those of all solved frames. Errors of cells are drawn where the truth is known. An
+    estimator that was swept over further keys has a line for each of their values. Lines of
+    estimators without swept numbers are dashed. Errors below 0.001 % are drawn at 0.001 %.
 
     >>> lampest.SweepPlot().kind
     'sweep'
@@ -521,7 +521,7 @@ class SweepPlot(Plot):
 
 
 def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
-    """Return the keys of which several numbers were swept."""
+    """Return the keys for which several numbers were swept."""
     numbers: dict[str, set[float]] = {}
     for case in cases:
         for key, value in case.swept.items():

@@ -269,7 +269,7 @@ class MapPainter:
     def bar(
         self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28
     ) -> None:
-        """Draw the colour bar beside some axes of a figure."""
+        """Draw the colour bar of some axes of a figure next to them."""
         ticks = self.scale.ticks
         # Numbers beside each other need more room than above each other.
         if ticks is not None and location == "bottom":
