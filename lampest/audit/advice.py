@@ -1,8 +1,7 @@
-"""Advice: what a recording suggests beyond its scene.
+"""Advice on a scene from its recording.
 
-Each suggestion comes with its evidence and the entries of the scene that say so. Advice is made of
-what the estimates of a recording have determined, and of the health of the panel. No estimate uses
-it.
+Each suggestion comes with its evidence and the entries of the scene that say so. Advice is based on
+the estimates of a recording, and on the health of the panel. No estimate uses it.
 """
 
 from collections.abc import Iterator
@@ -82,8 +81,8 @@ class Audit:
             return
         if scene.readout.noise_specified and noise.sigma_factor != 1:
             evidence = (
-                f"readings at rest scatter {noise.factor:.3g} +- {noise.factor_error:.1g} "
-                "times as specified"
+                "readings at rest scatter "
+                f"{noise.factor:.3g} +- {noise.factor_error:.1g} times as specified"
             )
             estimated = {"readout": {"noise_lsb": ESTIMATED}}
             yield Finding("noise", "the noise is another one", evidence, estimated)

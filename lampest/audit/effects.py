@@ -183,9 +183,8 @@ def _memory(evidence: Gathered) -> Iterator[Finding]:
     if not isinstance(estimate, str):
         share, deviation = estimate
         yield _finding(
-            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % of the "
-            "channel before: so fewer "
-            "cells have moved under the load",
+            f"the converter keeps {100 * share:.2g} +- {100 * deviation:.1g} % "
+            "of the channel before: so fewer cells have moved under the load",
             "converter_memory",
             ESTIMATED,
         )
@@ -218,9 +217,8 @@ def _reading_error(evidence: Gathered) -> Iterator[Finding]:
     if error is not None:
         mean, deviation = error
         yield _finding(
-            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, the same in "
-            "all frames: cells are "
-            "rougher than those of films",
+            f"each reading seems off by {100 * mean:.2g} +- {100 * deviation:.1g} %, "
+            "the same in all frames: cells are rougher than those of films",
             "systematic.reading_error",
             ESTIMATED,
         )
@@ -240,9 +238,8 @@ def _motion(evidence: Gathered) -> Iterator[Finding]:
         share = share_of_motion(*compared, READING_ERRORS)
     if share is not None and share.gain > MIN_EVIDENCE_GAIN:
         yield _finding(
-            f"still cells seem to move with the load; a scan takes {share.mean:.2g} +- "
-            f"{share.deviation:.1g} of the time "
-            "between frames",
+            "still cells seem to move with the load; "
+            f"a scan takes {share.mean:.2g} +- {share.deviation:.1g} of the time between frames",
             "motion",
             ESTIMATED,
         )

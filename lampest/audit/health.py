@@ -139,7 +139,7 @@ class _View:
     def volts(self) -> Array:
         """Voltages at the converter, (frames, rows, columns).
 
-        NaN where missing, garbled or not requested.
+        The value is NaN where missing, garbled or not requested.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             volts = self.scene.circuit.volt_from_recorded(self.recording.recorded)

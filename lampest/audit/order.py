@@ -117,8 +117,8 @@ def order_findings(recording: Recording, volts: Array) -> Iterator[Finding]:
     least, best = min(candidates, key=lambda pair: pair[0])
     if least < MAX_RATIO * as_specified:
         evidence = (
-            f"changes are {as_specified / least:.2g} times smoother and better aligned with "
-            "the lines then"
+            f"changes are {as_specified / least:.2g} times smoother "
+            "and better aligned with the lines then"
         )
         yield Finding(
             "order",
@@ -142,7 +142,7 @@ def _changes(recording: Recording, volts: Array, unloaded: NDArray[np.bool_]) ->
 
 
 def interaction(change: Array) -> Array:
-    """Return what is left of images after the means of rows and columns, (frames, rows, columns).
+    """Return images less the means of rows and columns, (frames, rows, columns).
 
     Crosstalk changes whole rows and columns; this part is the load's own.
     """

@@ -76,8 +76,8 @@ class Estimator(Objective):
         self.method.check(self.terms)
         if self.weighs_previous and (self.error_bars is False or not self.method.optimum):
             raise InputError(
-                "arrival weighs frames by their error bars: it needs error_bars, and an optimum to "
-                "have them"
+                "arrival weighs frames by their error bars: "
+                "it needs error_bars, and an optimum to have them"
             )
         if self.automatic and self.auto_weight.per == "frame" and not self.method.optimum:
             raise InputError("auto_weight.per: frame needs a formulation that ends at an optimum")

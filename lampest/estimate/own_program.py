@@ -378,8 +378,8 @@ def _checked_estimator(
     """
     if formulation not in EXCITATIONS:
         raise InputError(
-            f"formulation must be one of {', '.join(EXCITATIONS)} for an own program, not "
-            f"{formulation}"
+            f"formulation must be one of {', '.join(EXCITATIONS)} "
+            f"for an own program, not {formulation}"
         )
     if isinstance(terms, str) or not isinstance(terms, Sequence):
         raise InputError(f"terms must be a sequence of terms, not {terms!r}")

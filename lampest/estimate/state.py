@@ -82,7 +82,7 @@ class Step:
     def estimate(self, frame: int) -> Array | None:
         """Return the cells (rows, columns) ohm of one of its frames.
 
-        None where the solve failed.
+        The result is None where the solve failed.
         """
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
@@ -96,7 +96,7 @@ class Step:
     def surroundings(self) -> LinearModel | None:
         """Return the linear model at a verified optimum, for error bars.
 
-        None where there is no such optimum.
+        The result is None where there is no such optimum.
         """
         at = self.solution.at
         dual = self.solution.dual

@@ -292,8 +292,8 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
             " × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape)
         )
         raise InputError(
-            f"a stream takes one frame of {requested} readings, not {held}; of several, take one "
-            "or their mean()"
+            f"a stream takes one frame of {requested} readings, not {held}; "
+            "of several, take one or their mean()"
         )
 
 

@@ -88,8 +88,8 @@ def with_chosen_weights(
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if estimator.auto_weight.rule == "evidence" and not data.noise_known:
         raise InputError(
-            "auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the "
-            "recording"
+            "auto_weight.rule: evidence needs the noise: "
+            "a readout in the scene or sigma in the recording"
         )
     choose = search.by_evidence if rule == "evidence" else search.by_risk
     with np.errstate(all="ignore"):
@@ -217,8 +217,8 @@ class WeightSearch:
         """Return the mean square of the residuals of each open term with an absolute loss.
 
         For the reference estimates the mean square is Σ (x̂² + diag(Z S Zᵀ)) over the residuals.
-        The weight of least risk does not tell it: an absolute loss may hold residuals that noise
-        hides, or that no one would miss. NaN of other terms.
+        The weight of least risk does not determine it: an absolute loss may hold residuals that
+        noise hides, or that no one would miss. NaN of other terms.
         """
         models = self.models(self.begun)
         variance = [np.nan] * len(self.cost.terms)

@@ -1,7 +1,7 @@
 """A second witness of an estimate: the frame solved again by IPOPT on the nodal program.
 
 The second solve has another start. The witness sees the data of the frame and nothing of the first
-solve: neither its cells nor what it carries.
+solve: neither its cells nor its carried state.
 """
 
 from dataclasses import dataclass, replace

@@ -269,8 +269,8 @@ def _shrinks(data: NDArray[Any]) -> bool:
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
     """Attach scales to the axes of datasets, given by path in the group.
 
-    '' for an axis without a scale. The attributes of HDF5's specification are written at once;
-    `h5py.h5ds` writes them anew for every axis.
+    An axis without a scale has the name ''. The attributes of HDF5's specification are written at
+    once; `h5py.h5ds` writes them anew for every axis.
     """
     nodes = {
         name: h5py.h5d.open(group.id, name.encode("utf-8"))

@@ -266,9 +266,9 @@ EXCITATIONS: dict[str, Excitation] = {patterns.kind: patterns for patterns in (N
 
 
 def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
-    """Return the numbers of the lines of the shorter side, and of those of the other one.
+    """Return the numbers of the lines of the shorter side, and of the longer one.
 
-    The lines of the shorter side are driven, those of the other one are far.
+    The lines of the shorter side are driven, those of the longer one are far.
     """
     rows, columns = shape
     sides = np.split(np.arange(rows + columns), [rows])
@@ -276,11 +276,17 @@ def _sides(shape: tuple[int, int]) -> tuple[Numbers, Numbers]:
 
 
 def _patterns(circuit: Circuit, readout: Readout) -> tuple[Numbers, Numbers]:
-    """Return the driven lines, one of those that touch, and the number of each line's pattern.
+    """Return the driven lines, and the number of each line's pattern.
 
-    The number is −1 for a line without one. Lines of a side whose own voltage the readout does not
-    read need no pattern: by reciprocity, the patterns of the other side have the voltages between
-    both.
+    Touching lines are driven as one. The number of a line without a pattern is −1. Lines of a side
+    whose own voltage the readout does not read need no pattern: by reciprocity, the patterns of the
+    other side have the voltages between both.
+
+    Returns
+    -------
+    driven : array of int
+        Driven lines, the first of lines that touch.
+    pattern : array of int, shape (rows + columns,)
     """
     rows, columns = circuit.shape
     reads = _reads_own(circuit, readout)

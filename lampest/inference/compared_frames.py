@@ -1,8 +1,8 @@
 """Frames that a circuit has to explain: the unloaded panel, and the most strongly loaded frames.
 
-Of the frames with the
-strongest change, those that are equal within their noise are averaged. Outliers and readings whose
-noise is not Gaussian do not count. `broken_law` tests the circuit's inequalities on all frames.
+Of the frames with the strongest change, those that are equal within their noise are averaged.
+Outliers and readings whose noise is not Gaussian do not count. `broken_law` tests the circuit's
+inequalities on all frames.
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ class ComparedFrames:
     def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> Self:
         """Return the frames of a recording whose noise is known.
 
-        Without an unloaded frame the first is used.
+        A recording without an unloaded frame has its first frame instead.
         """
         role = recording.role
         specified = Rival(
@@ -112,7 +112,7 @@ class ComparedFrames:
     def panels(self) -> PanelChoice | None:
         """Panels of the frames under the scene's circuit, where several give their readings.
 
-        None where one does, and without a loaded frame.
+        The value is None where only one panel does, and without a loaded frame.
         """
         scene = self.specified.scene
         if not scene.circuit.several_panels or scene.wiring is not None or not len(self.standing):
@@ -156,8 +156,8 @@ def broken_law(rival: Rival, frames: ComparedFrames) -> str:
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
             return (
-                f"readings of frame {frames.named[frame]} break a law of the circuit by "
-                f"{beyond}: {test.law}"
+                f"readings of frame {frames.named[frame]} break a law "
+                f"of the circuit by {beyond}: {test.law}"
             )
     return below_series(rival, frames)
 
@@ -179,7 +179,7 @@ def below_series(rival: Rival, frames: ComparedFrames) -> str:
     place = np.unravel_index(np.argmax(excess), excess.shape)
     frame, row, column = place
     return (
-        f"the reading of row {row}, column {column} in frame {frames.named[frame]} lies "
-        f"{-remaining[place]:.3g} ohm "
-        f"below its series resistance, {excess[place]:.3g} times its noise"
+        f"the reading of row {row}, column {column} in frame {frames.named[frame]} "
+        f"lies {-remaining[place]:.3g} ohm below its series resistance, "
+        f"{excess[place]:.3g} times its noise"
     )

@@ -295,8 +295,8 @@ class FittedPair:
     def _stepped(self, effects: Sequence[Effect], step: Array) -> "FittedPair | None":
         """Return the pair after a step of the effects' sizes.
 
-        None where no cells explain the readings then. Sizes of effects that cannot be negative,
-        such as leaks, are clipped at 0.
+        The result is None where no cells explain the readings then. Sizes of effects that cannot be
+        negative, such as leaks, are clipped at 0.
 
         Parameters
         ----------

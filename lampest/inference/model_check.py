@@ -103,7 +103,7 @@ class ModelCheck:
 
 @dataclass(frozen=True, eq=False)
 class Question(ComparedFrames):
-    """Whether the scene's circuit explains these frames, and what else explains them."""
+    """Whether the scene's circuit, or another explanation, agrees with these frames."""
 
     @cached_property
     def _shares(self) -> tuple[float, float]:
@@ -118,7 +118,7 @@ class Question(ComparedFrames):
     def explanation(self) -> "Explanation | None":
         """Cells that explain these frames.
 
-        None without a fit, or with more than MAX_MISSING bounds.
+        The value is None without a fit, or with more than MAX_MISSING bounds.
         """
         return Explanation.of(self.specified, self, patient=True) if self._few_bounds else None
 
@@ -183,8 +183,8 @@ class Question(ComparedFrames):
                 noise=self.widening,
             )
         lawful = (
-            f"no readings break a law of the circuit; {100 * self._shares[0]:.0f} % of them "
-            "are bounds"
+            "no readings break a law of the circuit; "
+            f"{100 * self._shares[0]:.0f} % of them are bounds"
         )
         return ModelCheck(explains=True, sentence=lawful).with_doubts("no cells were fitted")
 
@@ -203,8 +203,8 @@ class Question(ComparedFrames):
         """Return the verdict in words: the fault, the best alternative, or neither."""
         if not self._complete:
             return (
-                f"{self.fault or EXPLAINED}; other circuits were not tried, too many readings "
-                "are missing or bounds"
+                f"{self.fault or EXPLAINED}; "
+                "other circuits were not tried, too many readings are missing or bounds"
             )
         if self.fault:
             alternative = "no other circuit that was tried gives them"
@@ -344,8 +344,7 @@ def _unexplained(explanation: "Explanation", question: Question) -> str:
     columns = squares.sum(axis=0)
     name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
     return (
-        f"no cells give the readings of {place}: chi square is {fit.chi_square:.3g} where some "
-        f"{fit.degrees:.3g} "
-        f"would be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} "
-        "% of it"
+        f"no cells give the readings of {place}: "
+        f"chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would be noise, "
+        f"{name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
     )

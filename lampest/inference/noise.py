@@ -47,6 +47,7 @@ MIN_MEDIAN_NOISE = 0.5
 
 # Errors that the readings of a frame share, in the summary.
 SHARED = ("{:.2g} % gain", "{:.2g} LSB along a scan", "{:.2g} LSB of a line")
+MOVED = "readings at rest move together from frame to frame by {:.2g} %, as in moving water"
 BROKE_DOWN = "arithmetic broke down over its readings"  # why a number is undetermined
 
 
@@ -111,7 +112,7 @@ class NoiseEstimate:
     def reading_error(self) -> float:
         """Standard deviation of ln of a factor on each reading that is constant in time.
 
-        0 where none is observed.
+        The value is 0 where none is observed.
         """
         if self.possible_errors is None:
             return 0.0
@@ -178,7 +179,7 @@ class NoiseEstimate:
     def undetermined(self, key: str, reason: str) -> "NoiseEstimate":
         """Return the noise with a sentence on a number that the recording cannot determine.
 
-        The sentence says why, and what to record.
+        The sentence states the reason, and the frames to record.
         """
         return self.with_warnings(
             f"{key}: estimated, but this recording cannot determine it: {reason}"
@@ -197,7 +198,7 @@ class NoiseEstimate:
     ) -> "NoiseEstimate":
         """Return the noise with readings that are interpolated to the middle of their scan.
 
-        Their σ contains what the interpolation leaves.
+        Their σ contains the error of the interpolation.
 
         Parameters
         ----------
@@ -286,7 +287,13 @@ def estimate_noise(
     if readout is not None and requested:
         size = shown_noise(readout, ratio)[0]
         noise = noise.determined("readout.noise_lsb", (size, size / precision))
-    return _with_estimated_frame_noise(noise, recording, parts)
+    noise = _with_estimated_frame_noise(noise, recording, parts)
+    if not parts.motion.size:
+        return noise
+    none = np.zeros((len(parts.common_ripple), 0))
+    frame = noise.frame or FrameNoise(scene, unloaded, 0.0, none, none)
+    moved = MOVED.format(100 * float(np.hypot.reduce(parts.motion)))
+    return replace(noise, frame=replace(frame, motion=parts.motion)).with_warnings(moved)
 
 
 def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
@@ -309,7 +316,8 @@ def _contradicting_factor(recording: Recording, parts: Scatter) -> float:
 def _contradiction_in_words(readout: Readout | None, ratio: float, unloaded: int) -> str:
     """Return the sentence on noise of `ratio` times the specified one.
 
-    '' where both are equal in two digits. `unloaded` is the number of unloaded frames.
+    The result is '' where both are equal in two digits. `unloaded` is the number of unloaded
+    frames.
     """
     where = "unloaded frames" if unloaded > 1 else "readings at rest from frame to frame"
     if readout is None:
@@ -398,16 +406,16 @@ def _outlier_messages(
     replaced = int((outliers & ~impossible).sum())
     if replaced:
         message = (
-            f"{replaced} of {outliers.size} readings are outliers of one frame, replaced by "
-            "their neighbours in time"
+            f"{replaced} of {outliers.size} readings are outliers of one frame, "
+            "replaced by their neighbours in time"
         )
         rest_shows_rate = resting.sum() >= MIN_FRAMES and cleaned.sigma is not None
         rate = float((outliers[resting] if rest_shows_rate else outliers).mean())
         # Beyond MAX_SHARE neighbours in time are outliers, too, and replace them badly.
         if rate > MAX_SHARE:
             message += (
-                f"; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not "
-                "cover them"
+                f"; at {100 * rate:.2g} % there are more that nobody sees, "
+                "and error bars do not cover them"
             )
         messages.append(message)
     return tuple(messages)
@@ -416,8 +424,8 @@ def _outlier_messages(
 def _scatter_of(recording: Recording, cleaned: Readings) -> Scatter | None:
     """Return the scatter of the unloaded frames, or of readings at rest without these.
 
-    None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a converter is not
-    used.
+    The result is None where neither shows it. A scatter at rest below MIN_MEDIAN_NOISE of a
+    converter is not used.
     """
     resting = recording.role == UNLOADED
     readout = recording.scene.readout

@@ -159,7 +159,7 @@ def _with_added_effects(
 ) -> tuple[FittedPair, FittedPair]:
     """Add effects to a pair one by one, while each gains evidence and spares moved cells.
 
-    Each has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
+    An effect has to gain MIN_EVIDENCE_GAIN and to spare MIN_SPARED_CELLS moved cells.
 
     Returns
     -------
@@ -214,8 +214,7 @@ def _common_change_in_words(pair: FittedPair) -> str:
         return ""
     return (
         f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: "
-        "creep, temperature or "
-        "the supply"
+        "creep, temperature or the supply"
     )
 
 

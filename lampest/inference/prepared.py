@@ -1,6 +1,6 @@
 """Preparation of a recording: readings, noise, effects, check of the circuit and warnings.
 
-Each is determined once.
+Every quantity is determined once.
 """
 
 from collections.abc import Sequence
@@ -100,8 +100,8 @@ class Prepared:
         if isinstance(recording, Recording):
             return cls(recording)
         raise InputError(
-            "recording must be a Recording, such as Recording.load('mine.h5'), not "
-            f"{in_words(recording)}"
+            "recording must be a Recording, "
+            f"such as Recording.load('mine.h5'), not {in_words(recording)}"
         )
 
     @property
@@ -163,8 +163,8 @@ class Prepared:
         places = [f"row {row}, column {column}" for row, column in np.argwhere(self.cleaned.frozen)]
         if places:
             noise = noise.with_warnings(
-                f"one value in all frames at {' and at '.join(places)}, while noise changes the "
-                "other readings: left out"
+                f"one value in all frames at {' and at '.join(places)}, "
+                "while noise changes the other readings: left out"
             )
         return noise.with_warnings(garbled_sentence(self.cleaned.garbled))
 

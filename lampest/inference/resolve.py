@@ -1,9 +1,9 @@
 """Resolution of a scene: the numbers that it calls `estimated`, determined once from the recording.
 
-Each effect is an entry of one table: its keys, and how the recording determines them. What an entry
-returns holds the numbers with their standard deviations, and readings with the corresponding σ.
-Where the recording cannot determine a number, a warning says why and what to record, and the prior
-stays.
+Each effect is an entry of one table: its keys, and how the recording determines them. The result of
+an entry has the numbers with their standard deviations, and readings with the corresponding σ.
+Where the recording cannot determine a number, a warning states the reason and the frames to record,
+and the prior stays.
 """
 
 from collections.abc import Callable
@@ -129,9 +129,9 @@ def _motion(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Noi
     if size is None:
         return noise.with_motion(scene, measured, UNKNOWN_SHARE).undetermined(
             "motion",
-            "no frame has still cells beside a load that moves. Error bars allow for any share of "
-            "the time between frames; give the share, or record five unloaded frames and a load "
-            "that leaves most cells free",
+            "no frame has still cells beside a load that moves. "
+            "Error bars allow for any share of the time between frames; "
+            "give the share, or record five unloaded frames and a load that leaves most cells free",
         )
     noise = noise.with_motion(scene, measured, size)
     return noise.determined("motion", (size.mean, size.deviation))
@@ -254,9 +254,9 @@ def with_resolved_electronics(
     cleaned: Recording,
     memory: tuple[float, float] | str | None,
 ) -> NoiseEstimate:
-    """Return the noise with what was determined before any reading was taken.
+    """Return the noise with the electronics that were determined before the readings were.
 
-    That is a saturated stage, and converter memory.
+    The electronics are a saturated stage, and converter memory.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ class Rival:
     def name(self) -> str:
         """Circuit in the words of a scene.
 
-        '' for the specified one, also with a number at its limit.
+        The value is '' for the specified one, also with a number at its limit.
         """
         if self.in_series is None or self.at_limit:
             return self.kind
@@ -445,7 +445,7 @@ def _own_resistor(circuit: Readout) -> dict[str, float]:
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
     """Return ln of the apparent resistances.
 
-    NaN where the circuit does not fit the panel or cannot have the values.
+    The result is NaN where the circuit does not fit the panel or cannot have the values.
     """
     with suppress(InputError, ValueError), np.errstate(all="ignore"):
         circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))

@@ -61,17 +61,17 @@ class Saturated:
         )
         return (
             f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
-            "does a stage before the converter saturate there? Then name it: readout: "
-            "{passes_volt: estimated}"
+            "does a stage before the converter saturate there? "
+            "Then name it: readout: {passes_volt: estimated}"
         )
 
 
 def saturated(recording: Recording) -> Saturated | None:
     """Return the voltage at which several channels end.
 
-    None where there is none, or where the scene states one. Channels that moved under load are
-    tested by their largest or smallest voltage over the measured frames, all channels by their
-    unloaded voltage.
+    The result is None where there is none, or where the scene states one. Channels that moved under
+    load are tested by their largest or smallest voltage over the measured frames, all channels by
+    their unloaded voltage.
     """
     scene = recording.scene
     unloaded = recording.role == UNLOADED
@@ -135,7 +135,7 @@ def _channels_at_end(
 def with_saturated_stage(recording: Recording) -> Recording:
     """Return the recording with a number for `passes_volt: estimated`.
 
-    None in its place where its frames show none.
+    If frames show no saturated stage, the scene states None instead.
     """
     recording, _ = with_converter_ends(recording)
     readout = recording.scene.readout

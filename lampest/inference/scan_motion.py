@@ -153,12 +153,12 @@ def share_of_motion(
 ) -> Share | None:
     """Return the share of the time between frames that a scan takes.
 
-    None where it is unknown. A load that moves displaces all readings of a frame along one known
-    direction, by share · displacement. Cells that no load touches seem to move by K times as much,
-    K the inverse of the Jacobian. The evidence of the changes since rest is compared over SHARES,
-    all equally probable before, for the frames with the largest motion, and summed over sizes of
-    each reading's own error. The reach is the share over the reliability of the displacements, 1 −
-    Σ errors²/Σ displacements², at most the whole time.
+    The result is None where it is unknown. A load that moves displaces all readings of a frame
+    along one known direction, by share · displacement. Cells that no load touches seem to move by K
+    times as much, K the inverse of the Jacobian. The evidence of the changes since rest is compared
+    over SHARES, all equally probable before, for the frames with the largest motion, and summed
+    over sizes of each reading's own error. The reach is the share over the reliability of the
+    displacements, 1 − Σ errors²/Σ displacements², at most the whole time.
 
     Parameters
     ----------

@@ -485,7 +485,7 @@ def _root_mean_square(odds: Array) -> float:
 def _median(odds: Array) -> float:
     """Return the median of e by the probabilities of READING_ERRORS.
 
-    0 where none is more probable than any.
+    The result is 0 where none is more probable than any.
     """
     return float(np.interp(0.5, np.cumsum(odds), READING_ERRORS))
 

@@ -115,8 +115,8 @@ class LooseContact(Effect):
     def sentence(self, rows: int) -> str:
         more = "more" if self.size > 0 else "less"
         return (
-            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of "
-            f"{self.where(rows)}{self._since}"
+            f"{float(f'{abs(self.size):.2g}'):g} ohm {more} "
+            f"at the contact of {self.where(rows)}{self._since}"
         )
 
     def added(self, scene: Scene, network: Network) -> Array:

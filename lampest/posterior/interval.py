@@ -5,7 +5,17 @@ The intervals are two-sided or truncated at a bound.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtrc, gammaincc, gammaincinv, log_ndtr, ndtr, ndtri, ndtri_exp, stdtrit
+from scipy.special import (
+    bdtrc,
+    fdtrc,
+    gammaincc,
+    gammaincinv,
+    log_ndtr,
+    ndtr,
+    ndtri,
+    ndtri_exp,
+    stdtrit,
+)
 
 from lampest.panel.panel import Array
 
@@ -48,6 +58,11 @@ def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
     The arguments may have any shape.
     """
     return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+
+
+def variance_ratio_tail(ratio: float, upper: float, lower: float) -> float:
+    """Return P(F ≥ ratio) for mean squares with `upper` and `lower` degrees of freedom."""
+    return float(fdtrc(upper, lower, ratio))
 
 
 def chi_square_median(degrees: float) -> float:

@@ -115,10 +115,7 @@ class LinearModel:
 
     @cached_property
     def unread_rows(self) -> NDArray[np.bool_]:
-        """Whether a penalty involves a free cell whose own reading is missing.
-
-        Boolean, (penalty rows,).
-        """
+        """Whether a penalty involves a free cell without a reading, boolean (penalty rows,)."""
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
     @cached_property

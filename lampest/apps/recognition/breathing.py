@@ -1,8 +1,8 @@
 """Breathing of an attachment: the odds of all windows together.
 
-Also whether suction or the rim alone oscillates. Each window has a `Breath`. Windows of one load
-share the form of its rim, the film and the amplitude of a steady swing, so that their ln odds w are
-correlated by ρ, and N of them have the ln odds
+The odds that the rim alone oscillates are combined likewise. Each window has a `Breath`. Windows of
+one load share the form of its rim, the film and the amplitude of a steady swing, so that their ln
+odds w are correlated by ρ, and N of them have the ln odds
 
     Σ w / (1 + (N − 1) ρ).
 

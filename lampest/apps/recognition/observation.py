@@ -1,6 +1,4 @@
-"""Likelihood of a frame: the model of readings under a pressure on the cells.
-
-Also the unloaded panel.
+"""Unloaded panel and likelihood of a frame: the model of readings under a pressure on the cells.
 
     R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
 
@@ -106,6 +104,14 @@ class ModelErrors:
         tolerance = min(float(sizes.reference_tolerance), float(USUAL.reference_tolerance))
         reference = tolerance / np.sqrt(3)
         return replace(errors, channel_ohm=float(sizes.channel_spread_ohm), reference=reference)
+
+    def in_motion(self, motion: Array) -> "ModelErrors":
+        """Return the errors in water that moves cells by fractions `motion`, (n,).
+
+        Each cell has a part of its own, because cells respond differently.
+        """
+        own = self.response * float(np.hypot.reduce(motion, initial=0.0))
+        return replace(self, settled=hypot(self.settled, own))
 
     def resting_sd(self, seconds: float) -> float:
         """Return the standard deviation of each cell's drift, seconds after the baseline."""
@@ -353,7 +359,7 @@ class Baseline:
     def near(self) -> Array:
         """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells).
 
-        0 for crossings without a cell.
+        The value is 0 for crossings without a cell.
         """
         places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
         square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)
@@ -400,9 +406,11 @@ class Observation:
         Pressure of the water, kPa, equal in the unloaded frames.
     seconds : float
         Time since the baseline.
-    common : array, shape (cells, n) or None
-        Root of the covariance of random errors that the frame's readings share: gain, ripple along
-        scanned lines.
+    common : callable or None
+        Returns a root (cells, n) of the covariance of random errors that the frame's readings
+        share: gain, ripple along scanned lines, motion of the water. It is of the readings that a
+        network predicts: two such roots, of a loaded and of the unloaded panel, would explain any
+        load as a difference of errors.
     loose : array, shape (rows, columns), or 0
         Standard deviations of ln r/r0 of cells that changed, and are free where the load of a fit
         does not cover them.
@@ -413,7 +421,7 @@ class Observation:
     baseline: Baseline
     water: Array
     seconds: float = 0.0
-    common: Array | None = field(default=None, kw_only=True)
+    common: Callable[[Array], Array] | None = field(default=None, kw_only=True)
     loose: Array | float = field(default=0.0, kw_only=True)
 
     @property
@@ -498,7 +506,8 @@ class Observation:
         errors[: len(slope), : len(slope)] += cells
         total = both @ errors @ both.T
         if self.common is not None:
-            total += self.common @ self.common.T
+            shared = self.common(network.reading())
+            total += shared @ shared.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     def cells(self, start: Array, prior: Array) -> MostProbable:

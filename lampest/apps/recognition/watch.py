@@ -134,7 +134,9 @@ class Watch:
         frames = max(len(unloaded), 1)
         sigma = counting(sigma, measured)
         resting = np.log(measured.ravel())
-        frame = setup.frame(measured, sigma, setup.baseline(measured, sigma, frames))
+        baseline = setup.baseline(measured, sigma, frames)
+        swaying = np.full(len(setup.motion), setup.errors.swaying)
+        frame = setup.moved_by(swaying).frame(measured, sigma, baseline)
         filled = np.where(np.isnan(unloaded), measured, unloaded).reshape(
             len(unloaded), resting.size
         )
@@ -247,8 +249,8 @@ class Watch:
         """The reason why the load on the panel is unknown, in words; '' where it is known."""
         if self.present and not self.known:
             return (
-                f"something touched the panel at {self.level.since_s:.1f} s, and has not been "
-                "still for long enough"
+                f"something touched the panel at {self.level.since_s:.1f} s, "
+                "and has not been still for long enough"
             )
         return self.history
 
@@ -353,7 +355,8 @@ class Watch:
 
         The film's residue is in C.
         """
-        setup = self.setup
+        setup, change = self.setup.without_motion(logarithm - self.rest.mean)
+        logarithm = self.rest.mean + change
         shape = self.setup.scene.panel.shape
         baseline = setup.baseline(
             np.exp(self.rest.mean).reshape(shape), self.sigma, max(self.rest.frames, 1.0)
@@ -368,7 +371,7 @@ class Watch:
     def _left(self, frame: Observation) -> bool:
         """Return whether a frame shows no more of the load before any pull than the film's residue.
 
-        True without a load. The common change by temperature is subtracted.
+        The result is True without a load. The common change by temperature is subtracted.
         """
         if self.look is None or self.look.over:
             return True

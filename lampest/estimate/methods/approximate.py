@@ -130,7 +130,7 @@ class LinearisedMethod(Method):
     ) -> Solution:
         """Return the point after the step, of which |log r| is at most `MAX_STEP`.
 
-        Without a factor it is the optimum.
+        If there is no factor, the solution is the optimum.
         """
         if prepared is not None:
             with suppress(*BROKEN):

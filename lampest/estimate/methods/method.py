@@ -1,7 +1,4 @@
-"""Methods of estimation: from a frame's data to its cells and the state for the next frame.
-
-Their optima are verified.
-"""
+"""Methods of estimation: from a frame's data to verified cells and the state for the next frame."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -142,9 +139,10 @@ class Method(Configuration):
         return data, np.minimum(panels[0][1], data.upper[0])[None]
 
     def _nearest_panel(self, state: SequenceState, readings: Readings) -> Array:
-        """Return the panel of a frame that differs least from the unloaded one.
+        """Return the panel that gives a frame's readings and differs least from the unloaded one.
 
-        Of those that give its readings, found from known panels; the previous cells where none is.
+        The panels are found from known panels. The result are the previous cells where none is
+        found.
         """
         from lampest.inference.alike import nearest_panel, noise_share
 
@@ -423,9 +421,9 @@ class OptimalMethod(Method):
     ) -> Solution:
         """Return the lowest optimum of a frame's starts.
 
-        `prepared` is what an earlier solution carries, or None. With auto a frame that one solver
-        does not end at an optimum is given to the other one, from the same starts; so is one that
-        IPOPT does not end at a strict optimum, because the other one holds more digits.
+        `prepared` is the carried state of an earlier solution, or None. With auto a frame that one
+        solver does not end at an optimum is given to the other one, from the same starts; so is one
+        that IPOPT does not end at a strict optimum, because the other one holds more digits.
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = solver.cells_alone
@@ -446,7 +444,7 @@ class OptimalMethod(Method):
         return second if settles(second, solution) else lower_of(solution, second)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return what the solution of a single frame carries for the next one, else None."""
+        """Return the state of a single frame's solution that the next one carries, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
 

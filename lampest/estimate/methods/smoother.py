@@ -114,11 +114,10 @@ class SmootherMethod(Method):
         fits = isinstance(first, Misfit) and first.weighting == "noise" and first.weight == 1
         if further or not fits or first.loss.squared or first.loss.enters == "dual":
             raise InputError(
-                "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: "
-                "student, corner: 4}}, of "
-                "weight 1; its loss may be huber or a smooth one of your own, but not squared, "
-                "with which one wrong "
-                "reading pulls at all frames, nor absolute, which is not smooth"
+                "formulation: smoother has one term, misfit: "
+                "{weighting: noise, loss: {kind: student, corner: 4}}, of weight 1; "
+                "its loss may be huber or a smooth one of your own, but not squared, with "
+                "which one wrong reading pulls at all frames, nor absolute, which is not smooth"
             )
 
     def solution(

@@ -64,8 +64,8 @@ class Characteristic(Configuration):
     def __post_init__(self) -> None:
         if isinstance(self.full_volt, str):
             raise ValueError(
-                "full_volt: no frame shows it, because cells of another size read alike; measure a "
-                "known voltage"
+                "full_volt: no frame shows it, "
+                "because cells of another size read alike; measure a known voltage"
             )
         volts = [self.zero_volt, self.full_volt, *(volt for volt, _ in self.curve or ())]
         for volt in volts:
@@ -310,7 +310,7 @@ class Converter(Configuration):
     def volt_from_code(self, mean_code: Array) -> Array:
         """Return the voltage that a code stands for, the middle of its interval.
 
-        Also of mean codes.
+        Codes may be means.
         """
         code = np.asarray(mean_code, dtype=float)
         if self.characteristic.curve is None:
