@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lampest.files.errors import BROKEN
-from lampest.inference.assumptions import ASSUMED
 from lampest.inference.model_error import scaled, with_model_error
 from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
 from lampest.panel.panel import as_panels_have
-from lampest.panel.readouts.characteristic import MAX_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
 from lampest.panel.systematic import (
@@ -208,6 +207,7 @@ def _creep(noise: NoiseEstimate, recording: Recording, effects: Effects) -> Nois
         )
     if scene.panel.crossings > MAX_CELLS:
         return noise.undetermined("creep", f"the panel has more than {MAX_CELLS} cells")
+    from lampest.inference.assumptions import ASSUMED
     from lampest.inference.cells_fit import fitted
     from lampest.inference.changed_cells import mostly_still
     from lampest.inference.fitted_pair import FittedPair

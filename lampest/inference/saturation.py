@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.panel.panel import Array
-from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.sizes import ESTIMATED
