@@ -181,7 +181,7 @@ class Spectrum:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Logarithms (least, largest) of the weights λ that affect directions the data determine."""
+        """Logarithms of the least and the largest λ that affect directions the data determine."""
         stiffness = self.stiffness[self.determined]
         effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
         smallest = -float(np.log(EXTENT_FACTOR * effective.max()))
