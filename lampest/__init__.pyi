@@ -56,7 +56,7 @@ from .panel.panel import Array as Array
 from .panel.panel import Panel as Panel
 from .panel.readouts import Readout as Readout
 from .panel.readouts import TwoPointReadout as TwoPointReadout
-from .panel.readouts.characteristic import Characteristic as Characteristic
+from .panel.readouts.converter import Characteristic as Characteristic
 from .panel.readouts.diode import Diode as Diode
 from .panel.readouts.driven_readout import DrivenReadout as DrivenReadout
 from .panel.readouts.floating import two_point_resistance as two_point_resistance

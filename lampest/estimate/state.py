@@ -11,7 +11,6 @@ from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
@@ -19,6 +18,7 @@ from lampest.solvers.solution import Solution, Status, blank
 
 if TYPE_CHECKING:
     from lampest.inference.alike import PanelChoice
+    from lampest.posterior.frame_noise import FrameNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ class SequenceState:
     prepared: Any = None
     track: Track | None = None
     first: bool = True
-    frame_noise: FrameNoise | None = None
+    frame_noise: "FrameNoise | None" = None
     panels: "PanelChoice | None" = None
 
     @property

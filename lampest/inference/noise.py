@@ -29,7 +29,6 @@ from lampest.panel.readouts.converter import ENDLESS
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, Systematic, plain_size
 from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, Possible, own_errors
-from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -37,6 +36,7 @@ from lampest.recording.recording import UNLOADED, Recording
 if TYPE_CHECKING:
     from lampest.inference.alike import PanelChoice
     from lampest.inference.nuisances import CircuitEffects
+    from lampest.posterior.frame_noise import FrameNoise
 
 # Unloaded frames from which noise is estimated if the scene does not specify it.
 MIN_UNLOADED_FRAMES = 5
@@ -112,7 +112,7 @@ class NoiseEstimate:
     factor: float = np.nan
     factor_error: float = np.nan
     sigma_factor: float = 1.0
-    frame: FrameNoise | None = None
+    frame: "FrameNoise | None" = None
     possible_errors: Possible | None = None
     motion: Share | None = None
     of_modules: tuple["NoiseEstimate | None", ...] = ()
@@ -236,6 +236,7 @@ def without_effects(
     if besides is None or besides.pair is None:
         return noise
     from lampest.inference.nuisances import remaining_errors, without_effects_of
+    from lampest.posterior.frame_noise import FrameNoise
 
     unloaded = recording.role == UNLOADED
     frame = noise.frame or FrameNoise(
@@ -341,6 +342,8 @@ def _with_specified_frame_noise(noise: NoiseEstimate, scene: Scene, unloaded: in
     gain, ripple = (plain_size(size) or 0.0 for size in (scene.gain, scene.ripple))
     if scene.readout is None or not (gain or ripple):
         return noise
+    from lampest.posterior.frame_noise import FrameNoise
+
     # a ripple that all lines share, independent from channel to channel
     channels = scene.panel.shape[0 if scene.circuit.by_columns else 1]
     common = (
@@ -365,6 +368,8 @@ def _with_estimated_frame_noise(
         for key in requested:
             noise = noise.undetermined(key, "record two or more unloaded frames")
         return noise
+    from lampest.posterior.frame_noise import FrameNoise
+
     volt = float(np.mean(scene.readout.sigma_volt()))
     frame = noise.frame or FrameNoise(
         scene, unloaded, 0.0, parts.common_ripple[:, :0], parts.line_ripple[:, :0]

@@ -19,7 +19,7 @@ from lampest.files.errors import BROKEN
 from lampest.inference.model_error import scaled, with_model_error
 from lampest.inference.noise import BROKE_DOWN, NoiseEstimate, without_effects
 from lampest.panel.panel import as_panels_have
-from lampest.panel.readouts.characteristic import MAX_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED, LIMITS, Systematic, within_limits
 from lampest.panel.systematic import READING_ERROR, SHARED_ERRORS, estimated_errors, systematic_of

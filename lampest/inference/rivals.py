@@ -23,7 +23,7 @@ from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, Readout
-from lampest.panel.readouts.characteristic import Characteristic, Known, known
+from lampest.panel.readouts.converter import Characteristic, Known, known
 from lampest.panel.readouts.driven_readout import DrivenReadout
 from lampest.panel.readouts.lines import SeriesPerLine, Side, opposite
 from lampest.panel.scene import Scene

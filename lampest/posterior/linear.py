@@ -25,6 +25,7 @@ NEAR_BOUND = 1e-3  # of log r: distance from a bound within which a cell is at i
 # Percent: an absolute residual below it is 0. Solvers end at 1e-7 and less, noise moves cells by
 # 0.01 and more (tests/oracles/test_certainty.py).
 PINNED = 1e-4
+UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 IGNORANCE = 1e-4  # prior precision of log r, which regularises cells without data and penalties
 
 
@@ -114,10 +115,7 @@ class LinearModel:
 
     @cached_property
     def unread_rows(self) -> NDArray[np.bool_]:
-        """Whether a penalty involves a free cell whose own reading is missing.
-
-        Boolean, (penalty rows,).
-        """
+        """Whether a penalty involves a free cell without a reading, boolean (penalty rows,)."""
         return np.asarray(abs(self.penalty_jacobian)[:, self.free[self.unread]].sum(axis=1) > 0)
 
     @cached_property

@@ -76,7 +76,7 @@ def terms_of(terms: Any) -> tuple[Term, ...]:
 class Choices:
     """Options of a run file for all estimators, or of an estimator.
 
-    The latter override solver and bounds by key.
+    Solver and bounds of an estimator override single keys of those for all.
     """
 
     __pydantic_config__: ClassVar[Any] = FORBID

@@ -30,10 +30,10 @@ from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, matrices, spectrum
 from lampest.posterior.at_bounds import active_bounds
 from lampest.posterior.chain import Chain
+from lampest.posterior.covariance import DenseMemory
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.memory import DenseMemory, SampledMemory
 from lampest.posterior.reference import references
-from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.sampled import SampledErrors, SampledMemory
 from lampest.posterior.track import beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers import bounds, by_ipopt, multistart, preconditioners

@@ -77,7 +77,7 @@ def large() -> Iterator[None]:
         solvers__hessian__MATRIX_CELLS=2,
         solvers__certificate__DENSE_CELLS=2,
         solvers__certificate__MAX_DENSE=2,
-        posterior__sampled__MAX_DENSE=2,
+        posterior__track__MAX_DENSE=2,
         posterior__linear__MAX_DENSE=2,
     ):
         yield

@@ -16,7 +16,7 @@ from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.inference.effects.effect import Gathered, SceneEffect, Unnamed
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.panel import Array
-from lampest.panel.readouts.characteristic import Characteristic
+from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.divider import Divider
 from lampest.panel.readouts.driven import DrivenCircuit
 from lampest.panel.scene import specified

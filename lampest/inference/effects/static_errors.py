@@ -123,7 +123,11 @@ def shared_errors(
     own = SharedErrors(possible, {})
     if READING_ERROR.setting in estimated_errors(scene):
         costs = unloaded_costs(scene, resting, fit, READING_ERRORS)
-        own = _own_errors(_odds(costs + _error_costs(scene, moves, EVERY_SECOND)), prior)
+        odds = _odds(costs + _error_costs(scene, moves, EVERY_SECOND))
+        # √E[e²] exceeds the most probable e where e is uncertain
+        size = float(np.sqrt(odds @ np.square(READING_ERRORS)))
+        possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
+        own = SharedErrors(possible, {READING_ERROR.setting: _moments(odds)})
     if moves is not None:
         return _with_common_errors(own, moves, prior, scene)
     if loaded is None:
@@ -197,13 +201,6 @@ def _channel_factor(scene: Scene, moves: "SharedChanges") -> float:
     marginal = np.logaddexp.reduce(-costs / 2, axis=1)
     odds = np.exp(marginal - marginal.max())
     return float(np.sqrt(odds @ np.square(CHANNEL_FACTORS) / odds.sum()))
-
-
-def _own_errors(odds: Array, prior: Systematic) -> SharedErrors:
-    """Return each reading's own error, given the probabilities of READING_ERRORS."""
-    size = _root_mean_square(odds)
-    possible = Possible(replace(prior, reading_error=size), in_sigma=_median(odds))
-    return SharedErrors(possible, {READING_ERROR.setting: _moments(odds)})
 
 
 def _undetermined(errors: SharedErrors, reason: str, scene: Scene) -> SharedErrors:
@@ -470,14 +467,6 @@ def _odds(costs: Array) -> Array:
     """Return the posterior probabilities of READING_ERRORS from their −2 ln likelihoods."""
     odds = np.exp(-(costs - costs.min()) / 2) * PRIOR_ODDS
     return np.asarray(odds / odds.sum())
-
-
-def _root_mean_square(odds: Array) -> float:
-    """Return √E[e²] by the probabilities of READING_ERRORS.
-
-    The root exceeds the most probable e where e is uncertain.
-    """
-    return float(np.sqrt(odds @ np.square(READING_ERRORS)))
 
 
 def _median(odds: Array) -> float:
