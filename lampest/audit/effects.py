@@ -35,12 +35,7 @@ MIN_SHARE_READ = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """Finished estimates of a single network's recording, of which advice is made.
-
-    Attributes
-    ----------
-    prepared : Prepared
-    """
+    """Finished estimates of a single network's recording, on which advice is based."""
 
     prepared: Prepared
 
