@@ -17,7 +17,6 @@ from lampest.cost.terms import Term
 from lampest.estimate.objective import Objective
 from lampest.estimate.state import AnyState, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
-from lampest.estimate.witness import compared, testimony
 from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
@@ -278,6 +277,8 @@ class Method(Configuration):
         after, step
             State after the frame, and its step with the comparison.
         """
+        from lampest.estimate.witness import compared, testimony
+
         weighted = state.estimator.with_weights(
             step.weights, step.weight_sigma, step.prior_variance
         )
