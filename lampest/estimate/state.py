@@ -7,7 +7,6 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
-from lampest.estimate.witness import Verification
 from lampest.files.errors import brief
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -17,6 +16,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
 if TYPE_CHECKING:
+    from lampest.estimate.witness import Verification
     from lampest.inference.alike import PanelChoice
     from lampest.posterior.frame_noise import FrameNoise
 
@@ -62,7 +62,7 @@ class Step:
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
     prior_variance: tuple[float, ...] = ()
-    verification: Verification | None = None
+    verification: "Verification | None" = None
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""

@@ -88,7 +88,10 @@ class Prepared:
 
     @classmethod
     def of(cls, recording: "Recording | Prepared") -> "Prepared":
-        """Return the preparation of a recording. Raises InputError where it is neither."""
+        """Return the preparation of a recording; a preparation is returned unchanged.
+
+        Raises InputError for other objects.
+        """
         if isinstance(recording, Prepared):
             return recording
         if isinstance(recording, Recording):

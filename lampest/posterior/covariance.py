@@ -41,8 +41,7 @@ from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import LEVEL
-from lampest.posterior.linear import IGNORANCE, LinearModel, rank
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
 from lampest.solvers.hessian import block_diagonal
 
 

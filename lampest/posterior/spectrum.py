@@ -27,8 +27,7 @@ from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors
-from lampest.posterior.linear import IGNORANCE, LinearModel, rank
-from lampest.posterior.matrices import positive_inverse
+from lampest.posterior.linear import IGNORANCE, LinearModel, positive_inverse, rank
 
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ

@@ -270,7 +270,7 @@ class Message:
     def content(self, sent_at: float) -> dict[str, Any]:
         """Return the content by docs/reference/stream.schema.json.
 
-        sent_at : s since 1970-01-01 UTC.
+        `sent_at` is in s since 1970-01-01 UTC.
         """
         picture = self.picture
         view = self.view

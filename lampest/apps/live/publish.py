@@ -40,8 +40,7 @@ Say = Callable[[str], None]
 class Publish(ABC):
     """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`.
 
-    token : required of listeners. Subclasses have their own defaults for missing parts of the
-    address.
+    Subclasses have their own defaults for missing parts of the address. Listeners need `token`.
     """
 
     kind: ClassVar[str]

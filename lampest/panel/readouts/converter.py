@@ -116,12 +116,12 @@ Known = Literal["esp32", "avr", "inverting amplifier"]
 def known(name: Known, full_scale_volt: float) -> Characteristic:
     """Return the characteristic of a converter with a name, for the end of its range in volt.
 
-    esp32 : 12 bits at 11 dB, a straight line through readings that users of the Arduino core report
-    (nothing below 0.14 V, the last code at 3.12 V; Espressif's data sheet specifies 0.15 to
-    2.45 V). Chips differ by some 6 %: a measured `curve` is better. avr : data sheets of the
-    ATmega, with the supply as reference; typically its zero is off by 2 steps. inverting
-    amplifier : two equal resistors about half the range, V_out = 2 V_ref − V (Mancini, Op Amps for
-    Everyone, Texas Instruments SLOD006B, 2002, chapter 4).
+    'esp32' has 12 bits at 11 dB, a straight line through readings that users of the Arduino core
+    report (nothing below 0.14 V, the last code at 3.12 V; Espressif's data sheet specifies 0.15 to
+    2.45 V). Chips differ by some 6 %: a measured `curve` is better. 'avr' follows the data sheets
+    of the ATmega, with the supply as reference; typically its zero is off by 2 steps. 'inverting
+    amplifier' has two equal resistors about half the range, V_out = 2 V_ref − V (Mancini, Op Amps
+    for Everyone, Texas Instruments SLOD006B, 2002, chapter 4).
     """
     if name == "esp32":
         return Characteristic(zero_volt=0.14, full_volt=3.12)
