@@ -14,16 +14,17 @@ Source: paper, equations (2)-(9).
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import casadi
 import numpy as np
 
 from lampest.formulation.circuit import Circuit, ConductanceSymbols
-from lampest.panel.network import Numbers
+from lampest.panel.compiled import guarded
+from lampest.panel.network import ENTRY_NAMES, Numbers
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.tied_network import reads_own
 
 Voltages = dict[str, Array]
 END_VOLTAGE = "end_voltage"  # in volt; all others are for unit currents, in V/A
@@ -306,7 +307,19 @@ def _reads_far(circuit: Circuit, readout: Readout) -> bool:
 
 def _reads_own(circuit: Circuit, readout: Readout) -> tuple[bool, bool]:
     """Return whether readings depend on Z_jj of the rows, and whether on Z_kk of the columns."""
-    return reads_own(readout, *circuit.shape, with_potentials=circuit.ends is not None)
+    return _entries_read(readout, circuit.shape, with_potentials=circuit.ends is not None)
+
+
+@guarded
+@lru_cache(maxsize=64)
+def _entries_read(
+    readout: Readout, shape: tuple[int, int], *, with_potentials: bool
+) -> tuple[bool, bool]:
+    """Return the same for a readout and the shape of its panel."""
+    names = ENTRY_NAMES if with_potentials else ENTRY_NAMES[:3]
+    row, column, *others = (casadi.MX.sym(name, *shape) for name in names)
+    reading = readout.reading(row, column, *others)
+    return bool(casadi.depends_on(reading, row)), bool(casadi.depends_on(reading, column))
 
 
 def _at_ends(

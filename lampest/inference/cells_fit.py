@@ -19,12 +19,12 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
 from lampest.files.errors import BROKEN
 from lampest.files.levels import SIGNIFICANCE
-from lampest.inference.assumptions import UNKNOWN_SD
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.linear import UNKNOWN_SD
 from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
