@@ -7,7 +7,6 @@ import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
 from lampest.estimate import explanation
 from lampest.estimate.compared_frames import broken_law
-from lampest.estimate.explanation import Explanation
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Rival
 from lampest.panel.readouts.readout import Readout
@@ -64,13 +63,13 @@ def test_rivals_whose_laws_the_readings_break_are_not_fitted(
     recording = lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
     question = Prepared(recording).question
     tried: list[Rival] = []
-    of = Explanation.of.__func__  # type: ignore[attr-defined]
+    fits_of = explanation.fits_of
 
-    def counted(cls: type[Explanation], rival: Rival, *further: object, **named: object) -> object:
+    def counted(rival: Rival, *further: object, **named: object) -> object:
         tried.append(rival)
-        return of(cls, rival, *further, **named)
+        return fits_of(rival, *further, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Explanation, "of", classmethod(counted))
+    monkeypatch.setattr(explanation, "fits_of", counted)
     assert question.explanation is not None
     explanation.better_rival(question, question.explanation)
     assert len(tried) > 3
